@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from identify.api import check, compare, contact, gap, law
-    from identify.pages.picture import Picture
+    from identify.pages.style import Picture
     from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 
 _MODULES = {
@@ -27,7 +27,7 @@ _MODULES = {
     "GapResult": "identify.results",
     "HistoryResult": "identify.results",
     "LawResult": "identify.results",
-    "Picture": "identify.pages.picture",
+    "Picture": "identify.pages.style",
     "check": "identify.api",
     "compare": "identify.api",
     "contact": "identify.api",

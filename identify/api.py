@@ -1,4 +1,4 @@
-"""The public functions of `identify`; the commands are a skin over them."""
+"""Public functions of `identify`, which the commands call."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,7 +15,7 @@ from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.results import Matters
 from identify.history import history_of
-from identify.history.observed import observations
+from identify.history.observations import observations
 from identify.laws import identify_law
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import Use
@@ -36,10 +36,10 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
 
     Raises RigError if the recording cannot be read.
     """
-    given = _recording(recording)
+    record = _recording(recording)
     with threadpool_limits(1):
-        findings = check_recording(given, use, _believed(tolerances))
-    return CheckResult(findings, _title([recording], given))
+        findings = check_recording(record, use, _resolved(tolerances))
+    return CheckResult(findings, _title([recording], record))
 
 
 def contact(
@@ -53,20 +53,20 @@ def contact(
 ) -> ContactResult:
     """Clearance, stiffness and damping of every contact (`identify.contacts.identify_contact` says how).
 
-    tolerances say how exactly the recording's rig is believed: `laboratory`, `exact`, a TOML file, or the rig's own.
+    tolerances are the uncertainties of the recording's rig: `laboratory`, `exact`, a TOML file, or the rig's own.
     Raises RigError if the recording does not allow it.
     """
-    given = _recording(recording)
-    found = identify_contact(
-        given,
+    record = _recording(recording)
+    identification = identify_contact(
+        record,
         use=use,
         averaging=averaging,
         equation=equation,
-        tolerances=_believed(tolerances),
+        tolerances=_resolved(tolerances),
         progress=progress,
     )
-    laws = {c.name: c.law for c in given.rig.contacts}
-    return ContactResult(found, _title([recording], given), laws, sources=_files([recording]))
+    laws = {c.name: c.law for c in record.rig.contacts}
+    return ContactResult(identification, _title([recording], record), laws, sources=_files([recording]))
 
 
 def law(
@@ -79,21 +79,21 @@ def law(
     tolerances: Tolerances | str | None = None,
     progress: Progress = lambda _: None,
 ) -> LawResult:
-    """The contact law of every contact, or the one named, as a formula (`identify.laws.identify_law` says how).
+    """Law of every contact, or of the named one, as a formula (`identify.laws.identify_law` says how).
 
     Needs the package pyoperon. Raises RigError if the recording does not allow it.
     """
-    given = _recording(recording)
-    found = identify_law(
-        given,
+    record = _recording(recording)
+    laws = identify_law(
+        record,
         contact=contact,
         use=use,
         seconds=seconds,
         seed=seed,
-        tolerances=_believed(tolerances),
+        tolerances=_resolved(tolerances),
         progress=progress,
     )
-    return LawResult(found, _title([recording], given), _files([recording]))
+    return LawResult(laws, _title([recording], record), _files([recording]))
 
 
 def gap(
@@ -110,39 +110,39 @@ def gap(
 ) -> GapResult:
     """Diagnose where the nominal rig differs from reality, which effects cause it, how far the mismatch shrinks.
 
-    The validation is not fitted: one of the recordings, or another; without it the last of several, or the last part of
-    a single one. `rig` is believed instead of the rig that is in the recordings: a value, or a rig.json.
-    `null_reference` is a file, or a folder for it, that keeps the null reference for the next time.
+    The validation record is not fitted: one of the recordings, or another; by default the last of several, or the last
+    part of a single one. `rig`, a value or a rig.json, replaces the nominal rig of the recordings. `null_reference` is
+    a file, or a folder for it, that keeps the null reference for the next time.
     Raises RigError if the recordings do not fit together or allow no diagnosis.
     """
-    every = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
-    known = {_identity(one): one for one in every}
-    if len(known) < len(every):
+    sources = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
+    by_identity = {_identity(source): source for source in sources}
+    if len(by_identity) < len(sources):
         raise RigError("a recording is given twice; give each once")
-    believed = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
-    given = {identity: _of_rig(one, believed, rig) for identity, one in known.items()}
-    first = next(iter(given.values()))
-    kept = None if null_reference is None else Path(null_reference)
-    if kept and kept.is_dir():
-        kept /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
-    if kept:
-        sources = [Path(one) for one in (*every, validation, rig) if isinstance(one, str | Path)]
-        check_target(kept, *sources, new_folder=True)
+    nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
+    records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
+    first = next(iter(records.values()))
+    reference_path = None if null_reference is None else Path(null_reference)
+    if reference_path and reference_path.is_dir():
+        reference_path /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
+    if reference_path:
+        inputs = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
+        check_target(reference_path, *inputs, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
-        findings = [f for one in given.values() for f in check_recording(one, tolerances=_believed(tolerances))]
-        found, corrected = diagnose(
-            list(given.values()),
-            None if validation is None else given.get(_identity(validation)) or _of_rig(validation, believed, rig),
+        findings = [f for record in records.values() for f in check_recording(record, tolerances=_resolved(tolerances))]
+        report, corrected = diagnose(
+            list(records.values()),
+            None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
             simulator_named(simulator),
-            kept,
+            reference_path,
             progress,
-            _believed(tolerances),
+            _resolved(tolerances),
             matters or Matters(),
             next_experiment,
         )
-    used = every if validation is None else [*every, validation]
-    told = dict.fromkeys(without_dead_force(findings, first.force_names))  # zeros were taken as a free decay's force
-    return GapResult(found, corrected, _title(every, first), tuple(told), _files(used))
+    all_sources = sources if validation is None else [*sources, validation]
+    distinct = dict.fromkeys(without_dead_force(findings, first.force_names))  # zeros: the force of a free decay
+    return GapResult(report, corrected, _title(sources, first), tuple(distinct), _files(all_sources))
 
 
 def compare(
@@ -155,18 +155,18 @@ def compare(
     """Clearances, stiffnesses, dampings and modes over recordings of one machine, and whether they changed.
 
     The sources are recordings, or folders with a contact.json, in their order (`identify.history` says how they are
-    compared). Raises RigError if fewer than two tell anything, or they are of different rigs.
+    compared). Raises RigError if fewer than two can be identified, or they are of different rigs.
     """
-    paths = [Path(one) for one in sources]
+    paths = [Path(source) for source in sources]
     if len({path.resolve() for path in paths}) < len(paths):
         raise RigError("a recording is given twice; give each once")
     with threadpool_limits(1):
-        found = history_of(list(observations(paths, use, _believed(tolerances), progress)))
-    return HistoryResult(found)
+        history = history_of(list(observations(paths, use, _resolved(tolerances), progress)))
+    return HistoryResult(history)
 
 
 def _identity(source: Source) -> Path | int:
-    """Identity by which a recording is known again."""
+    """Identity of a recording: its path, or that of the object."""
     return id(source) if isinstance(source, Recording) else Path(source).resolve()
 
 
@@ -174,31 +174,33 @@ def _recording(source: Source) -> Recording:
     return source if isinstance(source, Recording) else read(Path(source))
 
 
-def _of_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) -> Recording:
-    """The recording, with another rig believed if one is given; raises RigError if its channels are others."""
+def _with_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) -> Recording:
+    """Recording with another nominal rig if one is given; raises RigError if their channels differ."""
     recording = _recording(source)
     if rig is None:
         return recording
     groups = channel_groups(rig)
-    known = {quantity: (c.names, c.sample_rate_hz) for quantity, c in groups.items()}
-    if known != {quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()}:
-        told = name if isinstance(name, str | Path) else f"rig {rig.name!r}"
+    channels = {quantity: (c.names, c.sample_rate_hz) for quantity, c in groups.items()}
+    if channels != {
+        quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()
+    }:
+        rig_name = name if isinstance(name, str | Path) else f"rig {rig.name!r}"
         file = "the recording" if isinstance(source, Recording) else source
         raise RigError(
-            f"{told}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
+            f"{rig_name}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
         )
     signals = {quantity: replace(s, channels=groups[quantity]) for quantity, s in recording.signals.items()}
     return replace(recording, rig=rig, signals=signals)
 
 
-def _believed(tolerances: Tolerances | str | None) -> Tolerances | None:
+def _resolved(tolerances: Tolerances | str | None) -> Tolerances | None:
     return tolerances_named(tolerances) if isinstance(tolerances, str) else tolerances
 
 
 def _title(sources: Sequence[Source], first: Recording) -> str:
-    files = ", ".join(Path(one).name for one in sources if not isinstance(one, Recording))
+    files = ", ".join(Path(source).name for source in sources if not isinstance(source, Recording))
     return f"{first.rig.name}: {files}" if files else first.rig.name
 
 
 def _files(sources: Sequence[Source]) -> tuple[Path, ...]:
-    return tuple(dict.fromkeys(Path(one) for one in sources if not isinstance(one, Recording)))
+    return tuple(dict.fromkeys(Path(source) for source in sources if not isinstance(source, Recording)))

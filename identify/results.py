@@ -1,4 +1,4 @@
-"""The results of the public functions: each as text, dictionary, rows of a table, figures, and files."""
+"""Results of the public functions, each as text, dictionary, rows of a table, figures, and files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,14 +10,13 @@ import msgspec
 
 from identify.checks import Finding
 from identify.contacts import Identification
-from identify.contacts.identified_rig import identified_rig
-from identify.contacts.results import ContactReport, Estimate, Unanswered
+from identify.contacts.results import ContactReport, Estimate, Unanswered, identified_rig
 from identify.gaps.results import Gap
 from identify.history import History
 from identify.history import page as history_page
 from identify.laws import Laws
 from identify.laws.results import LawReport
-from identify.pages.picture import Picture
+from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
@@ -39,10 +38,10 @@ class CheckResult:
         return not self.findings
 
     def to_dict(self) -> dict[str, Any]:
-        return {"sound": self.sound, "findings": [_told(f) for f in self.findings]}
+        return {"sound": self.sound, "findings": [_finding_fields(f) for f in self.findings]}
 
     def table(self) -> list[Row]:
-        """A row a finding."""
+        """Row of each finding."""
         return [
             {"cause": f.cause, "channels": ", ".join(f.channels), "evidence": f.evidence, "mend": f.mend}
             for f in self.findings
@@ -54,9 +53,9 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class ContactResult:
-    """Contacts by a recording. `report` has it all, with standard errors, as contact.json has.
+    """Contacts by a recording. `report` has all estimates with standard errors, as contact.json has.
 
-    Beside the identified values stand those of `laws`, which are what `laws_name` says.
+    `laws` are the reference laws of the contacts, and `laws_name` names them.
     """
 
     found: Identification = field(repr=False)
@@ -71,7 +70,7 @@ class ContactResult:
 
     @property
     def rig(self) -> Rig:
-        """The recording's rig with the identified contacts."""
+        """Rig of the recording with the identified contacts."""
         return identified_rig(self.found.rig, self.report)
 
     def to_dict(self) -> dict[str, Any]:
@@ -79,23 +78,25 @@ class ContactResult:
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """A row a contact: each value, and half its 95 % interval; `pandas.DataFrame` takes it."""
+        """Row of each contact: values, and half their 95 % intervals; `pandas.DataFrame` takes it."""
         names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
-        return [{"contact": c.name, **_interval({n: getattr(c, n) for n in names})} for c in self.report.contacts]
+        return [
+            {"contact": c.name, **_interval_fields({n: getattr(c, n) for n in names})} for c in self.report.contacts
+        ]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
         """All figures by their names."""
-        from identify.contacts.figures import drawn
+        from identify.contacts.figures import contact_figures
 
         marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in self.laws.items()}
-        return drawn(self.found, marks, self.laws_name)
+        return contact_figures(self.found, marks, self.laws_name)
 
     def figure(self, name: str) -> Picture:
-        return _named(self.figures, name)
+        return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes contact.html, a page that stands alone, the figures, the identified rig.json, and contact.json."""
+        """Write contact.html, a self-contained page, the figures, the identified rig.json, and contact.json."""
         from identify.contacts.report import write_results
 
         write_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
@@ -106,14 +107,14 @@ class ContactResult:
             f"stiffness {interval(c.stiffness_n_per_m.value, c.stiffness_n_per_m.standard_error, 'N/m')}"
             for c in self.report.contacts
         ]
-        laws = [f"{said}." for c in self.report.contacts if (said := c.law_sentence)]
-        doubts = [f"not to be relied on: {f.sentence}" for f in self.report.findings]
-        return "\n".join([*doubts, *lines, *laws, *_silent(self.report.unanswered)])
+        laws = [f"{sentence}." for c in self.report.contacts if (sentence := c.law_sentence)]
+        warnings = [f"not to be relied on: {f.sentence}" for f in self.report.findings]
+        return "\n".join([*warnings, *lines, *laws, *_unanswered_lines(self.report.unanswered)])
 
 
 @dataclass(frozen=True)
 class LawResult:
-    """The contact laws as formulae. `report` has what law.json has."""
+    """Contact laws as formulae. `report` has the contents of law.json."""
 
     found: Laws = field(repr=False)
     title: str
@@ -128,37 +129,38 @@ class LawResult:
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """A row a contact and law that was tried, with what it leaves of the force that was held out."""
+        """Row of each contact and candidate law, with the error of the force that was held out."""
         return [
-            {"contact": one.contact, "law": tried.law, "held_out_error_n": tried.held_out_error_n}
-            for one in self.report.laws
-            for tried in one.candidates
+            {"contact": law.contact, "law": candidate.law, "held_out_error_n": candidate.held_out_error_n}
+            for law in self.report.laws
+            for candidate in law.candidates
         ]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
         """All figures by their names, if a law was found."""
-        from identify.laws.figures import drawn
+        from identify.laws.report import law_figures
 
-        return drawn(self.found.found)
+        return law_figures(self.found.found)
 
     def figure(self, name: str = "law") -> Picture:
-        return _named(self.figures, name)
+        return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes law.html, a page that stands alone, the figures, and law.json."""
+        """Write law.html, a self-contained page, the figures, and law.json."""
         from identify.laws.report import write_results
 
         write_results(self.found, Path(folder), self.title, self.sources)
 
     def __str__(self) -> str:
-        lines = [f"{one.contact}: {one.verdict}; {one.formula}" for one in self.report.laws]
-        return "\n".join([*lines, *_silent(self.report.unanswered)])
+        lines = [f"{law.contact}: {law.verdict}; {law.formula}" for law in self.report.laws]
+        return "\n".join([*lines, *_unanswered_lines(self.report.unanswered)])
 
 
 @dataclass(frozen=True)
 class GapResult:
-    """Difference of the machine from its description. `report` has what gap.json has, `corrected` is the mended rig.
+    """Difference of the machine from its description. `report` has the contents of gap.json, `corrected` is the new
+    rig.
 
     findings are those of the check of every recording, of which some may be the effect that is diagnosed.
     """
@@ -174,7 +176,8 @@ class GapResult:
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """A row a cause, the likeliest first: its probability, and the share of the gap that it explains."""
+        """Row of each cause, the most probable first: its probability, and the share of the mismatch that it
+        explains."""
         return [
             {"cause": " + ".join(cause.effects), "probability": cause.probability, "explained": cause.explained}
             for cause in self.report.causes
@@ -188,10 +191,10 @@ class GapResult:
         return pictures(self.report, self.corrected)
 
     def figure(self, name: str) -> Picture:
-        return _named(self.figures, name)
+        return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes gap.html, a page that stands alone, gap.json and the corrected rig.json."""
+        """Write gap.html, a self-contained page, gap.json and the corrected rig.json."""
         from identify.gaps.page.report import write_all
 
         write_all(self.report, self.corrected, self.title, Path(folder), self.sources)
@@ -202,7 +205,7 @@ class GapResult:
 
 @dataclass(frozen=True)
 class HistoryResult:
-    """Changes of a machine from recording to recording. `report` has what history.json has."""
+    """Changes of a machine from recording to recording. `report` has the contents of history.json."""
 
     report: History = field(repr=False)
 
@@ -215,20 +218,20 @@ class HistoryResult:
         return dict(msgspec.to_builtins(self.report))
 
     def table(self) -> list[Row]:
-        """A row a quantity: its mean, change from the first recording to the last, and the p-values of both tests."""
+        """Row of each quantity: mean, change from the first recording to the last, and the p-values of both tests."""
         names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
         return [dict(zip(names, row, strict=True)) for row in history_page.rows(self.report)]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
-        """All figures by their names: one."""
-        return {"history": history_page.drawn(self.report)}
+        """The only figure, by its name."""
+        return {"history": history_page.history_figure(self.report)}
 
     def figure(self, name: str = "history") -> Picture:
-        return _named(self.figures, name)
+        return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
-        """Writes history.html, a page that stands alone, history.csv and history.json."""
+        """Write history.html, a self-contained page, history.csv and history.json."""
         out = Path(folder)
         make_folder(out)
         history_page.write_page(self.report, self.figure(), out / "history.html")
@@ -239,22 +242,22 @@ class HistoryResult:
         return history_page.sentence(self.report)
 
 
-def _told(finding: Finding) -> dict[str, Any]:
+def _finding_fields(finding: Finding) -> dict[str, Any]:
     return {**msgspec.to_builtins(finding), "sentence": finding.sentence}
 
 
-def _interval(estimates: Mapping[str, Estimate]) -> Row:
-    found: Row = {}
+def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
+    row: Row = {}
     for name, estimate in estimates.items():
-        found[name], found[f"{name}_within"] = estimate.value, COVERED * estimate.standard_error
-    return found
+        row[name], row[f"{name}_within"] = estimate.value, COVERED * estimate.standard_error
+    return row
 
 
-def _silent(unanswered: Sequence[Unanswered]) -> list[str]:
-    return [f"{one.name}: not told by this record: {one.reason}" for one in unanswered]
+def _unanswered_lines(unanswered: Sequence[Unanswered]) -> list[str]:
+    return [f"{contact.name}: not told by this record: {contact.reason}" for contact in unanswered]
 
 
-def _named(figures: Mapping[str, Picture], name: str) -> Picture:
+def _figure_named(figures: Mapping[str, Picture], name: str) -> Picture:
     if name not in figures:
         raise RigError(f"there is no figure {name!r}; there are {', '.join(figures)}")
     return figures[name]

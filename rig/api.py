@@ -12,7 +12,7 @@ from rig.simulation.record import record as record_rig
 
 
 def read(path: str | Path) -> Recording:
-    """The recording in an MCAP file; raises RigError if it is none, or damaged."""
+    """Recording in an MCAP file; raises RigError if the file is no recording, or damaged."""
     return read_recording(Path(path))
 
 
@@ -27,7 +27,7 @@ def record(
     actual: Rig | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Recording:
-    """Simulate a rig, write its recording to an MCAP file, and what only a simulator knows to a truth file beside.
+    """Simulate a rig, write its recording to an MCAP file, and the simulated truth to a file beside it.
 
     plant is `modal` (fast) or `ancf` (Exudyn's finite elements). With `actual`, that rig is simulated and the recording
     says that it was `machine`. Raises RigError where the rig cannot be simulated so or the file not written.

@@ -4,8 +4,8 @@ import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-LONGEST = 1500
-_OBEYED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+MAX_LENGTH = 1500
+_CONTROL_CATEGORIES = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
 class RigError(ValueError):
@@ -18,34 +18,36 @@ class RigError(ValueError):
         super().__init__(one_line(sentence))
 
     def noting(self, note: str) -> "RigError":
-        """The same error, a note behind its sentence."""
+        """Error with a note appended to its sentence."""
         return RigError(f"{self} {note}")
 
 
 class TooLargeError(RigError):
-    """Error: this would take more memory than its file may."""
+    """Input that would take more memory than `rig.limits` allows for its file."""
 
 
 class CutOffError(RigError):
-    """A recording that could not be written to its end, though what was written of it is kept."""
+    """A recording that could not be written to its end; the part that was written is kept."""
 
     def __init__(self, sentence: str, strerror: str) -> None:
         super().__init__(sentence)
         self.strerror = strerror
 
 
-def meant(word: str, known: Iterable[str]) -> str:
-    """The known word that is most like one that is not known, as a question in brackets; empty if none is."""
-    return "".join(f" (did you mean {found!r}?)" for found in get_close_matches(word, known, 1))
+def meant(word: str, candidates: Iterable[str]) -> str:
+    """Suggestion " (did you mean 'x'?)" of the candidate closest to an unknown word; empty if none is close."""
+    return "".join(f" (did you mean {match!r}?)" for match in get_close_matches(word, candidates, 1))
 
 
 def is_plain(text: str) -> bool:
-    """True if it has no character that a terminal or a page would obey: control characters, line ends and such."""
-    return (text.isascii() and text.isprintable()) or not any(unicodedata.category(c) in _OBEYED for c in text)
+    """True if the text has no control characters, line ends or other characters that a terminal or page obeys."""
+    return (text.isascii() and text.isprintable()) or not any(
+        unicodedata.category(c) in _CONTROL_CATEGORIES for c in text
+    )
 
 
 def one_line(text: str) -> str:
-    """The text with line ends and the like as escapes, and without its middle if it is too long."""
-    if len(text) > LONGEST:
-        text = f"{text[: LONGEST // 2]} [...] {text[-LONGEST // 2 :]}"
+    """Text on one line: unprintable characters escaped, the middle cut out beyond MAX_LENGTH characters."""
+    if len(text) > MAX_LENGTH:
+        text = f"{text[: MAX_LENGTH // 2]} [...] {text[-MAX_LENGTH // 2 :]}"
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

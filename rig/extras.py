@@ -1,4 +1,4 @@
-"""Packages that not every user needs: `pip install ".[all]"` brings all, an extra the packages of one purpose."""
+"""Optional packages: an extra installs those of one purpose, `pip install ".[all]"` installs all."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -8,7 +8,7 @@ from rig.errors import RigError
 
 @contextmanager
 def needs_extra(name: str, purpose: str) -> Iterator[None]:
-    """Around an import of what the extra of that name brings; raises RigError if it is not there."""
+    """Wrap an import of an optional package; raise RigError, naming the extra to install, if it is missing."""
     try:
         yield
     except ImportError as error:

@@ -1,4 +1,8 @@
-"""Files: what is read is a file and no device; what is written is whole or not there: beside, on the disk, renamed."""
+"""Safe reading and atomic writing of files.
+
+Only regular files are read. A file is written beside its target (FILE.part), synced to the disk and then renamed, so
+that it is either complete or absent.
+"""
 
 import hashlib
 import os
@@ -16,15 +20,15 @@ try:
 except ImportError:  # Windows, where one writer keeps another from opening the file
     fcntl = None  # type: ignore[assignment]
 
-LONGEST_NAME_BYTES = 255
-MOST_BYTES = 256 * 1024 * 1024
-"""Of a file that is read in one piece: a map, a description, a report."""
+MAX_NAME_BYTES = 255
+MAX_BYTES = 256 * 1024 * 1024
+"""Largest file that is read in one piece: a map, a description, a report."""
 WAIT_S = 30.0
 """How long a small file waits for another writer of it; a recording does not."""
 
 
 def check_source(path: Path) -> None:
-    """Raises RigError if there is no regular file: a device or a pipe may never end."""
+    """Raise RigError unless the path is a regular file: a device or a pipe may never end."""
     _check_name(path)
     try:
         regular = path.is_file()
@@ -37,56 +41,56 @@ def check_source(path: Path) -> None:
 
 
 def contents(path: Path) -> bytes:
-    """All of a file; raises RigError if there is none, it is no regular file or larger than MOST_BYTES."""
+    """Content of a regular file; raises RigError if it cannot be read or is larger than MAX_BYTES."""
     check_source(path)
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise RigError(f"{path}: has more than {MOST_BYTES >> 20} MiB; this is not the file that is asked for")
+        if path.stat().st_size > MAX_BYTES:
+            raise RigError(f"{path}: has more than {MAX_BYTES >> 20} MiB; this is not the file that is asked for")
         return path.read_bytes()
     except OSError as error:
         raise RigError(f"{path}: cannot be read ({error.strerror}); check the file") from error
 
 
 def sha256_of(path: Path) -> str:
-    """The SHA-256 of a file, hexadecimal."""
+    """SHA-256 of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
-    """Raises RigError if no file can be written there, or it is one of those that are read, however it is spelt.
+    """Raise RigError if the path cannot be written, or is one of the sources under whatever name.
 
-    With new_folder its folder need not be there yet: it is made before the file is.
+    With new_folder its folder need not exist yet; the caller makes it.
     """
-    part = part_of(path)
+    part_path = part_of(path)
     for source in sources:
         _check_name(source)
-        if any(_same(place, source) for place in (path, part)):
+        if any(_is_same_file(place, source) for place in (path, part_path)):
             raise RigError(f"{path}: would be written over {source}, which is read; give another name")
     folder = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
     if folder != path.absolute().parent and not new_folder:
         raise RigError(f"{path}: cannot be written (there is no folder {path.parent}); make it, or choose another")
     if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
-        why = "cannot be written to" if folder.is_dir() else "is no folder"
-        raise RigError(f"{path}: cannot be written ({folder} {why}); choose another place")
+        obstacle = "cannot be written to" if folder.is_dir() else "is no folder"
+        raise RigError(f"{path}: cannot be written ({folder} {obstacle}); choose another place")
 
 
 def part_of(path: Path) -> Path:
-    """Path at which a file is written before it is renamed; raises RigError if neither place may hold one."""
+    """Path FILE.part at which a file is written before it is renamed; raises RigError if either path is unusable."""
     _check_name(path)
     if not path.name or path.name == "..":
         raise RigError(f"{path}: is a folder; name a file in it")
-    part = path.with_name(path.name + ".part")
-    if any(len(os.fsencode(name)) > LONGEST_NAME_BYTES for name in part.parts):
+    part_path = path.with_name(path.name + ".part")
+    if any(len(os.fsencode(name)) > MAX_NAME_BYTES for name in part_path.parts):
         raise RigError(f"{path}: cannot be written (its name is too long); give a shorter one")
-    for place in (path, part):
+    for place in (path, part_path):
         if place.is_symlink():
             raise RigError(f"{place}: is a symbolic link; name the file itself")
         if place.is_dir():
             raise RigError(f"{place}: is a folder; name a file in it")
         if place.exists() and not place.is_file():
             raise RigError(f"{place}: is a device, a pipe or the like; name a file")
-    return part
+    return part_path
 
 
 def make_folder(path: Path) -> None:
@@ -99,30 +103,30 @@ def make_folder(path: Path) -> None:
 
 @contextmanager
 def reserved(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
-    """The place beside, for this writer alone; raises RigError if another one has it for longer than that.
+    """FILE.part, locked for this writer; raises RigError if another writer holds it for longer than wait_s.
 
-    What stood there, of a writer that was killed, is this writer's to overwrite.
+    The remains of a writer that was killed may be overwritten.
     """
-    part = part_of(path)
+    part_path = part_of(path)
     if fcntl is None:
-        yield part
+        yield part_path
         return
-    until = time.monotonic() + wait_s
-    while (lock := _locked(part, path)) is None:
-        if time.monotonic() > until:
+    deadline_s = time.monotonic() + wait_s
+    while (descriptor := _locked(part_path, path)) is None:
+        if time.monotonic() > deadline_s:
             raise RigError(f"{path}: is being written by another program; wait for it, or give another name")
         time.sleep(0.02)
     try:
-        yield part
+        yield part_path
     finally:
-        os.close(lock)
+        os.close(descriptor)
 
 
-def settle(part: Path, path: Path) -> None:
-    """Renames, once it is on the disk; then the folder is put there too."""
-    with part.open("rb+") as written:
-        os.fsync(written.fileno())
-    part.replace(path)
+def settle(part_path: Path, path: Path) -> None:
+    """Sync the file to the disk, rename it to its final path, and sync the folder."""
+    with part_path.open("rb+") as file:
+        os.fsync(file.fileno())
+    part_path.replace(path)
     with suppress(OSError):  # not every system opens folders
         folder = os.open(path.parent, os.O_RDONLY)
         try:
@@ -133,58 +137,58 @@ def settle(part: Path, path: Path) -> None:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A place beside, where the file is to be written; renamed to `path` once it is on the disk, removed if it fails.
+    """Path at which to write the file; on success it is synced and renamed to `path`, on failure removed.
 
-    Writers of one file wait for each other: the last one's stands. Raises RigError if it cannot be written.
+    Writers of one file wait for each other; the last one prevails. Raises RigError if the file cannot be written.
     """
-    with reserved(path, WAIT_S) as part:
+    with reserved(path, WAIT_S) as part_path:
         try:
-            yield part
-            settle(part, path)
+            yield part_path
+            settle(part_path, path)
         except BaseException as error:  # once settled it stays: what stands there then is the next writer's
             with suppress(OSError):
-                part.unlink()
+                part_path.unlink()
             if not isinstance(error, OSError):
                 raise
             raise RigError(f"{path}: cannot be written ({error.strerror or error}); choose another place") from error
 
 
 def write_bytes(data: bytes, path: Path) -> None:
-    """Raises RigError as `atomic_write` does."""
-    with atomic_write(path) as part:
-        part.write_bytes(data)
+    """Write a file atomically; raises RigError as `atomic_write` does."""
+    with atomic_write(path) as part_path:
+        part_path.write_bytes(data)
 
 
 def write_json(value: object, path: Path) -> None:
-    """Write what msgspec encodes, indented by two."""
+    """Write a value as JSON, indented by two, atomically."""
     write_bytes(msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n", path)
 
 
-def _locked(part: Path, path: Path) -> int | None:
-    """The place, open and locked until it is closed or the process ends; None if another writer has it."""
+def _locked(part_path: Path, path: Path) -> int | None:
+    """File descriptor of FILE.part, locked until it is closed or the process ends; None if another writer has it."""
     try:
-        lock = os.open(part, os.O_RDWR | os.O_CREAT, 0o666)
+        descriptor = os.open(part_path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise RigError(f"{path}: cannot be written ({error.strerror}); choose another place") from error
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        os.close(lock)
+        os.close(descriptor)
         return None
     except OSError:  # a file system without locks
-        return lock
+        return descriptor
     with suppress(FileNotFoundError):
-        if os.path.samestat(os.fstat(lock), part.stat()):  # not renamed meanwhile by the one who had it
-            return lock
-    os.close(lock)
+        if os.path.samestat(os.fstat(descriptor), part_path.stat()):  # not renamed meanwhile by the one who had it
+            return descriptor
+    os.close(descriptor)
     return None
 
 
-def _same(path: Path, other: Path) -> bool:
-    if os.path.realpath(path) == os.path.realpath(other):
+def _is_same_file(path: Path, other_path: Path) -> bool:
+    if os.path.realpath(path) == os.path.realpath(other_path):
         return True
     try:
-        return path.samefile(other)
+        return path.samefile(other_path)
     except OSError:
         return False
 

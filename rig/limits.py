@@ -1,10 +1,11 @@
-"""Bounds on what an untrusted file may cost, for every reader: memory, nesting and keys.
+"""Bounds on what an untrusted file may cost or say, for every reader: memory, nesting, keys and the size of numbers.
 
 A file of n bytes may take BASE_BYTES + BYTES_PER_FILE_BYTE * n of memory while it is read. What needs more is read in
 pieces, or refused before it is decoded. Links from a file to another are never followed.
 """
 
 import json
+import math
 from typing import Any
 
 from rig.errors import RigError, TooLargeError
@@ -12,19 +13,19 @@ from rig.errors import RigError, TooLargeError
 BASE_BYTES = 300_000_000
 BYTES_PER_FILE_BYTE = 8
 MAX_JSON_BYTES = 16 * 1024 * 1024
-"""Decoded, a text of JSON takes up to some 24 times its size."""
+"""Largest JSON text; decoded, it takes up to some 24 times its size."""
 PROGRAM_BYTES = 130_000_000
-"""Of BASE_BYTES, what the program takes before it reads anything."""
+"""Share of BASE_BYTES that the program takes before it reads anything."""
 MAX_ITEMS = 100_000
-"""Columns, datasets, elements of structs and cells, or segments that a file may list."""
+"""Largest number of columns, datasets, elements of structs and cells, or segments in a file."""
 MAX_DEPTH = 32
-"""How deep groups, structs, cells and keys may be nested."""
+"""Deepest nesting of groups, structs, cells and keys."""
 MAX_NAME = 1000
-"""Characters of one name in a file."""
+"""Longest name in a file, characters."""
 
 
 def memory_bound_bytes(file_bytes: int) -> int:
-    """Memory that reading a file of so many bytes may take."""
+    """Memory that reading a file of this size may take."""
     return BASE_BYTES + BYTES_PER_FILE_BYTE * file_bytes
 
 
@@ -38,24 +39,24 @@ def check_decoded_size(decoded_bytes: int | float, file_bytes: int, content: str
         )
 
 
-class Held:
-    """Memory that a reader takes for what it keeps of a file, counted as it grows against the bound of the file."""
+class MemoryCounter:
+    """Count of the memory that a reader keeps of a file, checked against the bound of that file as it grows."""
 
     def __init__(self, file_bytes: int, content: str) -> None:
         self._file_bytes, self._content = file_bytes, content
         self._bound_bytes, self._held_bytes = memory_bound_bytes(file_bytes), 0
 
     def add(self, count_bytes: int) -> None:
-        """Raise TooLargeError beyond the bound."""
+        """Count these bytes; raise TooLargeError beyond the bound."""
         self._held_bytes += count_bytes
         if self._held_bytes > self._bound_bytes:
             check_decoded_size(self._held_bytes, self._file_bytes, self._content)
 
 
 def check_json(text: bytes, source: str) -> None:
-    """Raise RigError if a text of JSON is too large, or an object in it gives a key twice, of which one would be lost.
+    """Raise RigError if a JSON text is too large or an object in it has a key twice, of which one would be lost.
 
-    Whether it is JSON at all is for its decoder to say.
+    Syntax errors are left to the decoder.
     """
     if len(text) > MAX_JSON_BYTES:
         raise RigError(f"{source}: has {len(text)} bytes; give at most {MAX_JSON_BYTES >> 20} MiB of JSON")
@@ -68,10 +69,38 @@ def check_json(text: bytes, source: str) -> None:
 
 
 def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """The object of these pairs; raises RigError, without the name of the file, if a key is given twice."""
-    found: dict[str, Any] = {}
+    """Object of these key-value pairs; raises RigError, without the name of the file, if a key occurs twice."""
+    unique: dict[str, Any] = {}
     for key, value in pairs:
-        if key in found:
+        if key in unique:
             raise RigError(f"the key {key!r} is given twice in one object; give it once")
-        found[key] = value
-    return found
+        unique[key] = value
+    return unique
+
+
+LARGEST = 1e30
+"""Largest number, in any unit: beyond any sensor, and a fourth power would overflow."""
+
+
+def check_largest(decoded: Any, source: str) -> None:
+    """Raise RigError, with its place, if a number in decoded JSON is beyond LARGEST."""
+    pending: list[tuple[tuple[Any, ...], Any]] = [((), decoded)]
+    while pending:
+        path, value = pending.pop()
+        if isinstance(value, dict):
+            pending.extend(((path, f".{key}"), child) for key, child in value.items())
+        elif isinstance(value, list):
+            pending.extend(((path, f"[{number}]"), child) for number, child in enumerate(value))
+        elif isinstance(value, int | float) and abs(value) > LARGEST:
+            raise RigError(
+                f"{source}: {_name(path)} is about 1e{math.log10(abs(value)):.0f}, which nothing is; correct it"
+            )
+
+
+def _name(path: tuple[Any, ...]) -> str:
+    """Name of a place as in `bodies[0].mass_kg`, from (parent, key) pairs."""
+    keys = []
+    while path:
+        path, key = path
+        keys.append(key)
+    return "".join(reversed(keys)).removeprefix(".")

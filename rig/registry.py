@@ -1,4 +1,4 @@
-"""Packages with one file each for what they hold: what their modules define is found by itself."""
+"""Registries: packages with one file for each item, whose definitions are found by importing every module."""
 
 from collections.abc import Iterator, Sequence
 from importlib import import_module
@@ -8,22 +8,22 @@ from typing import Any, TypeVar
 Kind = TypeVar("Kind")
 
 
-def defined(path: Sequence[str], package: str) -> Iterator[tuple[str, Any]]:
-    """Everything in the modules of a package, with the module's name, in alphabetical order of the modules."""
+def definitions(path: Sequence[str], package: str) -> Iterator[tuple[str, Any]]:
+    """Every value in the modules of a package, with its module's name, in alphabetical order of the modules."""
     for module in sorted(info.name for info in iter_modules(path, f"{package}.")):
-        for one in vars(import_module(module)).values():
-            yield module, one
+        for value in vars(import_module(module)).values():
+            yield module, value
 
 
 def subclasses(path: Sequence[str], package: str, kind: type[Kind]) -> list[type[Kind]]:
-    """The classes of a kind that the modules define, but itself."""
+    """Subclasses of `kind` that the modules define."""
     return [
-        one
-        for module, one in defined(path, package)
-        if isinstance(one, type) and issubclass(one, kind) and one.__module__ == module and one is not kind
+        value
+        for module, value in definitions(path, package)
+        if isinstance(value, type) and issubclass(value, kind) and value.__module__ == module and value is not kind
     ]
 
 
 def instances(path: Sequence[str], package: str, kind: type[Kind]) -> list[Kind]:
-    """The instances of a kind that the modules hold."""
-    return [one for _, one in defined(path, package) if isinstance(one, kind)]
+    """Instances of `kind` in the modules."""
+    return [value for _, value in definitions(path, package) if isinstance(value, kind)]

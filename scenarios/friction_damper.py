@@ -163,10 +163,11 @@ def drawn(laws: Sequence[DamperLaw], curves: Sequence[FoundLaw], path: Path) -> 
         panels = figure.subplots(lines, COLUMNS, sharex=True, sharey=True, squeeze=False)
         for axes, one, curve in zip(panels.ravel(), laws, curves, strict=False):
             record = curve.record
-            axes.plot(1e3 * record.at_force_m, 1e-3 * record.force_n, color=GREY, lw=0.5, label="measured")
+            axes.plot(1e3 * record.eta_at_force_m, 1e-3 * record.force_n, color=GREY, lw=0.5, label="measured")
             if curve.sliding is not None:
                 force = record.low_passed(curve.sliding)
-                axes.plot(1e3 * record.at_force_m, 1e-3 * force, color=RED, lw=0.9, label="friction behind a backlash")
+                eta_mm = 1e3 * record.eta_at_force_m
+                axes.plot(eta_mm, 1e-3 * force, color=RED, lw=0.9, label="friction behind a backlash")
             axes.set(title=f"{one.frequency_hz:g} Hz, band {one.tension_n:.0f} N")
         for axes in panels[-1]:
             axes.set(xlabel="displacement, mm")

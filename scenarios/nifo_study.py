@@ -124,7 +124,7 @@ def incoherent_shares(signals: Sequence[Float[np.ndarray, " samples"]], cut: Blo
 
     With the normal matrix G of their spectra over the blocks, sqrt(1 / (G_jj (G^-1)_jj)) at each line.
     """
-    spectra = cut.together([[Term(signal)] for signal in signals], cut.starts)
+    spectra = cut.spectra_of_sums([[Term(signal)] for signal in signals], cut.starts)
     normal = np.einsum("ibl,jbl->lij", spectra.conj(), spectra)
     size = np.sqrt(np.einsum("lii->li", normal).real)
     inverse = np.linalg.inv(normal / (size[:, :, None] * size[:, None, :]))

@@ -113,7 +113,7 @@ TABLES: tuple[tuple[str, str, Callable[[], Iterator[str]]], ...] = (
     ("rig/effects/README.md", "Ranges set by the rig:\n", range_lines),
     ("rig/recording/README.md", "|---|---|", field_rows),
     ("rig/model/README.md", "|---|---|---|---|", quantity_rows),
-    ("identify/README.md", "| code | cause | what to do |\n|---|---|---|", refusal_rows),
+    ("identify/REFUSALS.md", "| code | cause | what to do |\n|---|---|---|", refusal_rows),
 )
 """The README, the line above the rows (of which the README has one), and the rows."""
 

@@ -22,7 +22,7 @@ print("imported")
 """
 
 
-DRAWS = ("axes", "blueprint", "contact_view", "drawing", "gap_view", "phase", "spectra", "viewing", "web")
+DRAWS = ("axes", "blueprint", "contact_view", "drawing", "gap_view", "spectra", "viewing", "web")
 """What draws for the viewer, by rerun."""
 
 

@@ -1,4 +1,4 @@
-"""The table of what is refused, in identify/README.md: every row is made, and its sentence read."""
+"""The table of what is refused, in identify/REFUSALS.md: every row is made, and its sentence read."""
 
 import dataclasses
 import re
@@ -29,7 +29,7 @@ SHAKEN = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=15.0)
 
 
 def rows():
-    text = (ROOT / "identify" / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "identify" / "REFUSALS.md").read_text(encoding="utf-8")
     lines = text.partition(HEAD)[2].partition("\n\n")[0].splitlines()[2:]
     return {name: sentence for name, _, sentence in (line.strip("| ").split(" | ") for line in lines)}
 

@@ -1,4 +1,7 @@
-"""Findings on channels that do not fit the others."""
+"""Findings on a sensor or a force whose signal is not what all other channels predict: the likeliest cause.
+
+A sensor is compared with the motion that the linear model predicts there, a force with the one that all sensors imply.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -6,151 +9,161 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.checks.findings import Finding
-from identify.checks.prediction import LinearCheck, Predicted, by_forces
-from identify.checks.relations import FOLLOWS, Relation, bandwise, relation, usual_factor
+from identify.checks.findings import Finding, force_in_words
+from identify.checks.prediction import LinearCheck, Prediction, acceleration_by_forces, driven_lines
+from identify.checks.relations import MIN_COHERENCE, Relation, gain_by_band, relation, unit_mistake
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig, Station
 
-PLACES = 41
-SAYS = "the linear model and all other channels"
+POSITIONS = 41
+"""Places along a body that are tried for a sensor, twice: the second time around the best one."""
+REFERENCE = "the linear model and all other channels"
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A cause, and the share of a channel's power that it leaves unexplained."""
+    """A cause, and the share of the channel's power that it leaves unexplained.
 
-    left: float
+    A cause with more freedom has a larger allowance, by which its share counts more.
+    """
+
+    unexplained_share: float
     finding: Finding
     allowance: float = 1.0
-    """A cause with more freedom has to leave so much less."""
 
 
 def channel_finding(
     rig: Rig,
     check: LinearCheck,
     channel: int,
-    predicted: Predicted,
-    over_time: Callable[[], Float[np.ndarray, " parts"] | None],
+    predicted: Prediction,
+    delays_over_time: Callable[[], Float[np.ndarray, " parts"] | None],
 ) -> Finding:
-    """The likeliest reason why a channel is not what all others predict.
+    """Likeliest reason why a channel is not what all others predict.
 
-    over_time gives its delays in each part of the record, where they differ.
+    delays_over_time gives its delays in each part of the record, or None if these are alike.
     """
     spectra, weight = check.spectra, 1 / check.scale[channel]
     measured, omega, name = spectra.acceleration[channel], spectra.omega, spectra.sensors[channel].name
     expected = predicted.acceleration[channel]
-    own = relation(omega, measured, expected, weight)
+    to_expected = relation(omega, measured, expected, weight)
     power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
 
-    def left_by(explained: Complex[np.ndarray, " lines"]) -> float:
+    def unexplained_by(explained: Complex[np.ndarray, " lines"]) -> float:
         return float(np.sum(np.abs((measured - explained) * weight) ** 2)) / power
 
-    tried = [*_simple(name, own, omega, expected, left_by)]
-    tried += _elsewhere(rig, spectra, channel, predicted, weight, left_by)
-    tried += _differentiated(spectra, channel, expected, weight)
+    explanations = [*_gain_or_delay(name, to_expected, omega, expected, unexplained_by)]
+    explanations += _wrong_station(rig, spectra, channel, predicted, weight, unexplained_by)
+    explanations += _wrong_derivative(spectra, channel, expected, weight)
     if (filtered := _filtered(name, omega, measured, expected, weight)) is not None:
-        tried.append(filtered)
-    best = min(tried, key=lambda one: one.left * one.allowance)
-    if best.left > 0.02 and (slipped := over_time()) is not None:
-        return _slipped(name, slipped)
-    if best.left > 1 - FOLLOWS:
+        explanations.append(filtered)
+    best = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.allowance)
+    if best.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
+        return _slipped_finding(name, delays_s)
+    if best.unexplained_share > 1 - MIN_COHERENCE:
         return Finding(
             cause="unrelated",
             channels=(name,),
-            evidence=f"{name} follows {100 * max(own.coherence, 0):.2g} % of what all other channels predict there",
+            evidence=f"{name} follows {100 * max(to_expected.coherence, 0):.2g} % of what all other "
+            "channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
     return best.finding
 
 
-def _simple(
+def _gain_or_delay(
     name: str,
-    own: Relation,
+    to_expected: Relation,
     omega: Float[np.ndarray, " lines"],
     expected: Complex[np.ndarray, " lines"],
-    left_by: Callable[[Complex[np.ndarray, " lines"]], float],
+    unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
-    """Sign, unit or gain; delay."""
-    late = np.exp(-1j * omega * own.delay_s)
-    turned = own.gain < 0 or abs(own.gain - 1) > 0.3
-    yield Explanation(left_by(own.gain * (late if turned else 1.0) * expected), channel_gain(name, own.gain))
-    if 0.7 < own.gain < 1.3:
+    """Explanations by a sign, a unit or a gain; and by a delay."""
+    delay_factor = np.exp(-1j * omega * to_expected.delay_s)
+    gain_is_wrong = to_expected.gain < 0 or abs(to_expected.gain - 1) > 0.3
+    yield Explanation(
+        unexplained_by(to_expected.gain * (delay_factor if gain_is_wrong else 1.0) * expected),
+        gain_finding(name, to_expected.gain),
+    )
+    if 0.7 < to_expected.gain < 1.3:
         yield Explanation(
-            left_by(late * expected),
+            unexplained_by(delay_factor * expected),
             Finding(
                 cause="delay",
                 channels=(name,),
-                evidence=f"{name} comes {1e3 * abs(own.delay_s):.3g} ms {'late' if own.delay_s > 0 else 'early'} "
-                f"against what {SAYS} predict",
-                mend=f"set delay_s = {own.delay_s:.3g} in rig.json, or synchronise its clock",
+                evidence=f"{name} comes {1e3 * abs(to_expected.delay_s):.3g} ms "
+                f"{'late' if to_expected.delay_s > 0 else 'early'} against what {REFERENCE} predict",
+                mend=f"set delay_s = {to_expected.delay_s:.3g} in rig.json, or synchronise its clock",
             ),
         )
 
 
-def channel_gain(name: str, gain: float) -> Finding:
-    """A sign, a unit or a calibration that is wrong: the channel delivers so many times what it should."""
+def gain_finding(name: str, gain: float) -> Finding:
+    """Finding: a sign, a unit or a calibration is wrong, and the channel delivers `gain` times what it should."""
     if gain < 0 and 0.5 < -gain < 2:
         return Finding(
             cause="polarity",
             channels=(name,),
-            evidence=f"{name} has the opposite sign of what {SAYS} predict (gain {gain:.4g})",
+            evidence=f"{name} has the opposite sign of what {REFERENCE} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
-    units = usual_factor(gain)
+    units = unit_mistake(gain)
     return Finding(
         cause="units" if units else "gain",
         channels=(name,),
-        evidence=f"{name} delivers {gain:.4g} times what {SAYS} predict",
+        evidence=f"{name} delivers {gain:.4g} times what {REFERENCE} predict",
         mend=f"correct its unit or scale in the import map, it looks like {units}"
         if units
         else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
     )
 
 
-def _elsewhere(
+def _wrong_station(
     rig: Rig,
     spectra: Spectra,
     channel: int,
-    predicted: Predicted,
+    predicted: Prediction,
     weight: Float[np.ndarray, " lines"],
-    left_by: Callable[[Complex[np.ndarray, " lines"]], float],
+    unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
-    """Finding: the sensor stands at another place of its body, or shows what another sensor should."""
+    """Explanations: the sensor shows what another one should, or stands at another place of its body."""
     sensor = spectra.sensors[channel]
-    for k, other in enumerate(spectra.sensors):
-        if k != channel and other.station != sensor.station:
-            there = relation(spectra.omega, spectra.acceleration[channel], predicted.acceleration[k], weight, 0.0)
-            if 0.8 < abs(there.gain) < 1.25:
+    for k, other_sensor in enumerate(spectra.sensors):
+        if k != channel and other_sensor.station != sensor.station:
+            to_other = relation(spectra.omega, spectra.acceleration[channel], predicted.acceleration[k], weight, 0.0)
+            if 0.8 < abs(to_other.gain) < 1.25:
                 yield Explanation(
-                    1 - there.coherence,
+                    1 - to_other.coherence,
                     Finding(
                         cause="station",
-                        channels=(sensor.name, other.name),
-                        evidence=f"{sensor.name} shows the motion at {other.station.position_m:g} m of "
-                        f"{other.station.body} ({100 * there.coherence:.4g} % of its power), not that of its station",
-                        mend=f"check its place, its cable and its column; it may be a copy of {other.name}",
+                        channels=(sensor.name, other_sensor.name),
+                        evidence=f"{sensor.name} shows the motion at {other_sensor.station.position_m:g} m of "
+                        f"{other_sensor.station.body} ({100 * to_other.coherence:.4g} % of its power), "
+                        "not that of its station",
+                        mend=f"check its place, its cable and its column; it may be a copy of {other_sensor.name}",
                     ),
                     2.0,
                 )
     length = rig.body(sensor.station.body).length_m
     if not length:
         return
-    places = np.linspace(0, length, PLACES)
+    positions_m = np.linspace(0, length, POSITIONS)
     for _ in range(2):
-        stations = [Station(sensor.station.body, float(x)) for x in places]
-        left = [left_by(row) for row in by_forces(rig, predicted, spectra.omega, stations)]
-        best = int(np.argmin(left))
-        near = places[max(best - 1, 0)], places[min(best + 1, places.size - 1)]
-        at, places = float(places[best]), np.linspace(*near, PLACES)
-    if abs(at - sensor.station.position_m) > 2e-3:
+        stations = [Station(sensor.station.body, float(x)) for x in positions_m]
+        unexplained = [
+            unexplained_by(explained) for explained in acceleration_by_forces(rig, predicted, spectra.omega, stations)
+        ]
+        best = int(np.argmin(unexplained))
+        bracket_m = positions_m[max(best - 1, 0)], positions_m[min(best + 1, positions_m.size - 1)]
+        best_m, positions_m = float(positions_m[best]), np.linspace(*bracket_m, POSITIONS)
+    if abs(best_m - sensor.station.position_m) > 2e-3:
         yield Explanation(
-            min(left),
+            min(unexplained),
             Finding(
                 cause="station",
                 channels=(sensor.name,),
                 of=sensor.station.body,
-                evidence=f"{sensor.name} moves as the place {at:.3f} m of {sensor.station.body} does, not as "
+                evidence=f"{sensor.name} moves as the place {best_m:.3f} m of {sensor.station.body} does, not as "
                 f"{sensor.station.position_m:g} m",
                 mend="measure its place and correct rig.json",
             ),
@@ -158,21 +171,23 @@ def _elsewhere(
         )
 
 
-def _differentiated(
+def _wrong_derivative(
     spectra: Spectra, channel: int, expected: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
 ) -> Iterator[Explanation]:
+    """Explanations: the channel is a derivative or an integral of the predicted motion."""
     name, omega = spectra.sensors[channel].name, spectra.omega
-    said = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
-    for order, what in said.items():
-        turned = relation(omega, spectra.acceleration[channel] * (1j * omega) ** -order, expected, weight, 0.0)
-        if not (0.5 < abs(turned.gain) < 2 or usual_factor(turned.gain)):
+    operations = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
+    for order, operation in operations.items():
+        to_expected = relation(omega, spectra.acceleration[channel] * (1j * omega) ** -order, expected, weight, 0.0)
+        if not (0.5 < abs(to_expected.gain) < 2 or unit_mistake(to_expected.gain)):
             continue
         yield Explanation(
-            1 - turned.coherence,
+            1 - to_expected.coherence,
             Finding(
                 cause="derivative",
                 channels=(name,),
-                evidence=f"{name} is the motion that the others predict, {what} ({100 * turned.coherence:.4g} % of it)",
+                evidence=f"{name} is the motion that the others predict, {operation} "
+                f"({100 * to_expected.coherence:.4g} % of it)",
                 mend="correct its quantity in rig.json and in the import map",
             ),
             3.0,
@@ -186,31 +201,102 @@ def _filtered(
     expected: Complex[np.ndarray, " lines"],
     weight: Float[np.ndarray, " lines"],
 ) -> Explanation | None:
-    """A gain and a phase that change over frequency: a constant of each in each of some bands, of growing width."""
-    gains, left, middle = bandwise(omega, measured, expected, weight)
-    size = np.abs(gains)
-    if not (size.max() > 1.03 * size.min() > 0):
+    """Explanation: gain and phase change with frequency; constants of each in bands of growing width."""
+    gains, unexplained_share, centres = gain_by_band(omega, measured, expected, weight)
+    gain_sizes = np.abs(gains)
+    if not (gain_sizes.max() > 1.03 * gain_sizes.min() > 0):
         return None
-    low, high = middle[0] / (2 * np.pi), middle[-1] / (2 * np.pi)
+    low_hz, high_hz = centres[0] / (2 * np.pi), centres[-1] / (2 * np.pi)
     return Explanation(
-        left,
+        unexplained_share,
         Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{name} passes {100 * size[0]:.3g} % of the predicted motion at {low:.3g} Hz and "
-            f"{100 * size[-1]:.3g} % at {high:.3g} Hz",
+            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {low_hz:.3g} Hz and "
+            f"{100 * gain_sizes[-1]:.3g} % at {high_hz:.3g} Hz",
             mend="undo its filter or its coupling, or record without",
         ),
         4.0,
     )
 
 
-def _slipped(name: str, delays: Float[np.ndarray, " parts"]) -> Finding:
-    more = float(delays[-1] - delays[0])
+def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
+    """Finding: the delay changes over the record."""
+    added_delay_s = float(delays_s[-1] - delays_s[0])
     return Finding(
         cause="slipped samples",
         channels=(name,),
-        evidence=f"{name} is {1e3 * abs(more):.3g} ms {'later' if more > 0 else 'earlier'} against the others at the "
-        "record's end than at its begin",
+        evidence=f"{name} is {1e3 * abs(added_delay_s):.3g} ms {'later' if added_delay_s > 0 else 'earlier'} "
+        "against the others at the record's end than at its begin",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
+    )
+
+
+def force_finding(
+    spectra: Spectra, number: int, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+) -> Finding:
+    """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
+    name, has_other_forces = spectra.force_names[number], len(spectra.forces) > 1
+    subject = force_in_words(name)
+    lines = driven_lines(spectra.forces)[number]
+    omega, measured, implied, weight = (x[lines] for x in (spectra.omega, spectra.forces[number], implied, weight))
+    to_implied = relation(omega, measured, implied, weight)
+    gains, unexplained_share, centres = gain_by_band(omega, measured, implied, weight)
+    gain_sizes = np.abs(gains)
+    if (
+        unexplained_share < 0.3
+        and 1 - to_implied.coherence > 2.5 * unexplained_share
+        and gain_sizes.max() > 1.25 * gain_sizes.min()
+    ):
+        is_low_passed = gain_sizes[-1] < gain_sizes[0]
+        return Finding(
+            cause="filtered",
+            channels=(name,),
+            evidence=f"{subject} is {gain_sizes[0]:.3g} times what all sensors imply at "
+            f"{centres[0] / (2 * np.pi):.3g} Hz and {gain_sizes[-1]:.3g} times at {centres[-1] / (2 * np.pi):.3g} Hz: "
+            f"{'it' if is_low_passed else 'all sensors'} went through a low-pass",
+            mend="undo the filter, or put the force and the sensors through the same",
+        )
+    if to_implied.coherence < MIN_COHERENCE:
+        return Finding(
+            cause="force",
+            channels=(name,),
+            evidence=f"{name if has_other_forces else 'the force channel'} explains "
+            f"{100 * max(to_implied.coherence, 0):.2g} % of the force that moves the rig by all sensors",
+            mend="check that it is the channel of the load cell, and of this record",
+        )
+    if to_implied.gain < 0:
+        return Finding(
+            cause="polarity",
+            channels=(name,),
+            evidence=f"{subject} has the opposite sign of what all sensors imply (gain {to_implied.gain:.4g})",
+            mend="turn the force with scale = -1 in the import map, or all sensors",
+        )
+    mistake = unit_mistake(to_implied.gain)
+    if mistake:
+        factor, faulty = (
+            (to_implied.gain, "it") if has_other_forces else (1 / to_implied.gain, "the sensors or of the force")
+        )
+        evidence = f"{name} is {factor:.4g} times what all sensors and the other forces imply"
+        if not has_other_forces:
+            evidence = f"all sensors deliver {factor:.4g} times what the force and the masses of rig.json make"
+        return Finding(
+            cause="units",
+            channels=(name,) if has_other_forces else (),
+            evidence=evidence,
+            mend=f"correct the unit of {faulty} in the import map; it looks like {mistake}",
+        )
+    if abs(to_implied.delay_s) > 1e-4:
+        return Finding(
+            cause="delay",
+            channels=(name,),
+            evidence=f"{subject} comes {1e3 * abs(to_implied.delay_s):.3g} ms "
+            f"{'late' if to_implied.delay_s > 0 else 'early'} against all sensors",
+            mend="synchronise the force's clock with the sensors', or shift its column",
+        )
+    return Finding(
+        cause="gain",
+        channels=(name,),
+        evidence=f"{subject} is {to_implied.gain:.4g} times what all sensors and the masses of rig.json imply",
+        mend="calibrate the load cell, or check all masses of rig.json",
     )

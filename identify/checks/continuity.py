@@ -1,36 +1,35 @@
-"""Continuity of the linear model's fit: lost samples break it off for as long as the beams ring."""
+"""Continuity of the linear model's fit over time: lost samples disturb it for as long as the bodies ring."""
 
 import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding
-from identify.checks.prediction import linear_check
-from identify.checks.pulls import Projector
+from identify.checks.prediction import Projector, linear_check
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig
 
 PART_S = 0.25
-BREAK = 40.0
-"""A part whose residual is so many times that of most parts, in power over the motion's, is a break."""
-QUIET = 0.02
-"""Of the mean power of the motion: beside less, a part's residual is not counted."""
+BREAK_RATIO = 40.0
+"""Smallest relative residual power of a discontinuity, over that of most parts of the record."""
+QUIET_SHARE = 0.02
+"""Added to the power of a part's motion, as a share of the mean power, so that residuals at rest do not count."""
 
 
-def breaks(rig: Rig, spectra: Spectra, kept: list[int]) -> list[Finding]:
-    """A break that all channels show, or the one channel without which there is none; spectra on all lines.
+def discontinuity_findings(rig: Rig, spectra: Spectra, channels: list[int]) -> list[Finding]:
+    """Finding: a discontinuity in all channels, or in the one channel without which there is none.
 
-    None where it is one of several forces that breaks off: a hammer's.
+    `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    ratio, at_s = break_ratio(rig, spectra, kept)
-    if ratio < BREAK or len(kept) < len(rig.contacts) + 3:
+    ratio, at_s = discontinuity_ratio(rig, spectra, channels)
+    if ratio < BREAK_RATIO or len(channels) < len(rig.contacts) + 3:
         return []
-    several = len(spectra.forces) if len(spectra.forces) > 1 else 0
-    if any(break_ratio(rig, spectra, kept, doubted)[0] < BREAK for doubted in range(several)):
+    force_count = len(spectra.forces) if len(spectra.forces) > 1 else 0
+    if any(discontinuity_ratio(rig, spectra, channels, force)[0] < BREAK_RATIO for force in range(force_count)):
         return []
-    without = {k: break_ratio(rig, spectra, [i for i in kept if i != k])[0] for k in kept}
-    best = min(without, key=lambda k: without[k])
-    if without[best] < BREAK:
-        name = spectra.sensors[best].name
+    ratio_without = {k: discontinuity_ratio(rig, spectra, [i for i in channels if i != k])[0] for k in channels}
+    worst = min(ratio_without, key=lambda k: ratio_without[k])
+    if ratio_without[worst] < BREAK_RATIO:
+        name = spectra.sensors[worst].name
         return [
             Finding(
                 cause="glitch",
@@ -42,27 +41,32 @@ def breaks(rig: Rig, spectra: Spectra, kept: list[int]) -> list[Finding]:
     return [
         Finding(
             cause="jump",
-            channels=tuple(spectra.sensors[i].name for i in kept),
+            channels=tuple(spectra.sensors[i].name for i in channels),
             evidence=f"all channels together leave the linear model at {at_s:.2f} s, and only there",
             mend="samples were lost there, records were joined, or something struck the rig: use the part before it",
         )
     ]
 
 
-def break_ratio(rig: Rig, spectra: Spectra, kept: list[int], doubted: int | None = None) -> tuple[float, float]:
-    """The largest part's share of residual in the motion, over that which 30 % of the parts stay below; and when."""
-    check = linear_check(rig, spectra, kept)
-    left = Projector(check, kept, doubted)((spectra.acceleration - check.by_force)[kept])
-    moved = spectra.in_time((spectra.acceleration / check.scale)[kept])
-    shares = _powers(left, spectra.per_s)
-    motion = _powers(moved, spectra.per_s)
-    shares = shares / (motion + QUIET * motion.mean())
-    k = int(np.argmax(shares))
-    usual = float(np.quantile(shares, 0.3))
-    return float(shares[k]) / max(usual, 1e-300), spectra.taken_s[0] + (k + 0.5) * PART_S
+def discontinuity_ratio(
+    rig: Rig, spectra: Spectra, channels: list[int], doubted_force: int | None = None
+) -> tuple[float, float]:
+    """Largest residual power over the motion's in any part, over the 30 % quantile of all parts; and its time, s."""
+    check = linear_check(rig, spectra, channels)
+    residual = Projector(check, channels, doubted_force)((spectra.acceleration - check.by_force)[channels])
+    acceleration = spectra.in_time((spectra.acceleration / check.scale)[channels])
+    residual_share = _part_powers(residual, spectra.per_s)
+    motion_power = _part_powers(acceleration, spectra.per_s)
+    residual_share = residual_share / (motion_power + QUIET_SHARE * motion_power.mean())
+    worst = int(np.argmax(residual_share))
+    usual_share = float(np.quantile(residual_share, 0.3))
+    return float(residual_share[worst]) / max(usual_share, 1e-300), spectra.compared_s[0] + (worst + 0.5) * PART_S
 
 
-def _powers(rows: Float[np.ndarray, "sensors times"], per_s: float) -> Float[np.ndarray, " parts"]:
-    width = max(1, round(PART_S * per_s))
-    whole = rows.shape[1] // width
-    return np.asarray(np.mean(rows[:, : whole * width].reshape(len(rows), whole, width) ** 2, axis=(0, 2)))
+def _part_powers(rows: Float[np.ndarray, "sensors times"], per_s: float) -> Float[np.ndarray, " parts"]:
+    """Mean square of all rows in each part of the record."""
+    part_samples = max(1, round(PART_S * per_s))
+    part_count = rows.shape[1] // part_samples
+    return np.asarray(
+        np.mean(rows[:, : part_count * part_samples].reshape(len(rows), part_count, part_samples) ** 2, axis=(0, 2))
+    )

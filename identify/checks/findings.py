@@ -1,4 +1,4 @@
-"""Findings of a check: one sentence with the channel, the evidence and the likeliest mend."""
+"""Findings of a check: one sentence with the channel, the evidence and the most likely remedy."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -46,10 +46,10 @@ Cause = Literal[
 
 
 class Finding(msgspec.Struct, frozen=True, kw_only=True):
-    """`channels` are those concerned, by name ("the force" is "force", one of several "force_1"); empty where the whole
-    record or rig.json is.
+    """One fault of a recording or of rig.json.
 
-    `of` is the body, mode or contact that is concerned, if one is.
+    `channels` names the channels concerned ("force", or "force_1" of several), none if the whole record or rig.json is.
+    `of` is the body, mode or contact concerned, if there is one.
     """
 
     cause: Cause
@@ -63,30 +63,30 @@ class Finding(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.evidence}: {self.mend}."
 
 
-def spoken(force: str) -> str:
-    """Name of a force's channel in a sentence."""
+def force_in_words(force: str) -> str:
+    """A force's channel in a sentence."""
     return "the force" if force == "force" else force
 
 
-def named(channels: tuple[str, ...], most: int = 3) -> str:
-    """The names, or the first of them and how many more."""
+def listed(channels: tuple[str, ...], most: int = 3) -> str:
+    """Names in a sentence; of more than `most`, the first two and the number of the others."""
     if len(channels) <= most:
         return " and ".join(channels)
     return f"{channels[0]}, {channels[1]} and {len(channels) - 2} more"
 
 
-def merged(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
-    """Findings of one cause on three channels or more become one."""
-    found: list[Finding] = []
+def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
+    """Merge three or more findings of the same cause into one."""
+    merged_findings: list[Finding] = []
     for cause in dict.fromkeys(f.cause for f in findings):
-        own = [f for f in findings if f.cause == cause]
-        names = tuple(dict.fromkeys(n for f in own for n in f.channels))
-        if len(own) < 3:
-            found += own
+        same_cause = [f for f in findings if f.cause == cause]
+        names = tuple(dict.fromkeys(n for f in same_cause for n in f.channels))
+        if len(same_cause) < 3:
+            merged_findings += same_cause
             continue
         bodies = {s.station.body for s in rig.sensors if s.name in names}
         body = bodies.pop() if len(bodies) == 1 else ""
-        first = own[0]
+        first = same_cause[0]
         evidence = f"{len(names)} channels{f' of {body}' if body else ''} have the same fault; {first.evidence}"
-        found.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first.mend))
-    return tuple(found)
+        merged_findings.append(Finding(cause=cause, channels=names, of=body, evidence=evidence, mend=first.mend))
+    return tuple(merged_findings)

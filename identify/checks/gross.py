@@ -1,4 +1,4 @@
-"""Gross faults of channels, force or rig.json: the one change after which the linear model fits the record."""
+"""Gross faults of channels, forces or rig.json: the one change after which the linear model fits the record."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -8,71 +8,80 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.channels import channel_finding, channel_gain
-from identify.checks.findings import Finding, merged
-from identify.checks.force import force_finding
-from identify.checks.prediction import LinearCheck, Predicted, linear_check
+from identify.checks.channels import channel_finding, force_finding, gain_finding
+from identify.checks.findings import Finding, merge_by_cause
+from identify.checks.prediction import LinearCheck, Prediction, linear_check
 from identify.checks.relations import relation
-from identify.checks.rigs import rig_trials
+from identify.checks.rigs import Trial, rig_trials
 from identify.checks.spectra import Spectra
-from identify.checks.trial import Trial
 from rig.model.description import Rig
 
-SOUND = 0.3
-"""A larger misfit is no matter of tolerances."""
-CURED = 0.5
-"""A change that leaves more of the misfit than this share, and no sound fit, explains nothing."""
-MUCH = 0.6
-GAIN = 0.1
-"""Of all gains that are fitted at once, those are named that are off by more."""
-LATE_S = 3e-4
-LEFT_OUT = 1.5
-"""What frees a channel has to leave so much less."""
+SOUND_MISFIT = 0.3
+"""Largest misfit that tolerances may explain."""
+CURED_SHARE = 0.5
+"""A change that leaves more than this share of the misfit, and no sound fit, explains nothing."""
+DOUBTED_SHARE = 0.6
+"""The same for a record with a sound fit that is doubted."""
+GAIN_ERROR = 0.1
+"""Gains that are fitted all at once are reported if they are off by more."""
+MIN_DELAY_CHANGE_S = 3e-4
+"""Change of a channel's delay over the record from which on samples have slipped."""
+ALLOWANCE = 1.5
+"""Factor on the misfit of a change that frees a channel."""
 PARTS = 4
+
+FullSpectra = Callable[[], Spectra]
+"""Spectra on all lines, computed on demand."""
 
 
 @dataclass(frozen=True)
-class Gross:
-    """Gross findings; the channels that may be believed, and whether the rest fits the model."""
+class GrossFaults:
+    """Gross findings, the channels that can be trusted, and whether these fit the model."""
 
     findings: tuple[Finding, ...]
-    kept: list[int]
+    trusted_channels: list[int]
     sound: bool
 
 
-def gross(rig: Rig, spectra: Spectra, usable: list[int], fine: Callable[[], Spectra], doubted: bool = False) -> Gross:
-    """The change that leaves the least misfit: of a channel, a force, two channels that are swapped, all gains,
-    rig.json; or several channels left out. `fine` gives the spectra on all lines.
+def gross_faults(
+    rig: Rig, spectra: Spectra, usable: list[int], full_spectra: FullSpectra, doubted: bool = False
+) -> GrossFaults:
+    """Findings by the change with the smallest misfit.
 
-    Of a record that fits well, but is doubted, only a change that fits much better is told.
+    A change of one channel, a force, two swapped channels, all gains or rig.json; or several channels excluded.
+    `full_spectra` gives the spectra on all lines. In a record with a sound fit that is doubted, only a change that fits
+    much better is reported.
     """
     check = linear_check(rig, spectra, usable)
-    misfit = check.predicted(usable).misfit
-    forces = list(_forces(check, usable))
-    only = forces[0].findings() if len(forces) == 1 else ()  # of several a weak one follows the errors of the model
-    wrong = [f for f in only if f.cause in ("force", "filtered")]
-    if misfit < SOUND and (wrong or not doubted):
-        return Gross(tuple(wrong), usable, not wrong)
+    misfit = check.prediction(usable).misfit
+    forces = list(_force_trials(check, usable))
+    # with several forces, the estimate of a weak one follows the errors of the model
+    force_findings = forces[0].findings() if len(forces) == 1 else ()
+    wrong_force = [f for f in force_findings if f.cause in ("force", "filtered")]
+    if misfit < SOUND_MISFIT and (wrong_force or not doubted):
+        return GrossFaults(tuple(wrong_force), usable, not wrong_force)
     trials = [
         *forces,
-        *_channels(rig, check, usable, fine),
-        *_swaps(check, usable),
-        *_gains(rig, check, usable),
+        *_channel_trials(rig, check, usable, full_spectra),
+        *_swap_trials(check, usable),
+        *_gain_trials(rig, check, usable),
         *rig_trials(rig, spectra, usable),
     ]
-    best = min(trials, key=lambda t: t.misfit * t.allowance)
-    if misfit < SOUND and best.misfit * best.allowance > MUCH * misfit:
-        return Gross((), usable, True)
-    if best.misfit >= SOUND:
-        found = _several(rig, check, usable, fine)
-        if found is not None:
-            return found
-        if best.misfit >= CURED * misfit:
-            return Gross((_nothing(misfit),), usable, False)
-    return Gross(best.findings(), best.kept, best.sensors_alone and best.misfit < SOUND)
+    best_trial = min(trials, key=lambda t: t.misfit * t.allowance)
+    if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.allowance > DOUBTED_SHARE * misfit:
+        return GrossFaults((), usable, True)
+    if best_trial.misfit >= SOUND_MISFIT:
+        multiple = _multiple_channel_faults(rig, check, usable, full_spectra)
+        if multiple is not None:
+            return multiple
+        if best_trial.misfit >= CURED_SHARE * misfit:
+            return GrossFaults((_model_finding(misfit),), usable, False)
+    is_sound = best_trial.sensors_alone and best_trial.misfit < SOUND_MISFIT
+    return GrossFaults(best_trial.findings(), best_trial.trusted_channels, is_sound)
 
 
-def _nothing(misfit: float) -> Finding:
+def _model_finding(misfit: float) -> Finding:
+    """Finding: no single change makes the model fit."""
     return Finding(
         cause="model",
         evidence="the sensors do not move as the linear bodies of rig.json do under the force and any contact forces "
@@ -81,76 +90,90 @@ def _nothing(misfit: float) -> Finding:
     )
 
 
-def _channels(rig: Rig, check: LinearCheck, usable: list[int], fine: Callable[[], Spectra]) -> Iterator[Trial]:
+def _channel_trials(rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra) -> Iterator[Trial]:
+    """Trials that predict one channel by the others."""
     for channel in usable:
-        kept = [i for i in usable if i != channel]
-        others = check.beside(check.spectra, kept)
-        found = others.predicted(kept)
-        if np.isfinite(found.misfit):
-            yield Trial(
-                found.misfit, kept, partial(_of_channel, rig, others, found, channel, kept, fine), allowance=LEFT_OUT
-            )
+        channels = [i for i in usable if i != channel]
+        without_channel = check.with_spectra(check.spectra, channels)
+        prediction = without_channel.prediction(channels)
+        if np.isfinite(prediction.misfit):
+            findings = partial(_channel_findings, rig, without_channel, prediction, channel, channels, full_spectra)
+            yield Trial(prediction.misfit, channels, findings, allowance=ALLOWANCE)
 
 
-def _of_channel(
-    rig: Rig, check: LinearCheck, found: Predicted, channel: int, kept: list[int], fine: Callable[[], Spectra]
+def _channel_findings(
+    rig: Rig,
+    check: LinearCheck,
+    prediction: Prediction,
+    channel: int,
+    channels: list[int],
+    full_spectra: FullSpectra,
 ) -> tuple[Finding, ...]:
-    return (channel_finding(rig, check, channel, found, lambda: _over_time(rig, fine(), channel, kept)),)
+    """Finding on a channel by its prediction."""
+
+    def delays_over_time() -> Float[np.ndarray, " parts"] | None:
+        return _delays_over_time(rig, full_spectra(), channel, channels)
+
+    return (channel_finding(rig, check, channel, prediction, delays_over_time),)
 
 
-def _over_time(rig: Rig, spectra: Spectra, channel: int, kept: list[int]) -> Float[np.ndarray, " parts"] | None:
-    """The delays of a channel against what the others predict, in each part of the record; None where it is lost."""
-    check = linear_check(rig, spectra, kept)
-    expected = check.predicted(kept).acceleration[channel]
-    both = spectra.in_time(np.stack([spectra.acceleration[channel], expected]) / check.scale[channel])
+def _delays_over_time(
+    rig: Rig, spectra: Spectra, channel: int, channels: list[int]
+) -> Float[np.ndarray, " parts"] | None:
+    """Delays of a channel against its prediction in each part of the record; None if they are alike or unknown."""
+    check = linear_check(rig, spectra, channels)
+    expected = check.prediction(channels).acceleration[channel]
+    signals = spectra.in_time(np.stack([spectra.acceleration[channel], expected]) / check.scale[channel])
     delays = []
-    for measured, predicted in (p for p in np.array_split(both, PARTS, axis=1)):
+    for measured, predicted in np.array_split(signals, PARTS, axis=1):
         window = np.hanning(measured.size)
         lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
         omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.per_s)
-        found = relation(omega[1:], lines[0][1:], lines[1][1:], np.ones(omega.size - 1))
-        if found.coherence < 0.8:
+        to_predicted = relation(omega[1:], lines[0][1:], lines[1][1:], np.ones(omega.size - 1))
+        if to_predicted.coherence < 0.8:
             return None
-        delays.append(found.delay_s)
-    return np.array(delays) if np.ptp(delays) > LATE_S else None
+        delays.append(to_predicted.delay_s)
+    return np.array(delays) if np.ptp(delays) > MIN_DELAY_CHANGE_S else None
 
 
-def _forces(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+def _force_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+    """Trials that estimate one force from the sensors."""
     for number in range(len(check.spectra.forces)):
-        found = check.predicted(usable, doubted=number)
-        if np.isfinite(found.misfit):
-            yield Trial(found.misfit, usable, partial(_of_force, check, usable, number, found), False, LEFT_OUT)
+        prediction = check.prediction(usable, doubted_force=number)
+        if np.isfinite(prediction.misfit):
+            findings = partial(_force_findings, check, usable, number, prediction)
+            yield Trial(prediction.misfit, usable, findings, False, ALLOWANCE)
 
 
-def _of_force(check: LinearCheck, usable: list[int], number: int, found: Predicted) -> tuple[Finding, ...]:
+def _force_findings(check: LinearCheck, usable: list[int], number: int, prediction: Prediction) -> tuple[Finding, ...]:
+    """Finding on a force by its estimate."""
     by_force = check.accelerance[number][usable]
-    shown = by_force / check.scale[usable]
+    response = by_force / check.scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        shown = check.projection(usable).of(by_force)[0]
-    weight = np.sqrt(np.mean(np.abs(shown) ** 2, axis=0))
-    return (force_finding(check.spectra, number, found.forces[number], weight),)
+        response = check.projection(usable).of(by_force)[0]
+    weight = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
+    return (force_finding(check.spectra, number, prediction.forces[number], weight),)
 
 
-def _swaps(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+def _swap_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+    """Trials that exchange two sensors or two forces."""
     spectra = check.spectra
-    for one, other in combinations(usable, 2):
+    for first, second in combinations(usable, 2):
         rows = spectra.acceleration.copy()
-        rows[[one, other]] = rows[[other, one]]
-        names = spectra.sensors[one].name, spectra.sensors[other].name
-        yield Trial(
-            check.beside(spectra.with_rows(rows), usable).predicted(usable).misfit,
-            [i for i in usable if i not in (one, other)],
-            partial(_swapped, names),
-        )
+        rows[[first, second]] = rows[[second, first]]
+        names = spectra.sensors[first].name, spectra.sensors[second].name
+        trusted = [i for i in usable if i not in (first, second)]
+        yield Trial(check.misfit(spectra.with_rows(rows), usable), trusted, partial(_swap_findings, names))
     for pair in combinations(range(len(spectra.forces)), 2):
         forces = spectra.forces.copy()
         forces[[*pair]] = forces[[*pair[::-1]]]
         names = spectra.force_names[pair[0]], spectra.force_names[pair[1]]
-        left = check.beside(replace(spectra, forces=forces), usable).predicted(usable).misfit
-        yield Trial(left, usable, partial(_swapped, names), False)
+        misfit = check.misfit(replace(spectra, forces=forces), usable)
+        yield Trial(misfit, usable, partial(_swap_findings, names), False)
 
 
-def _swapped(names: tuple[str, str]) -> tuple[Finding, ...]:
+def _swap_findings(names: tuple[str, str]) -> tuple[Finding, ...]:
+    """Finding: two channels are swapped."""
     return (
         Finding(
             cause="swapped",
@@ -161,49 +184,50 @@ def _swapped(names: tuple[str, str]) -> tuple[Finding, ...]:
     )
 
 
-def _gains(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
-    """All channels' gains by linear least squares: the factors of the channels that bring the projected residual down.
+def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
+    """Trial: all channels' gains by linear least squares: the factors that minimise the projected residual.
 
-    Polarities, units and gains of several channels at once. Two rounds, the second in the scale of the first.
+    Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
     spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
     rows = spectra.acceleration
     for _ in range(3):
-        check = check.beside(spectra.with_rows(rows), usable)
+        check = check.with_spectra(spectra.with_rows(rows), usable)
         projection = check.projection(usable)
         columns = np.array([projection.of(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
         target = projection.of(check.by_force[usable])[0].ravel()
-        normal, wanted = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
-        factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), wanted)
+        normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
+        factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), right_side)
         if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
             return
         rows = rows.copy()
         rows[usable] *= factors[:, None]
         gains[usable] /= factors
-    left = check.beside(spectra.with_rows(rows), usable).predicted(usable).misfit
-    off = [i for i in usable if abs(gains[i] - 1) > GAIN]
-    if off:
-        yield Trial(
-            left,
-            [i for i in usable if i not in off],
-            lambda: merged([channel_gain(spectra.sensors[i].name, float(gains[i])) for i in off], rig),
-            allowance=LEFT_OUT**2,
-        )
+    misfit = check.misfit(spectra.with_rows(rows), usable)
+    miscalibrated = [i for i in usable if abs(gains[i] - 1) > GAIN_ERROR]
+    if miscalibrated:
+        findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated]
+        trusted = [i for i in usable if i not in miscalibrated]
+        yield Trial(misfit, trusted, partial(merge_by_cause, findings, rig), allowance=ALLOWANCE**2)
 
 
-def _several(rig: Rig, check: LinearCheck, usable: list[int], fine: Callable[[], Spectra]) -> Gross | None:
-    """Channel after channel is left out, the worst first, while three more than the contacts are left."""
-    kept, left_out = list(usable), list[int]()
-    while len(kept) > len(rig.contacts) + 3 and len(left_out) < len(usable) / 2:
+def _multiple_channel_faults(
+    rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra
+) -> GrossFaults | None:
+    """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
+    trusted, excluded = list(usable), list[int]()
+    while len(trusted) > len(rig.contacts) + 3 and len(excluded) < len(usable) / 2:
         trials = []
-        for channel in kept:
-            rest = [i for i in kept if i != channel]
-            trials.append((check.beside(check.spectra, rest).predicted(rest).misfit, channel))
+        for channel in trusted:
+            remaining = [i for i in trusted if i != channel]
+            trials.append((check.misfit(check.spectra, remaining), channel))
         misfit, worst = min(trials)
-        kept, left_out = [i for i in kept if i != worst], [*left_out, worst]
-        if misfit < SOUND:
-            check = check.beside(check.spectra, kept)
-            predicted = check.predicted(kept)
-            found = [f for c in sorted(left_out) for f in _of_channel(rig, check, predicted, c, kept, fine)]
-            return Gross(merged(found, rig), kept, True)
+        trusted, excluded = [i for i in trusted if i != worst], [*excluded, worst]
+        if misfit < SOUND_MISFIT:
+            check = check.with_spectra(check.spectra, trusted)
+            prediction = check.prediction(trusted)
+            findings = list[Finding]()
+            for channel in sorted(excluded):
+                findings += _channel_findings(rig, check, prediction, channel, trusted, full_spectra)
+            return GrossFaults(merge_by_cause(findings, rig), trusted, True)
     return None

@@ -1,9 +1,9 @@
-"""Prediction of each channel by all others and the linear model: contact forces are unknown at every line.
+"""Prediction of each channel by all others and the linear model, with the contact forces unknown at every line.
 
     A = sum_k G_k F_k - sum_j G_j f_j + error
 
-with the accelerances G. The f_j, and a force F_k that is doubted, are found by least squares from the channels that are
-kept; each line's squared error, over the degrees of freedom, is in units of a rough share of what the body does there.
+with the accelerances G. The contact forces f_j, and a doubted force F_k, follow by least squares from the channels that
+are used. A line's misfit is its squared error per degree of freedom, over the square of a rough error of the model.
 """
 
 from dataclasses import dataclass
@@ -15,23 +15,28 @@ from scipy.ndimage import uniform_filter1d
 from identify.checks.spectra import SMOOTHED, Spectra
 from identify.linear.model import ResponseCache, accelerances, input_shapes, response_of, times
 from identify.linear.projection import Projection, projection
+from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Station
 
-ROUGH = 0.03
-"""A sound model may be wrong by this share of what its body does at a line: far more than tolerances make."""
-NOISY, TOLD = 0.1, 0.05
-"""A line on which noise makes more than this share of the scale's square tells of noise, not of the bodies: it does not
-count, unless fewer than this share of the lines are left."""
-DRIVEN = 0.05
-"""A force drives the lines on which it has this share of its largest level."""
+MODEL_ERROR_SHARE = 0.03
+"""Rough error of a sound model, as a share of its body's motion at a line: far more than tolerances cause."""
+MIN_MODEL_ERROR_SHARE = 0.003
+"""Smallest error of any model, likewise."""
+NOISE_SHARE, MIN_LINES_SHARE = 0.1, 0.05
+"""A line is informative if noise makes less than this share of the squared scale. If no more than the second share of
+the lines are, all count."""
+DRIVEN_SHARE = 0.05
+"""A force drives the lines where it has this share of its largest level."""
+STEADY_RATIO = 2.0
+"""Motion that lasts for half of the record is taken to last for all of it."""
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Prediction of all channels by those that are kept and the model.
+class Prediction:
+    """Prediction of all channels, by the model and some of them.
 
-    misfit is the median over the lines of the mean square of the error of the kept ones, or that over the lines which
-    a force drives where it is larger, without those that noise rules; nan where they tell nothing.
+    misfit is the median over the informative lines of the mean squared error of these channels, or the largest such
+    median over the lines that one force drives, if that is larger; nan without a degree of freedom.
     """
 
     misfit: float
@@ -42,26 +47,26 @@ class Predicted:
 
 @dataclass(frozen=True)
 class LinearCheck:
-    """A record's spectra beside a rig's accelerances, of the forces first, then of the contacts."""
+    """A record's spectra and a rig's accelerances, of the forces first, then of the contacts."""
 
     spectra: Spectra
     accelerance: Complex[np.ndarray, "inputs sensors lines"]
     scale: Float[np.ndarray, "sensors lines"]
-    driven: Bool[np.ndarray, "forces lines"]
+    driven_lines: Bool[np.ndarray, "forces lines"]
 
     @property
     def contacts(self) -> int:
-        return len(self.of_contacts)
+        return len(self.contact_accelerance)
 
     @property
-    def of_contacts(self) -> Complex[np.ndarray, "contacts sensors lines"]:
+    def contact_accelerance(self) -> Complex[np.ndarray, "contacts sensors lines"]:
         return self.accelerance[len(self.spectra.forces) :]
 
-    def unknown(self, doubted: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
-        """Unknown inputs: the force of that number, if one is doubted, and the contacts."""
-        if doubted is None:
-            return self.of_contacts
-        return np.concatenate([self.accelerance[doubted : doubted + 1], self.of_contacts])
+    def unknown_inputs(self, doubted_force: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
+        """Accelerances of the unknown inputs: of the doubted force, if there is one, and of the contacts."""
+        if doubted_force is None:
+            return self.contact_accelerance
+        return np.concatenate([self.accelerance[doubted_force : doubted_force + 1], self.contact_accelerance])
 
     @property
     def by_each_force(self) -> Complex[np.ndarray, "forces sensors lines"]:
@@ -69,66 +74,77 @@ class LinearCheck:
 
     @property
     def by_force(self) -> Complex[np.ndarray, "sensors lines"]:
-        """The accelerations by all measured forces."""
+        """Accelerations by all measured forces."""
         return np.asarray(self.by_each_force.sum(axis=0))
 
-    def beside(self, spectra: Spectra, kept: list[int]) -> "LinearCheck":
-        """Other spectra of the same sensors and lines beside the same accelerances; see `linear_check`."""
-        return LinearCheck(spectra, self.accelerance, _scale(spectra, kept), driven_by(spectra.forces))
+    def with_spectra(self, spectra: Spectra, channels: list[int]) -> "LinearCheck":
+        """Check of other spectra of the same sensors and lines; see `linear_check`."""
+        return LinearCheck(spectra, self.accelerance, _scale(spectra, channels), driven_lines(spectra.forces))
 
-    def projection(self, kept: list[int], doubted: int | None = None) -> Projection:
-        """Projection of the contact forces, and a force that is doubted, from the channels kept."""
-        unknown, scale = self.unknown(doubted)[:, kept], self.scale[kept]
+    def projection(self, channels: list[int], doubted_force: int | None = None) -> Projection:
+        """Projection of the contact forces, and of a doubted force, from these channels."""
+        unknown, scale = self.unknown_inputs(doubted_force)[:, channels], self.scale[channels]
         return projection(unknown / scale, scale, len(unknown))
 
-    def predicted(self, kept: list[int], doubted: int | None = None) -> Predicted:
-        """Prediction by the channels kept and the measured forces, but for the one of that number if one is doubted."""
-        spectra, unknown = self.spectra, self.unknown(doubted)
-        known = self.by_force if doubted is None else np.delete(self.by_each_force, doubted, axis=0).sum(axis=0)
-        residual, inputs = self.projection(kept, doubted).of((spectra.acceleration - known)[kept])
-        freedom = len(kept) - len(unknown)
-        per_line, telling = np.sum(np.abs(residual) ** 2, axis=0), self._telling(kept)
-        driven = (per_line[lines & telling] for lines in self.driven if np.any(lines & telling))
-        worst = max(float(np.median(x)) for x in (per_line[telling], *driven))
+    def prediction(self, channels: list[int], doubted_force: int | None = None) -> Prediction:
+        """Prediction from these channels and the measured forces, without a doubted one."""
+        spectra, unknown = self.spectra, self.unknown_inputs(doubted_force)
+        by_each_force = self.by_each_force
+        if doubted_force is not None:
+            by_each_force = np.delete(by_each_force, doubted_force, axis=0)
+        by_known_forces = np.asarray(by_each_force.sum(axis=0))
+        unexplained = (spectra.acceleration - by_known_forces)[channels]
+        residual, inputs = self.projection(channels, doubted_force).of(unexplained)
+        freedom = len(channels) - len(unknown)
+        per_line, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channels)
+        misfit_by_force = (per_line[lines & informative] for lines in self.driven_lines if np.any(lines & informative))
+        worst = max(float(np.median(x)) for x in (per_line[informative], *misfit_by_force))
         misfit = worst / freedom if freedom > 0 else np.nan
         forces, contacts = spectra.forces, inputs
-        if doubted is not None:
+        if doubted_force is not None:
             forces, contacts = forces.copy(), inputs[1:]
-            forces[doubted] = inputs[0]
-        return Predicted(misfit, known + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
+            forces[doubted_force] = inputs[0]
+        return Prediction(misfit, by_known_forces + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
 
-    def _telling(self, kept: list[int]) -> Bool[np.ndarray, " lines"]:
-        """The lines on which the motion of these channels, not their noise, decides."""
-        noise = np.mean((self.spectra.noise[kept] / self.scale[kept]) ** 2, axis=0)
-        telling = noise < NOISY
-        return np.asarray(telling) if np.mean(telling) > TOLD else np.ones_like(telling)
+    def misfit(self, spectra: Spectra, channels: list[int]) -> float:
+        """Misfit of other spectra, predicted from these channels."""
+        return self.with_spectra(spectra, channels).prediction(channels).misfit
+
+    def _informative_lines(self, channels: list[int]) -> Bool[np.ndarray, " lines"]:
+        """Mask of the lines on which the motion of these channels exceeds their noise."""
+        noise = np.mean((self.spectra.noise[channels] / self.scale[channels]) ** 2, axis=0)
+        informative = noise < NOISE_SHARE
+        return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
 
 
 def linear_check(
-    rig: Rig, spectra: Spectra, kept: list[int] | None = None, cache: ResponseCache | None = None
+    rig: Rig, spectra: Spectra, channels: list[int] | None = None, cache: ResponseCache | None = None
 ) -> LinearCheck:
-    """A rig beside spectra, in the scale of the channels kept. `cache` is that of whoever tries many rigs."""
-    kept = list(range(len(spectra.sensors))) if kept is None else kept
-    made = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
-    return LinearCheck(spectra, made, _scale(spectra, kept), driven_by(spectra.forces))
+    """Spectra and accelerances of a rig, in the scale of these channels (all by default).
+
+    To try many rigs, share one `cache`.
+    """
+    channels = list(range(len(spectra.sensors))) if channels is None else channels
+    accelerance = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
+    return LinearCheck(spectra, accelerance, _scale(spectra, channels), driven_lines(spectra.forces))
 
 
-def _scale(spectra: Spectra, kept: list[int]) -> Float[np.ndarray, "sensors lines"]:
-    """Scale of the median channel of each body (of those kept), so that no single one rules it."""
+def _scale(spectra: Spectra, channels: list[int]) -> Float[np.ndarray, "sensors lines"]:
+    """Scale of the median channel of each body, among `channels` if it has any, so that no single one rules it."""
     bodies = [s.station.body for s in spectra.sensors]
     scale = np.empty(spectra.noise.shape)
     for body in dict.fromkeys(bodies):
-        own = [i for i, b in enumerate(bodies) if b == body]
-        told = [i for i in own if i in kept] or own
-        scale[own] = ROUGH * np.median(spectra.level[told], axis=0)
+        on_body = [i for i, b in enumerate(bodies) if b == body]
+        reference = [i for i in on_body if i in channels] or on_body
+        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.level[reference], axis=0)
     scale = np.hypot(scale, spectra.noise)
     return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
 
 
-def by_forces(
-    rig: Rig, predicted: Predicted, omega: Float[np.ndarray, " lines"], stations: list[Station]
+def acceleration_by_forces(
+    rig: Rig, predicted: Prediction, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
-    """The accelerations at any stations by the forces and the estimated contact forces."""
+    """Accelerations at any stations by the forces and the estimated contact forces."""
     forces, cache = np.concatenate([predicted.forces, predicted.contacts]), ResponseCache(omega, 0)
     responses = (response_of(rig, body, cache) for body in rig.bodies)
     rows = (
@@ -137,13 +153,44 @@ def by_forces(
     return np.asarray(sum(rows))
 
 
-def driven_by(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
-    """The lines on which each force has a share of its largest level."""
+def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
+    """Mask of the lines on which each force has a share of its largest level."""
     level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED, axis=1), 0.0))
-    return np.asarray(level > DRIVEN * level.max(axis=1, keepdims=True))
+    return np.asarray(level > DRIVEN_SHARE * level.max(axis=1, keepdims=True))
 
 
 def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
     """Accelerances of each force, then of each contact (which drives by minus its force)."""
     responses = [response_of(rig, body, cache) for body in rig.bodies]
     return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])
+
+
+class Projector:
+    """Residual of the linear model over time, real, in standard deviations that a sound record does not exceed.
+
+    The contact forces, and a doubted force, are projected out; COUNTED_HZ samples a second count as independent.
+    """
+
+    def __init__(self, check: LinearCheck, channels: list[int], doubted_force: int | None = None) -> None:
+        noise = check.spectra.noise[channels]
+        level = np.sqrt(np.maximum(check.scale[channels] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
+        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * level, noise)
+        self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
+        unknown = check.unknown_inputs(doubted_force)[:, channels]
+        self._projection = projection(unknown / self._scale, self._scale, len(unknown))
+        self._spectra = check.spectra
+        motion = self._spectra.in_time(check.spectra.acceleration[channels] / self._scale)
+        duration_s = motion_duration_s(motion, self._spectra.per_s)
+        self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
+
+    def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
+        return np.asarray(self._spectra.in_time(self._projection.of(rows)[0]) * self._counted)
+
+
+def motion_duration_s(motion: Float[np.ndarray, "sensors times"], per_s: float) -> float:
+    """Seconds of motion: all of the record, unless most of the motion falls into less than half of it.
+
+    With the power p, averaged over a second, it is STEADY_RATIO (sum of p)^2 / sum of p^2, at most the record's length.
+    """
+    power = uniform_filter1d(np.mean(motion**2, axis=0, dtype=float), max(1, round(per_s)))
+    return float(min(power.size, STEADY_RATIO * np.sum(power) ** 2 / np.sum(power**2)) / per_s)

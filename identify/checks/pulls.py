@@ -1,79 +1,132 @@
-"""Broken tolerances of rig.json: the nuisance parameter of the linear residual that pulls most.
+"""Broken tolerances of rig.json: the nuisance parameters that the linear residual asks for beyond their tolerances.
 
 With the residual r of the linear model (contact forces projected out), columns X of one standard deviation of each
-nuisance parameter and a prior of one,
+nuisance parameter, and a standard normal prior of all parameters, a column d has the score
 
-    M = I - X (X' X + I)^-1 X',   z = d' M r / sqrt(d' M d)
+    z = d' M r / sqrt(d' M d),   M = I - X (X' X + I)^-1 X'
 
-is how strongly the record asks for more of a column d than the tolerances allow: a standard normal number, if they
-hold. The largest is freed, and the rest are asked again.
+which is standard normal if all tolerances hold. The parameter with the largest score loses its prior, and the others
+are scored again.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.ndimage import uniform_filter1d
 
-from identify.checks.candidates import Suspect, candidates_of
-from identify.checks.prediction import ROUGH, LinearCheck, Predicted
+from identify.checks.findings import Cause, Finding, force_in_words
+from identify.checks.prediction import LinearCheck, Prediction, Projector
 from identify.linear.model import Response, ResponseCache, input_shapes, response_of, times
-from identify.linear.nuisance import BodyMotion, Observed, changes_of, elastic_modes
-from identify.linear.projection import projection
-from rig.model.description import Rig
+from identify.linear.nuisance import THE_FORCE, BodyMotion, Nuisance, Observed, changes_of, elastic_modes
+from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
 
-COUNTED_HZ = 20.0
-"""So many samples a second count as independent against the tolerances, as errors of a model last."""
-BROKEN, CLOCK, FAR = 5.0, 2.7, 4.0
-"""A parameter is off if the record asks for it by so many standard deviations, and for so many tolerances."""
-MOST, NEXT = 4, 0.25
-"""No more are named, and none that is asked for by less than this share of the first."""
-STEADY = 2.0
-"""Motion that lasts for half of the record is taken to last for all of it."""
-AT_ONCE = 1024
-"""Samples of all columns that are worked on at once."""
-FLOOR = 0.003
-"""No model is believed to fit better than to this share of what a body does at a line."""
+BROKEN_PULL, CLOCK_PULL = 5.0, 2.7
+"""Smallest scores z of a parameter that is named; a clock is one question, tolerances are many."""
+BROKEN_TOLERANCES = 4.0
+"""Smallest error of a parameter that is named, in tolerances."""
+MAX_BROKEN, MIN_PULL_SHARE = 4, 0.25
+"""Most parameters that are named, and the smallest score of one as a share of the first one's."""
+BATCH_SAMPLES = 1024
+"""Samples of all columns in memory at once."""
 
 
 @dataclass(frozen=True)
-class Broken:
-    """Broken candidate: its kind, its error in tolerances (or its own unit), how strongly the record asks for it."""
+class Suspect:
+    """A nuisance parameter, or a common error of several; its column is the change by `unit`, relative or in SI."""
 
-    what: Suspect
+    kind: str
+    of: str
+    unit: float
+
+
+def suspects_of(
+    parameters: list[Nuisance],
+    bodies: tuple[BodyMotion, ...],
+    sensors: tuple[Sensor, ...],
+    by_force: Complex[np.ndarray, "forces sensors lines"],
+    omega: Float[np.ndarray, " lines"],
+    tolerances: Tolerances,
+) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
+    """All nuisance parameters; then, with columns of their own, densities, the clock and delays of forces."""
+    suspects = [_suspect_of(p, tolerances) for p in parameters]
+    with_columns = []
+    by_clock = np.zeros_like(by_force[0])
+    for body in bodies:
+        response = body.response
+        rows = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
+        shapes = response.shapes([sensors[i].station for i in rows])
+        by_frequency = times(shapes, response.sensitivity("frequency") * body.acceleration)
+        by_clock[rows] += by_frequency
+        if response.body.length_m and tolerances.mass:
+            by_density = np.zeros_like(by_clock)
+            by_density[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * by_frequency)
+            with_columns.append((Suspect("density", response.body.name, tolerances.mass), by_density))
+    with_columns.append((Suspect("clock", "", 1.0), by_clock))
+    if tolerances.delay_s:
+        for name, by_one_force in zip(force_names(len(by_force)), by_force, strict=True):
+            with_columns.append(
+                (Suspect("force delay", name, tolerances.delay_s), 1j * omega * tolerances.delay_s * by_one_force)
+            )
+    return [*suspects, *(suspect for suspect, _ in with_columns)], np.stack([column for _, column in with_columns])
+
+
+def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
+    """Nuisance parameter with its tolerance as the unit."""
+    sensor_tolerance = tolerances.of_sensor(parameter.of)
+    unit = {
+        "gain": sensor_tolerance.gain,
+        "position": sensor_tolerance.position_m,
+        "delay": sensor_tolerance.delay_s,
+        "high-pass": sensor_tolerance.high_pass_hz,
+        "force gain": tolerances.force_gain,
+        "mass": tolerances.mass,
+        "frequency": tolerances.frequency,
+        "damping": tolerances.damping,
+    }[parameter.kind]
+    name = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
+    return Suspect(parameter.kind, name, unit)
+
+
+@dataclass(frozen=True)
+class BrokenTolerance:
+    """A parameter beyond its tolerance: its error in units of the suspect's column, and its score z (pull)."""
+
+    suspect: Suspect
     size: float
     pull: float
 
 
-def broken(
-    rig: Rig, check: LinearCheck, kept: list[int], tolerances: Tolerances
-) -> tuple[list[Broken], Float[np.ndarray, " nuisances"]]:
-    """Up to four parameters that break their tolerances, the strongest first; and the pulls of all others with those
-    free."""
-    if len(kept) <= check.contacts:
+def broken_tolerances(
+    rig: Rig, check: LinearCheck, channels: list[int], tolerances: Tolerances
+) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+    """Parameters beyond their tolerances, at most four, the highest score first; and all nuisance parameters' pulls.
+
+    A pull is the estimate in standard deviations, with the broken parameters free.
+    """
+    if len(channels) <= check.contacts:
         return [], np.zeros(0)
-    observed = _observed(rig, check, kept, tolerances)
-    project = Projector(check, kept)
+    observed = _observed(rig, check, channels, tolerances)
+    project = Projector(check, channels)
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
-        columns.append(_Column.of(project(change.at_all(len(kept)))))
+        columns.append(_Column.of(project(change.at_all_sensors(len(channels)))))
     if not parameters:
         return [], np.zeros(0)
-    candidates, added = candidates_of(
+    candidates, added = suspects_of(
         parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
     )
     columns += [_Column.of(project(spectra)) for spectra in added]
-    residual = project((check.spectra.acceleration - check.by_force)[kept])
-    return _freed(residual, columns, len(parameters), candidates, tolerances)
+    residual = project((check.spectra.acceleration - check.by_force)[channels])
+    return _free_the_violated(residual, columns, len(parameters), candidates, tolerances)
 
 
-def _observed(rig: Rig, check: LinearCheck, kept: list[int], tolerances: Tolerances) -> Observed:
-    """The motion as the channels kept show it, with the contact forces that explain it best."""
-    sensors, omega = tuple(check.spectra.sensors[i] for i in kept), check.spectra.omega
-    modelled, cache = check.predicted(kept), ResponseCache(omega, 0)
-    explained = modelled.acceleration[kept]
+def _observed(rig: Rig, check: LinearCheck, channels: list[int], tolerances: Tolerances) -> Observed:
+    """Motion as these channels show it, with the contact forces that explain it best."""
+    sensors, omega = tuple(check.spectra.sensors[i] for i in channels), check.spectra.omega
+    prediction, cache = check.prediction(channels), ResponseCache(omega, 0)
+    explained = prediction.acceleration[channels]
     return Observed(
         sensors=sensors,
         displaced_by=sensors,
@@ -81,45 +134,47 @@ def _observed(rig: Rig, check: LinearCheck, kept: list[int], tolerances: Toleran
         omega=omega,
         sensor_response=np.ones_like(explained),
         explained=explained,
-        by_force=check.by_each_force[:, kept],
+        by_force=check.by_each_force[:, channels],
         displaced=np.zeros_like(explained),
-        bodies=tuple(_body(rig, response_of(rig, body, cache), check, kept, modelled) for body in rig.bodies),
+        bodies=tuple(
+            _body_motion(rig, response_of(rig, body, cache), check, channels, prediction) for body in rig.bodies
+        ),
     )
 
 
-def _freed(
-    residual: np.ndarray, columns: list["_Column"], count: int, candidates: list[Suspect], tolerances: Tolerances
-) -> tuple[list[Broken], Float[np.ndarray, " nuisances"]]:
-    """Candidates freed one after the other, the one that is asked for most strongly first; the first `count` columns
-    are those with a prior."""
-    freed: list[Broken] = []
-    free: list[int] = []
+def _free_the_violated(
+    residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
+) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+    """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
+    freed: list[BrokenTolerance] = []
+    free_columns: list[int] = []
     weights = np.ones(residual.shape[1], residual.dtype)
     while True:
-        pulls, z, size = _scores(residual, columns, count, free, weights)
+        result = _scores(residual, columns, prior_count, free_columns, weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            rest = residual - _along(columns[:count], pulls) - _along([columns[k] for k in free], size.free)
-            per_line = np.mean(rest**2, axis=0)
+            explained_by_free = _combination([columns[k] for k in free_columns], result.free_sizes)
+            unexplained = residual - _combination(columns[:prior_count], result.pulls) - explained_by_free
+            per_line = np.mean(unexplained**2, axis=0)
             weights = 1 / np.sqrt(1 + per_line / max(4 * np.median(per_line), np.float32(1)))
-            pulls, z, size = _scores(residual, columns, count, free, weights)
-        least = NEXT * abs(freed[0].pull) if freed else 0.0
-        asked = [
+            result = _scores(residual, columns, prior_count, free_columns, weights)
+        min_pull = MIN_PULL_SHARE * abs(freed[0].pull) if freed else 0.0
+        violated = [
             k
             for k, candidate in enumerate(candidates)
-            if k not in free
-            and abs(z[k]) > max(_broken(candidate), least)
-            and _matters(candidate, float(size.of[k]), tolerances)
+            if k not in free_columns
+            and abs(result.scores[k]) > max(_required_pull(candidate), min_pull)
+            and _exceeds_tolerance(candidate, float(result.sizes[k]), tolerances)
         ]
-        if not asked or len(freed) == MOST:
-            return freed, pulls
-        best = max(asked, key=lambda k: abs(z[k]))
-        freed.append(Broken(candidates[best], float(size.of[best]), float(z[best])))
-        free.append(best)
+        if not violated or len(freed) == MAX_BROKEN:
+            return freed, result.pulls
+        worst = max(violated, key=lambda k: abs(result.scores[k]))
+        freed.append(BrokenTolerance(candidates[worst], float(result.sizes[worst]), float(result.scores[worst])))
+        free_columns.append(worst)
 
 
 @dataclass(frozen=True)
 class _Column:
-    """Column in half precision, in units of its largest value: there are hundreds, and scores need no more."""
+    """Column in half precision, in units of its largest value: there are hundreds, and scores need no more digits."""
 
     halves: np.ndarray
     largest: np.float32
@@ -129,84 +184,125 @@ class _Column:
         largest = np.float32(max(float(np.max(np.abs(values))), 1e-30))
         return cls((values / largest).astype(np.float16), largest)
 
-    def values(self, part: slice = slice(None)) -> np.ndarray:
-        return np.asarray(self.largest * self.halves[:, part].astype(np.float32))
+    def values(self, samples: slice = slice(None)) -> np.ndarray:
+        return np.asarray(self.largest * self.halves[:, samples].astype(np.float32))
 
 
-def _along(columns: list[_Column], values: np.ndarray) -> np.ndarray | float:
-    return sum((np.float32(value) * column.values() for value, column in zip(values, columns, strict=True)), start=0.0)
+def _combination(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
+    """Sum of the columns times their coefficients."""
+    return sum(
+        (np.float32(value) * column.values() for value, column in zip(coefficients, columns, strict=True)), start=0.0
+    )
 
 
 @dataclass(frozen=True)
-class _Sizes:
-    of: Float[np.ndarray, " candidates"]
-    free: Float[np.ndarray, " some"]
+class _Scores:
+    """Scores z of all columns and the parameters' sizes, each as if freed next; estimates with and without a prior."""
+
+    scores: Float[np.ndarray, " columns"]
+    sizes: Float[np.ndarray, " columns"]
+    pulls: Float[np.ndarray, " nuisances"]
+    free_sizes: Float[np.ndarray, " free"]
 
 
 def _scores(
-    left: np.ndarray, columns: list[_Column], count: int, free: list[int], weights: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, _Sizes]:
-    """The pulls of the first `count`, each candidate's score and its size, with the free ones without a prior."""
-    fitted = [*range(count), *free]
-    products, along = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-    for first in range(0, left.shape[1], AT_ONCE):
-        part = slice(first, first + AT_ONCE)
-        rows = np.stack([column.values(part) * weights[part] for column in columns]).reshape(len(columns), -1)
+    residual: np.ndarray, columns: list[_Column], prior_count: int, free_columns: list[int], weights: np.ndarray
+) -> _Scores:
+    """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_columns` none."""
+    fitted = [*range(prior_count), *free_columns]
+    products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
+    for first in range(0, residual.shape[1], BATCH_SAMPLES):
+        batch = slice(first, first + BATCH_SAMPLES)
+        rows = np.stack([column.values(batch) * weights[batch] for column in columns]).reshape(len(columns), -1)
         products += rows @ rows.T
-        along += rows @ (left[:, part] * weights[part]).reshape(-1)
-    prior = np.r_[np.ones(count), np.full(len(free), 1e-9)]
+        correlations += rows @ (residual[:, batch] * weights[batch]).reshape(-1)
+    prior = np.r_[np.ones(prior_count), np.full(len(free_columns), 1e-9)]
     inverse = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
-    across = products[:, fitted]
-    best = inverse @ along[fitted]
-    asked = along - across @ best
-    room = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", across, inverse, across), 1e-12)
-    return best[:count], asked / np.sqrt(room), _Sizes(asked / room, best[count:])
+    to_fitted = products[:, fitted]
+    estimates = inverse @ correlations[fitted]
+    unexplained = correlations - to_fitted @ estimates
+    variance = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", to_fitted, inverse, to_fitted), 1e-12)
+    sizes, pulls, free_sizes = unexplained / variance, estimates[:prior_count], estimates[prior_count:]
+    return _Scores(unexplained / np.sqrt(variance), sizes, pulls, free_sizes)
 
 
-def _broken(candidate: Suspect) -> float:
-    """A clock is one question, each of the many tolerances another."""
-    return CLOCK if candidate.kind == "clock" else BROKEN
+def _required_pull(candidate: Suspect) -> float:
+    """Smallest score that counts: of the clock, which is one question, or of one of many tolerances."""
+    return CLOCK_PULL if candidate.kind == "clock" else BROKEN_PULL
 
 
-def _matters(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
-    """True if this value is beyond the tolerance."""
-    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else FAR)
+def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
+    """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
+    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else BROKEN_TOLERANCES)
 
 
-class Projector:
-    """Over the scale, with the contact forces, and a force that is doubted, projected out, as real numbers; scaled so
-    that a sound record has one."""
-
-    def __init__(self, check: LinearCheck, kept: list[int], doubted: int | None = None) -> None:
-        noise = check.spectra.noise[kept]
-        level = np.sqrt(np.maximum(check.scale[kept] ** 2 - noise**2, 0)) / ROUGH
-        self._scale = np.hypot(FLOOR * level, noise)
-        self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = check.unknown(doubted)[:, kept]
-        self._projection = projection(unknown / self._scale, self._scale, len(unknown))
-        self._spectra = check.spectra
-        moving = self._spectra.in_time(check.spectra.acceleration[kept] / self._scale)
-        self._counted = np.float32(
-            np.sqrt(min(1.0, COUNTED_HZ * lasting_s(moving, self._spectra.per_s) / len(moving.T)))
-        )
-
-    def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        return np.asarray(self._spectra.in_time(self._projection.of(rows)[0]) * self._counted)
-
-
-def lasting_s(moving: Float[np.ndarray, "sensors times"], per_s: float) -> float:
-    """Seconds for which the record tells something: all of it, unless most of the motion falls into less than half.
-
-    Of its power p over time, over a second each, (sum of p)^2 / sum of p^2 is the time for which it lasts.
-    """
-    power = uniform_filter1d(np.mean(moving**2, axis=0, dtype=float), max(1, round(per_s)))
-    return float(min(power.size, STEADY * np.sum(power) ** 2 / np.sum(power**2)) / per_s)
-
-
-def _body(rig: Rig, response: Response, check: LinearCheck, kept: list[int], modelled: Predicted) -> BodyMotion:
-    """Modal accelerations as the forces and the contact forces make them; as many modes as sensors may be off."""
+def _body_motion(
+    rig: Rig, response: Response, check: LinearCheck, channels: list[int], prediction: Prediction
+) -> BodyMotion:
+    """Modal accelerations by the forces and the contact forces; as many elastic modes as sensors may be off."""
     inputs = input_shapes(rig, response, rig.forces)
-    forces = np.concatenate([modelled.forces, modelled.contacts])
-    sensors = sum(check.spectra.sensors[i].station.body == response.body.name for i in kept)
-    elastic = elastic_modes(response, min(sensors, response.count))
+    forces = np.concatenate([prediction.forces, prediction.contacts])
+    sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channels)
+    elastic = elastic_modes(response, min(sensor_count, response.count))
     return BodyMotion(response, response.accelerance * times(inputs.T, forces), elastic)
+
+
+def tolerance_finding(violation: BrokenTolerance) -> Finding:
+    """Finding on a broken tolerance, in words."""
+    suspect, size = violation.suspect, violation.size * violation.suspect.unit
+    in_tolerances = f"({abs(violation.size):.0f} tolerances)"
+    if suspect.kind == "clock":
+        return Finding(
+            cause="clock",
+            evidence=f"all modes of all bodies lie {100 * size:+.2g} % off the frequencies of rig.json",
+            mend="check the sampling rate: a clock that is off shifts all frequencies alike",
+        )
+    if suspect.kind == "force gain":
+        return Finding(
+            cause="gain",
+            channels=("force" if suspect.of == THE_FORCE else suspect.of,),
+            evidence=f"{suspect.of} is {100 * size:+.2g} % off what all sensors imply {in_tolerances}",
+            mend="calibrate the load cell, or check all masses of rig.json",
+        )
+    if suspect.kind == "force delay":
+        return Finding(
+            cause="delay",
+            channels=(suspect.of,),
+            evidence=f"{force_in_words(suspect.of)} comes {1e3 * abs(size):.2g} ms "
+            f"{'late' if size > 0 else 'early'} against all sensors",
+            mend="synchronise the force's clock with the sensors'",
+        )
+    if suspect.kind in ("mass", "density"):
+        return Finding(
+            cause="mass",
+            of=suspect.of,
+            evidence=f"{suspect.of} moves as if its {suspect.kind} were {100 * size:+.2g} % off rig.json "
+            f"{in_tolerances}",
+            mend="weigh it and correct rig.json",
+        )
+    if suspect.kind in ("frequency", "damping"):
+        return Finding(
+            cause="frequency" if suspect.kind == "frequency" else "damping",
+            of=suspect.of,
+            evidence=f"the {suspect.kind} of {suspect.of} is {100 * size:+.2g} % off rig.json {in_tolerances}",
+            mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
+        )
+    deviations = {
+        "gain": f"is {100 * size:+.2g} % off in gain against the others and the model",
+        "position": f"moves as if it stood {1e3 * size:+.3g} mm from its station",
+        "delay": f"comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against the others",
+        "high-pass": f"is high-passed at about {abs(size):.2g} Hz",
+    }
+    remedies = {
+        "gain": "calibrate it again",
+        "position": "measure its place and correct rig.json",
+        "delay": f"set delay_s = {size:.2g} in rig.json, or synchronise its clock",
+        "high-pass": "take the coupling off, or widen high_pass_hz of its tolerance",
+    }
+    causes: dict[str, Cause] = {"gain": "gain", "position": "station", "delay": "delay", "high-pass": "filtered"}
+    return Finding(
+        cause=causes[suspect.kind],
+        channels=(suspect.of,),
+        evidence=f"{suspect.of} {deviations[suspect.kind]} {in_tolerances}",
+        mend=remedies[suspect.kind],
+    )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
-FACTORS = {
+UNIT_FACTORS = {
     "g instead of m/s^2, or the reverse": 9.80665,
     "thousandths (mm, kN, mV)": 1e3,
     "millionths": 1e6,
@@ -15,18 +15,18 @@ FACTORS = {
     "centimetres or Gal": 100.0,
     "root mean square for peak": float(np.sqrt(2)),
 }
-"""Usual mistakes of units; each may be made in either direction."""
-NEAR = 0.03
-"""A factor within this share of a usual one is taken for it."""
-FOLLOWS = 0.5
-"""A channel with a lower coherence with what the others predict does not follow the motion."""
-LATEST_S = 0.1
+"""Usual mistakes of units, each possible in either direction."""
+FACTOR_TOLERANCE = 0.03
+"""Relative deviation within which a factor is taken for a usual one."""
+MIN_COHERENCE = 0.5
+"""A channel whose coherence with its prediction is lower does not follow the motion."""
+MAX_DELAY_S = 0.1
 BANDS = 10
 
 
 @dataclass(frozen=True)
 class Relation:
-    """measured = gain predicted e^(-i omega delay), with what share of the measured power it explains."""
+    """measured = gain predicted e^(-i omega delay_s), which explains the share `coherence` of the measured power."""
 
     gain: float
     delay_s: float
@@ -38,50 +38,52 @@ def relation(
     measured: Complex[np.ndarray, " lines"],
     predicted: Complex[np.ndarray, " lines"],
     weight: Float[np.ndarray, " lines"],
-    latest_s: float = LATEST_S,
+    max_delay_s: float = MAX_DELAY_S,
 ) -> Relation:
-    """Relation at the delay of highest coherence; the gain has the sign that makes it positive there."""
+    """Relation at the delay of the highest coherence; the gain's sign makes the covariance positive there."""
     cross = predicted.conj() * measured * weight**2
-    power = float(np.sum((np.abs(predicted) * weight) ** 2))
-    own = float(np.sum((np.abs(measured) * weight) ** 2))
-    if not (power > 0 and own > 0):
+    predicted_power = float(np.sum((np.abs(predicted) * weight) ** 2))
+    measured_power = float(np.sum((np.abs(measured) * weight) ** 2))
+    if not (predicted_power > 0 and measured_power > 0):
         return Relation(0.0, 0.0, 0.0)
     step_s = 0.25 * np.pi / float(omega[-1])
-    late = step_s * np.arange(-int(latest_s / step_s), int(latest_s / step_s) + 1)
-    sums = np.concatenate([(np.exp(1j * part[:, None] * omega) @ cross).real for part in np.array_split(late, 8)])
-    best = int(np.argmax(np.abs(sums)))
-    delay = late[best]
+    delays_to_try_s = step_s * np.arange(-int(max_delay_s / step_s), int(max_delay_s / step_s) + 1)
+    sums = np.concatenate(
+        [(np.exp(1j * delays_s[:, None] * omega) @ cross).real for delays_s in np.array_split(delays_to_try_s, 8)]
+    )
+    strongest = int(np.argmax(np.abs(sums)))
+    delay_s = delays_to_try_s[strongest]
     for _ in range(4):  # of the real part's slope
-        turned = np.exp(1j * delay * omega) * cross
-        slope, bend = float(np.sum((1j * omega * turned).real)), float(np.sum((-(omega**2) * turned).real))
-        if bend:
-            delay -= float(np.clip(slope / bend, -step_s, step_s))
-    total = float(np.sum((np.exp(1j * delay * omega) * cross).real))
-    return Relation(total / power, float(delay), total**2 / (power * own))
+        shifted = np.exp(1j * delay_s * omega) * cross
+        slope, curvature = float(np.sum((1j * omega * shifted).real)), float(np.sum((-(omega**2) * shifted).real))
+        if curvature:
+            delay_s -= float(np.clip(slope / curvature, -step_s, step_s))
+    covariance = float(np.sum((np.exp(1j * delay_s * omega) * cross).real))
+    return Relation(covariance / predicted_power, float(delay_s), covariance**2 / (predicted_power * measured_power))
 
 
-def usual_factor(gain: float) -> str | None:
-    """Mistake of units that makes a channel deliver this multiple."""
-    for name, factor in FACTORS.items():
-        if any(abs(abs(gain) * f - 1) < NEAR for f in (factor, 1 / factor)):
+def unit_mistake(gain: float) -> str | None:
+    """Mistake of units that multiplies a channel by this gain, or None."""
+    for name, factor in UNIT_FACTORS.items():
+        if any(abs(abs(gain) * f - 1) < FACTOR_TOLERANCE for f in (factor, 1 / factor)):
             return name
     return None
 
 
-def bandwise(
+def gain_by_band(
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
     expected: Complex[np.ndarray, " lines"],
     weight: Float[np.ndarray, " lines"],
 ) -> tuple[Complex[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
-    """The complex gain in each band, what share of the power they leave, and the bands' middles."""
+    """Complex gain in each band, the share of the measured power left unexplained, and the bands' centres (rad/s)."""
     edges = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BANDS + 1)[1:-1])
-    bands = [p for p in np.split(np.arange(omega.size), edges) if p.size > 5]
-    gains, left = [], 0.0
-    for p in bands:
-        of, by = measured[p] * weight[p], expected[p] * weight[p]
-        gain = np.vdot(by, of) / max(float(np.vdot(by, by).real), 1e-300)
+    bands = [band for band in np.split(np.arange(omega.size), edges) if band.size > 5]
+    gains, residual_power = [], 0.0
+    for band in bands:
+        output, input_ = measured[band] * weight[band], expected[band] * weight[band]
+        gain = np.vdot(input_, output) / max(float(np.vdot(input_, input_).real), 1e-300)
         gains.append(gain)
-        left += float(np.sum(np.abs(of - gain * by) ** 2))
-    whole = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
-    return np.array(gains), left / whole, np.array([omega[p[p.size // 2]] for p in bands])
+        residual_power += float(np.sum(np.abs(output - gain * input_) ** 2))
+    total_power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
+    return np.array(gains), residual_power / total_power, np.array([omega[band[band.size // 2]] for band in bands])

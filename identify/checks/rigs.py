@@ -1,79 +1,100 @@
-"""Changes of rig.json that would make a record fit: mass, density, frequencies, damping, ends, places, the clock."""
+"""Changes of rig.json that could make a record fit: mass, density, frequencies, damping, ends, places, the clock."""
 
 import dataclasses
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
 from scipy.optimize import minimize_scalar
 
-from identify.checks.findings import Finding, spoken
+from identify.checks.findings import Finding, force_in_words
 from identify.checks.prediction import linear_check
 from identify.checks.spectra import Spectra
-from identify.checks.trial import Trial
 from identify.linear.model import ResponseCache
 from rig.model.description import Body, Rig, Station
 
-FACTOR = 3.0
-"""Masses and frequencies are sought within this factor."""
-PLACES = 21
+
+@dataclass(frozen=True)
+class Trial:
+    """Trial change of a record or of rig.json: its misfit, and the findings if it is the best one.
+
+    trusted_channels may be trusted beside it. sensors_alone: these channels, the forces and rig.json are right as they
+    are. A trial with more freedom has an allowance above one, a factor on its misfit.
+    """
+
+    misfit: float
+    trusted_channels: list[int]
+    findings: Callable[[], tuple[Finding, ...]]
+    sensors_alone: bool = True
+    allowance: float = 1.0
+
+
+MAX_FACTOR = 3.0
+"""Masses and frequencies are varied within this factor."""
+POSITIONS = 21
 
 
 def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
-    """Every change of rig.json that is usual, each by its best value."""
+    """Trials of every usual change of rig.json, each with its best value."""
 
     cache = ResponseCache(spectra.omega)
 
-    def misfit(other: Rig, own: Spectra = spectra) -> float:
-        return linear_check(other, own, usable, cache).predicted(usable).misfit
+    def misfit(candidate: Rig, candidate_spectra: Spectra = spectra) -> float:
+        return linear_check(candidate, candidate_spectra, usable, cache).prediction(usable).misfit
 
-    def trial(left: float, finding: Callable[[], Finding]) -> Trial:
-        return Trial(left, usable, lambda: (finding(),), False)
+    def trial(trial_misfit: float, finding: Callable[[], Finding]) -> Trial:
+        return Trial(trial_misfit, usable, lambda: (finding(),), False)
 
-    def scaled(make: Callable[[float], Rig], factor: float = FACTOR) -> tuple[float, float]:
+    def best_factor(rig_of: Callable[[float], Rig], factor: float = MAX_FACTOR) -> tuple[float, float]:
         grid = np.linspace(-np.log(factor), np.log(factor), 13)
-        sizes = [misfit(make(float(np.exp(x)))) for x in grid]
-        k = int(np.argmin(sizes))
+        misfits = [misfit(rig_of(float(np.exp(x)))) for x in grid]
+        k = int(np.argmin(misfits))
         bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
-        found = minimize_scalar(
-            lambda x: misfit(make(float(np.exp(x)))), bounds=bounds, method="bounded", options={"xatol": 2e-3}
+        optimum = minimize_scalar(
+            lambda x: misfit(rig_of(float(np.exp(x)))), bounds=bounds, method="bounded", options={"xatol": 2e-3}
         )
-        return float(np.exp(found.x)), float(found.fun)
+        return float(np.exp(optimum.x)), float(optimum.fun)
 
     for body in rig.bodies:
-        for other, said in _other_ends(rig, body):
-            yield trial(misfit(_with_body(rig, other)), partial(_ends, body.name, said))
+        for changed_body, description in _other_ends(rig, body):
+            yield trial(misfit(_with_body(rig, changed_body)), partial(_ends_finding, body.name, description))
         if body.length_m:
-            yield trial(misfit(rig, _mirrored(spectra, body)), partial(_turned, body.name, spectra))
-        for say, change in CHANGES.items():
-            factor, left = scaled(partial(_changed, rig, body, change))
-            yield trial(left, partial(say, body.name, factor))
-    fast, left = scaled(lambda x: replace(rig, bodies=tuple(b.scale_frequencies(x) for b in rig.bodies)), 1.2)
-    yield trial(left, partial(_clock, fast))
-    for number, (name, now) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
-        for place in _places(rig.body(now.body), now):
-            moved = (*rig.forces[:number], place, *rig.forces[number + 1 :])
-            moved_rig = replace(rig, force_at=moved if len(moved) > 1 else place)
-            yield trial(misfit(moved_rig), partial(_force_place, name, place))
+            yield trial(misfit(rig, _mirrored(spectra, body)), partial(_mirrored_finding, body.name, spectra))
+        for finding_of, change in BODY_CHANGES.items():
+            factor, least_misfit = best_factor(partial(_with_changed_body, rig, body, change))
+            yield trial(least_misfit, partial(finding_of, body.name, factor))
+    clock_factor, least_misfit = best_factor(partial(_with_clock, rig), 1.2)
+    yield trial(least_misfit, partial(_clock_finding, clock_factor))
+    for number, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
+        for position in _other_positions(rig.body(stated.body), stated):
+            stations = (*rig.forces[:number], position, *rig.forces[number + 1 :])
+            changed_rig = replace(rig, force_at=stations if len(stations) > 1 else position)
+            yield trial(misfit(changed_rig), partial(_force_place_finding, name, position))
     for contact in rig.contacts:
         for side in ("at", "against"):
-            at = getattr(contact, side)
-            for place in _places(rig.body(at.body), at) if at else ():
-                contacts = tuple(replace(c, **{side: place}) if c is contact else c for c in rig.contacts)
-                yield trial(misfit(replace(rig, contacts=contacts)), partial(_contact_place, contact.name, place))
+            station = getattr(contact, side)
+            for position in _other_positions(rig.body(station.body), station) if station else ():
+                contacts = tuple(replace(c, **{side: position}) if c is contact else c for c in rig.contacts)
+                changed_rig = replace(rig, contacts=contacts)
+                yield trial(misfit(changed_rig), partial(_contact_place_finding, contact.name, position))
 
 
-def _places(body: Body, now: Station) -> list[Station]:
-    """Others along the body, at least a hundredth of its length away."""
+def _with_clock(rig: Rig, factor: float) -> Rig:
+    return replace(rig, bodies=tuple(b.scale_frequencies(factor) for b in rig.bodies))
+
+
+def _other_positions(body: Body, stated: Station) -> list[Station]:
+    """Other places along the body, at least a hundredth of its length away."""
     if not body.length_m:
         return []
-    every = np.linspace(0, body.length_m, PLACES)
-    return [Station(body.name, float(x)) for x in every if abs(x - now.position_m) > 0.01 * body.length_m]
+    positions_m = np.linspace(0, body.length_m, POSITIONS)
+    return [Station(body.name, float(x)) for x in positions_m if abs(x - stated.position_m) > 0.01 * body.length_m]
 
 
-def _changed(rig: Rig, body: Body, change: Callable[[Body, float], Body], by: float) -> Rig:
-    return _with_body(rig, change(body, by))
+def _with_changed_body(rig: Rig, body: Body, change: Callable[[Body, float], Body], factor: float) -> Rig:
+    return _with_body(rig, change(body, factor))
 
 
 def _with_body(rig: Rig, body: Body) -> Rig:
@@ -82,9 +103,9 @@ def _with_body(rig: Rig, body: Body) -> Rig:
 
 def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
     for beam in (b for b in rig.beams if b == body):
-        for ends, said in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
-            if beam.ends != ends:
-                yield replace(beam, ends=ends), said
+        for support, description in (("free-free", "free at both ends"), ("clamped-free", "clamped at its left end")):
+            if beam.ends != support:
+                yield replace(beam, ends=support), description
 
 
 def _mirrored(spectra: Spectra, body: Body) -> Spectra:
@@ -97,11 +118,13 @@ def _mirrored(spectra: Spectra, body: Body) -> Spectra:
     return dataclasses.replace(spectra, sensors=sensors)
 
 
-def _ends(body: str, said: str) -> Finding:
-    return Finding(cause="ends", of=body, evidence=f"{body} moves as a beam that is {said}", mend="correct its ends")
+def _ends_finding(body: str, description: str) -> Finding:
+    return Finding(
+        cause="ends", of=body, evidence=f"{body} moves as a beam that is {description}", mend="correct its ends"
+    )
 
 
-def _turned(body: str, spectra: Spectra) -> Finding:
+def _mirrored_finding(body: str, spectra: Spectra) -> Finding:
     return Finding(
         cause="mirrored",
         of=body,
@@ -111,26 +134,26 @@ def _turned(body: str, spectra: Spectra) -> Finding:
     )
 
 
-def _force_place(name: str, place: Station) -> Finding:
+def _force_place_finding(name: str, station: Station) -> Finding:
     return Finding(
         cause="force place",
         channels=(name,),
-        of=place.body,
-        evidence=f"{spoken(name)} acts as if it stood at {place.position_m:.3g} m of {place.body}",
+        of=station.body,
+        evidence=f"{force_in_words(name)} acts as if it stood at {station.position_m:.3g} m of {station.body}",
         mend="measure where it acts and correct force_at in rig.json",
     )
 
 
-def _contact_place(contact: str, place: Station) -> Finding:
+def _contact_place_finding(contact: str, station: Station) -> Finding:
     return Finding(
         cause="contact place",
         of=contact,
-        evidence=f"{contact} acts as if it stood at {place.position_m:.3g} m of {place.body}",
+        evidence=f"{contact} acts as if it stood at {station.position_m:.3g} m of {station.body}",
         mend="measure where it touches and correct rig.json",
     )
 
 
-def _damping(body: str, factor: float) -> Finding:
+def _damping_finding(body: str, factor: float) -> Finding:
     return Finding(
         cause="damping",
         of=body,
@@ -139,7 +162,7 @@ def _damping(body: str, factor: float) -> Finding:
     )
 
 
-def _mass(body: str, factor: float) -> Finding:
+def _mass_finding(body: str, factor: float) -> Finding:
     return Finding(
         cause="mass",
         of=body,
@@ -148,7 +171,7 @@ def _mass(body: str, factor: float) -> Finding:
     )
 
 
-def _density(body: str, factor: float) -> Finding:
+def _density_finding(body: str, factor: float) -> Finding:
     return Finding(
         cause="mass",
         of=body,
@@ -157,7 +180,7 @@ def _density(body: str, factor: float) -> Finding:
     )
 
 
-def _frequency(body: str, factor: float) -> Finding:
+def _frequency_finding(body: str, factor: float) -> Finding:
     return Finding(
         cause="frequency",
         of=body,
@@ -166,7 +189,7 @@ def _frequency(body: str, factor: float) -> Finding:
     )
 
 
-def _clock(factor: float) -> Finding:
+def _clock_finding(factor: float) -> Finding:
     return Finding(
         cause="clock",
         evidence=f"all bodies vibrate at {factor:.5g} times the frequencies of rig.json",
@@ -175,9 +198,9 @@ def _clock(factor: float) -> Finding:
     )
 
 
-CHANGES: dict[Callable[[str, float], Finding], Callable[[Body, float], Body]] = {
-    _mass: lambda body, x: body.scale_mass(x),
-    _density: lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),
-    _frequency: lambda body, x: body.scale_frequencies(x),
-    _damping: lambda body, x: body.scale_damping(x**3),
+BODY_CHANGES: dict[Callable[[str, float], Finding], Callable[[Body, float], Body]] = {
+    _mass_finding: lambda body, x: body.scale_mass(x),
+    _density_finding: lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),
+    _frequency_finding: lambda body, x: body.scale_frequencies(x),
+    _damping_finding: lambda body, x: body.scale_damping(x**3),
 }

@@ -1,31 +1,53 @@
-"""Faults that a channel's samples show by themselves, without any model of the rig; see also `background`."""
+"""Faults that a channel's samples show by themselves, without any model of the rig.
+
+Of the digitisation: dead, clipped, quantised, held, spikes, copies. Of what is added to the motion: noise, mains hum,
+offset, drift. Of the record: motion before it begins, or samples in reverse order.
+"""
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.findings import Finding, named
+from identify.checks.findings import Finding, listed
+from identify.checks.spectra import quiet_samples
 from rig.model.quantities import QUANTITIES
 
-STUCK = 1e-3
-"""A channel that stands at its largest or smallest value for a larger share of the record is clipped."""
-COARSE = 0.01
-"""Steps of a larger share of a channel's root mean square are too coarse."""
-RECUR = 3.0
+CLIPPED_SHARE = 1e-3
+"""A channel is clipped if it has its largest or smallest value for a larger share of the record."""
+COARSE_STEP = 0.01
+"""Largest step of a quantiser, as a share of the channel's root mean square."""
+MIN_RECURRENCE = 3.0
 """Levels that recur less often are not those of a quantiser."""
 LARGEST_FORCE_N = 1e9
-HELD = 8
-"""So many equal samples in a row are held."""
-SPIKE = 25.0
-"""A sample that is off what its neighbours say by more than so many times the usual is a spike."""
-IMPACT, APART, MOST_SPIKES = 8.0, 2.0, 60
+HELD_SAMPLES = 8
+"""Shortest run of repeated values that counts as held."""
+SPIKE_RATIO = 25.0
+"""Smallest deviation of a spike from its neighbours, over the usual one."""
+IMPACT_RATIO, SEPARATION_RATIO, MAX_SPIKES = 8.0, 2.0, 60
+"""Deviation of another channel that makes an impact of a spike; gap between the spikes and impacts of an only channel;
+most spikes that are single faults."""
+TONE_RATIO = 3.0
+"""Mains hum is larger than twice this multiple of the neighbouring lines."""
+TONE_SHARE = 2e-3
+"""Smallest hum, as a share of the channel's standard deviation."""
+DRIFT_BELOW_HZ, DRIFT_SHARE = 0.25, 0.05
+"""Drift has a larger share of the root mean square below this frequency."""
+OFFSET_SHARE = 0.05
+"""Largest mean, as a share of the root mean square."""
+MOVING_SHARE = 0.3
+"""Smallest share of its usual motion with which a channel moves from the first sample on."""
+ROUGHNESS_RATIO = 1.5
+"""Noise is rougher than motion by this factor."""
+NOISE_SHARE = 0.05
+"""Largest share of its root mean square in a channel's quiet start."""
 
 Row = Float[np.ndarray, " samples"]
 Rows = Float[np.ndarray, "*rows samples"]
 
 
 def dead(name: str, row: Row, forces: Sequence[str] = ("force",)) -> Finding | None:
+    """Finding: the channel is constant."""
     if np.ptp(row) > 1e-9 * max(abs(float(row[0])), 1e-300) and np.ptp(row) > 0:
         return None
     return Finding(
@@ -38,10 +60,10 @@ def dead(name: str, row: Row, forces: Sequence[str] = ("force",)) -> Finding | N
     )
 
 
-def beyond_machines(name: str, group: str, row: Row) -> Finding | None:
-    """Larger than anything on a test rig: 100 m, 1e4 m/s, 1e7 m/s^2, a strain of 10, a force of 1e9 N.
+def out_of_range(name: str, group: str, row: Row) -> Finding | None:
+    """Finding: values larger than anything on a test rig (100 m, 1e4 m/s, 1e7 m/s^2, a strain of 10, 1e9 N).
 
-    The model is linear but for the clearances, and cannot tell when all channels are too large alike.
+    The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
     largest, unit = (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
     reached = float(np.abs(row).max())
@@ -56,10 +78,10 @@ def beyond_machines(name: str, group: str, row: Row) -> Finding | None:
 
 
 def clipped(name: str, row: Row) -> Finding | None:
-    """Finding: the signal stands at its largest or smallest value, not only where it is coarse."""
+    """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
     for side, value in (("largest", row.max()), ("smallest", row.min())):
         share = float(np.mean(row == value))
-        if share > STUCK and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
+        if share > CLIPPED_SHARE and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
             return Finding(
                 cause="clipped",
                 channels=(name,),
@@ -70,13 +92,13 @@ def clipped(name: str, row: Row) -> Finding | None:
 
 
 def quantised(name: str, row: Row) -> Finding | None:
-    """The most common difference between neighbouring levels is large, and they recur: those of one blow do not."""
+    """Finding: the usual step between levels is large, and levels recur, unlike those of a single blow."""
     levels, counts = np.unique(row[:: max(1, row.size // 20_000)], return_counts=True)
     recur = (counts.sum() - counts.max()) / levels.size
-    if levels.size > 2000 or levels.size < 3 or recur < RECUR:
+    if levels.size > 2000 or levels.size < 3 or recur < MIN_RECURRENCE:
         return None
     step, rms = float(np.median(np.diff(levels))), float(row.std())
-    if step < COARSE * rms:
+    if step < COARSE_STEP * rms:
         return None
     return Finding(
         cause="quantised",
@@ -87,68 +109,78 @@ def quantised(name: str, row: Row) -> Finding | None:
 
 
 def held(name: str, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
-    """Runs of equal samples in a channel that else moves: samples that were lost and filled."""
-    same = np.diff(row) == 0
-    edges = np.flatnonzero(np.diff(np.r_[0, same.astype(np.int8), 0]))
-    begins, ends = edges[::2], edges[1::2]
-    if not begins.size or np.mean(same) > 0.3:
+    """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
+    is_repeated = np.diff(row) == 0
+    edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
+    starts, stops = edges[::2], edges[1::2]
+    if not starts.size or np.mean(is_repeated) > 0.3:
         return None
-    size = np.abs(np.atleast_2d(force))
-    from_s = int(np.argmax((size > 0.05 * size.max(axis=1, keepdims=True)).any(axis=0)))
-    long = (ends - begins >= HELD) & (begins > from_s) & ~np.isin(row[begins], (row.max(), row.min()))
+    force_size = np.abs(np.atleast_2d(force))
+    onset = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
+    is_held = (stops - starts >= HELD_SAMPLES) & (starts > onset) & ~np.isin(row[starts], (row.max(), row.min()))
     if name in forces:
-        long &= row[begins] != 0
-    if not long.any():
+        is_held &= row[starts] != 0
+    if not is_held.any():
         return None
-    most = int(np.max((ends - begins)[long])) + 1
+    longest = int(np.max((stops - starts)[is_held])) + 1
     return Finding(
         cause="held samples",
         channels=(name,),
-        evidence=f"{name} repeats one value {most} times in a row, in {int(long.sum())} places, first at sample "
-        f"{int(begins[long][0])}: samples were lost there",
+        evidence=f"{name} repeats one value {longest} times in a row, in {int(is_held.sum())} places, first at sample "
+        f"{int(starts[is_held][0])}: samples were lost there",
         mend="record again, or leave that part of the record out",
     )
 
 
-def off_neighbours(row: Row) -> Row:
-    """Deviation of each sample from what its two neighbours on both sides say, over what is usual around it."""
-    off = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
-    return np.asarray(np.r_[0, 0, off / np.maximum(_moving_mean(off, 201), 0.02 * off.mean() + 1e-300), 0, 0])
+def neighbour_deviation(row: Row) -> Row:
+    """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
+    deviation = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
+    return np.asarray(
+        np.r_[0, 0, deviation / np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300), 0, 0]
+    )
 
 
-def spikes(name: str, off: Row, others: list[Row]) -> Finding | None:
-    """Single samples that their neighbours do not explain, beside neighbours that fit; not at the record's ends.
+def spikes(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
+    """Finding: single samples that their neighbours do not explain; not at the record's ends.
 
-    What other channels show too is an impact. Of the only channel, spikes stand out from all impacts.
+    What other channels show too is an impact. In an only channel, spikes stand out from all impacts.
     """
-    end = off.size // 50
-    inner = off[end:-end]
-    found = [int(k) + end for k in np.flatnonzero(inner > SPIKE) if _alone(off, int(k) + end)]
-    if others:
-        found = [k for k in found if max(float(o[k - 3 : k + 4].max()) for o in others) < IMPACT]
-    elif found:
-        peaks = np.sort(inner[1:-1][(inner[1:-1] > inner[:-2]) & (inner[1:-1] > inner[2:])])[::-1][: MOST_SPIKES + 1]
-        apart = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
-        last = int(np.argmax(apart))
-        found = [k for k in found if off[k] >= peaks[last]] if apart[last] > APART else []
-    if not 0 < len(found) <= MOST_SPIKES:
+    margin = deviation.size // 50
+    interior = deviation[margin:-margin]
+    samples = [
+        int(k) + margin for k in np.flatnonzero(interior > SPIKE_RATIO) if _is_single(deviation, int(k) + margin)
+    ]
+    if other_deviations:
+        samples = [k for k in samples if max(float(d[k - 3 : k + 4].max()) for d in other_deviations) < IMPACT_RATIO]
+    elif samples:
+        peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][
+            : MAX_SPIKES + 1
+        ]
+        ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
+        widest = int(np.argmax(ratios))
+        samples = [k for k in samples if deviation[k] >= peaks[widest]] if ratios[widest] > SEPARATION_RATIO else []
+    if not 0 < len(samples) <= MAX_SPIKES:
         return None
     return Finding(
         cause="spikes",
         channels=(name,),
-        evidence=f"{name} jumps for single samples in {len(found)} places, first at sample {found[0]}",
+        evidence=f"{name} jumps for single samples in {len(samples)} places, first at sample {samples[0]}",
         mend="check cables and connectors, and record again",
     )
 
 
-def _alone(off: Row, k: int) -> bool:
-    """Mask of single samples: two thirds of their deviation show at the samples beside them, a sixth at the next."""
-    beside, next_ones = off[[k - 1, k + 1]], off[[k - 2, k + 2]]
-    return bool(off[k] > 1.3 * beside.max() and beside.min() > 0.45 * off[k] and next_ones.max() < 0.35 * off[k])
+def _is_single(deviation: Row, k: int) -> bool:
+    """True if sample k alone is off: two thirds of its deviation then show at its neighbours, a sixth at the next."""
+    nearest, second_nearest = deviation[[k - 1, k + 1]], deviation[[k - 2, k + 2]]
+    return bool(
+        deviation[k] > 1.3 * nearest.max()
+        and nearest.min() > 0.45 * deviation[k]
+        and second_nearest.max() < 0.35 * deviation[k]
+    )
 
 
 def _moving_mean(values: Row, width: int) -> Row:
-    """Moving mean of both sides, without the middle."""
+    """Moving mean of both sides, without the middle sample."""
     sums = np.cumsum(np.r_[0.0, values])
     low = np.clip(np.arange(values.size) - width // 2, 0, values.size)
     high = np.clip(np.arange(values.size) + width // 2 + 1, 0, values.size)
@@ -156,16 +188,134 @@ def _moving_mean(values: Row, width: int) -> Row:
 
 
 def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
-    """Channels that are the same, but for a factor."""
-    thin = [r[:: max(1, r.size // 8192)] for r in rows]
-    units = [(t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thin]
-    alike = np.abs(np.array(units) @ np.array(units).T)
-    for i, one in enumerate(names):
+    """Findings: channels that are the same up to a factor."""
+    thinned = [r[:: max(1, r.size // 8192)] for r in rows]
+    units = [
+        (t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thinned
+    ]
+    correlation = np.abs(np.array(units) @ np.array(units).T)
+    for i, name in enumerate(names):
         for k in range(i):
-            if alike[i, k] > 1 - 1e-9:
+            if correlation[i, k] > 1 - 1e-9:
                 yield Finding(
                     cause="copy",
-                    channels=(names[k], one),
-                    evidence=f"{named((names[k], one))} hold the same samples",
+                    channels=(names[k], name),
+                    evidence=f"{listed((names[k], name))} hold the same samples",
                     mend="check the channel map: one of them was recorded or imported twice",
                 )
+
+
+def noise(name: str, rate_hz: float, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
+    """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
+    quiet = quiet_samples(force, rate_hz)
+    share = float(row[:quiet].std() / row.std()) if quiet else 0.0
+    if share < NOISE_SHARE:
+        return None
+    quiet_roughness, driven_roughness = (
+        float(np.diff(samples).std() / samples.std()) for samples in (row[:quiet], row[quiet:])
+    )
+    if quiet_roughness < ROUGHNESS_RATIO * driven_roughness:
+        return Finding(
+            cause="force",
+            channels=(*forces, name),
+            evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
+            "the force begins",
+            mend="check that the force is of this record and on its clock, or let the rig come to rest first",
+        )
+    return Finding(
+        cause="noise",
+        channels=(name,),
+        evidence=f"{name} shows {100 * share:.2g} % of its root mean square before the force begins",
+        mend="find the noise or the motion (cable, amplifier, range), or let the rig come to rest first",
+    )
+
+
+def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
+    """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one."""
+    quiet = quiet_samples(force, rate_hz)
+    samples = row[:quiet] if quiet > 0.4 * rate_hz else row
+    centred = samples - samples.mean()
+    amplitude = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
+    hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
+    resolution_hz = hz[1]
+    for mains_hz in (50.0, 60.0):
+        on_tone = np.abs(hz - mains_hz) <= max(0.15, 1.5 * resolution_hz)
+        off_tone = (np.abs(hz - mains_hz) > max(0.6, 3 * resolution_hz)) & (
+            np.abs(hz - mains_hz) < max(3.0, 9 * resolution_hz)
+        )
+        if not (on_tone.any() and off_tone.any()):
+            continue
+        tone_amplitude, background_amplitude = (
+            float(amplitude[on_tone].max()),
+            float(np.sqrt(np.mean(amplitude[off_tone] ** 2))),
+        )
+        if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > TONE_SHARE * float(row.std()):
+            return float(hz[on_tone][np.argmax(amplitude[on_tone])]), tone_amplitude
+    return None
+
+
+def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
+    """Finding: a mains tone."""
+    tone, amplitude = mains(rate_hz, row, force), float(row.std() * np.sqrt(2))
+    if tone is None or amplitude == 0:  # also of values so small that their squares are zero
+        return None
+    hz, tone_amplitude = tone
+    return Finding(
+        cause="hum",
+        channels=(name,),
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * tone_amplitude / amplitude:.2g} % of its size, "
+        "that the force does not make: mains hum",
+        mend="ground the cables at one end, keep them away from mains cables, and record again",
+    )
+
+
+def offset(name: str, row: Row, usual_rms: float | None = None) -> Finding | None:
+    """Finding: samples with a mean that should have none: of an acceleration, or of motion before the force begins."""
+    mean, rms = (float(row.mean()), float(row.std())) if usual_rms is None else (float(row.mean()), usual_rms)
+    if abs(mean) <= OFFSET_SHARE * rms or not rms:
+        return None
+    return Finding(
+        cause="offset",
+        channels=(name,),
+        evidence=f"{name} has a constant part of {mean:.3g}, {100 * abs(mean) / rms:.2g} % of its root mean square",
+        mend="take the mean off, or couple it AC",
+    )
+
+
+def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
+    """Finding: slow motion that the acceleration of a moving rig cannot have."""
+    length = row.size
+    power = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(length))) ** 2
+    slow_lines = int(DRIFT_BELOW_HZ * length / rate_hz) + 1
+    share = float(np.sqrt(np.sum(power[1:slow_lines]) / np.sum(power)))
+    if share < DRIFT_SHARE:
+        return None
+    return Finding(
+        cause="drift",
+        channels=(name,),
+        evidence=f"{name} drifts: {100 * share:.2g} % of its root mean square lies below {DRIFT_BELOW_HZ:g} Hz",
+        mend="let the amplifier warm up, keep it from temperature changes, or high-pass it",
+    )
+
+
+def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
+    """Finding: the channel moves by a part of its usual motion within the record's first moments."""
+    first = row[: max(8, round(first_s * rate_hz))]
+    if first.std() < MOVING_SHARE * row.std():
+        return None
+    return Finding(
+        cause="not at rest",
+        channels=(name,),
+        evidence=f"{name} moves already at the record's first samples",
+        mend="begin the record with a second at rest, before the force; of a cut record, the beginning is missing",
+    )
+
+
+def reversed_time(names: tuple[str, ...]) -> Finding:
+    """Finding: all motion stops with the force, without ringing, and does not begin from rest."""
+    return Finding(
+        cause="not at rest",
+        channels=names,
+        evidence="the motion does not begin at rest and stops at once where the force ends, as if time ran backwards",
+        mend="put the samples of all channels in the order in which they were taken",
+    )

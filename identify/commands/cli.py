@@ -1,11 +1,9 @@
 """The command `identify`."""
 
-import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
@@ -15,16 +13,14 @@ import identify
 from identify.checks import Finding
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
-from identify.commands.options import Believed, Export, Used, check_export
-from identify.contacts.curves import curves
-from identify.contacts.identified_rig import identified_rig
+from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
+from identify.contacts.figures import curves
 from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
-from identify.contacts.results import ContactReport, Estimate, Segments
-from identify.laws.curves import curves as law_curves
+from identify.contacts.results import ContactReport, Estimate, Segments, identified_rig
+from identify.laws.report import curves as law_curves
 from identify.laws.results import LawReport
 from identify.pages.tables import save_tables
 from identify.pages.wording import interval, number
-from identify.signals.kinematics import Use
 from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import (
     Force,
@@ -43,7 +39,7 @@ from rig.model.tolerances import tolerances_named
 from rig.recording.segments import segments
 
 DRAWN_FROM = 0.8
-"""The share of the time after which results are drawn."""
+"""Share of the progress at which results are drawn."""
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
@@ -54,15 +50,15 @@ app.command()(history)
 
 
 @app.callback()
-def _group(version: Version = False) -> None:
+def _callback(version: Version = False) -> None:
     """Finds clearances and contact stiffnesses in recordings made by `rig record` or by a laboratory."""
 
 
 @app.command()
 def check(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
-    use: Used = "auto",
-    tolerances: Believed = None,
+    use: UseOption = "auto",
+    tolerances: TolerancesOption = None,
     as_json: Json = False,
 ) -> None:
     """Check whether a recording's channels fit each other, the force and rig.json; exits with 1 if they do not.
@@ -72,22 +68,21 @@ def check(
 
     Example: identify check barrel_cradle.mcap
     """
-    if use not in get_args(Use):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    sensors = checked_use(use)
     with working(f"checking {file.name}"):
-        found = identify.check(file, use=msgspec.convert(use, Use), tolerances=tolerances)
+        result = identify.check(file, use=sensors, tolerances=tolerances)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found.to_dict()) + b"\n")
+        print_json(result.to_dict())
     else:
-        print(f"{file}: {'nothing wrong was found' if found.sound else f'{len(found.findings)} findings'}")
-        for finding in found.findings:
+        print(f"{file}: {'nothing wrong was found' if result.sound else f'{len(result.findings)} findings'}")
+        for finding in result.findings:
             say(f"  {finding.sentence}")
-    if not found.sound:
+    if not result.sound:
         raise typer.Exit(1)
 
 
 def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """First of all, where there are any."""
+    """Print the findings of a check, if there are any."""
     if findings:
         console.print("Not to be relied on:", style="bold red")
     for finding in findings:
@@ -101,19 +96,19 @@ def contact(
         Path | None,
         typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),
     ] = None,
-    use: Used = "auto",
+    use: UseOption = "auto",
     equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
     block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
     window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
-    tolerances: Believed = None,
+    tolerances: TolerancesOption = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
         float | None,
         typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
     ] = None,
-    export: Export = None,
+    export: ExportOption = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -121,8 +116,7 @@ def contact(
 
     Example: identify contact barrel_cradle.mcap --use acceleration --out results
     """
-    if use not in get_args(Use):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    sensors = checked_use(use)
     if window not in POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
     check_export(export, out)
@@ -133,7 +127,7 @@ def contact(
     if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment = longest_segment_s(file)
     settings = {
-        "use": msgspec.convert(use, Use),
+        "use": sensors,
         "averaging": averaging,
         "equation": equation,
         "tolerances": tolerances_named(tolerances) if tolerances else None,
@@ -142,36 +136,38 @@ def contact(
         if segment is not None:
             report = _by_segments(file, segment, out, progress, settings)
         else:
-            report = _whole(file, out, progress, settings, export)
+            report = _identified(file, out, progress, settings, export)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(report) + b"\n")
+        print_json(report)
     else:
         print_report(report, literal_console())
 
 
-def _whole(
+def _identified(
     file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any], export: str | None
 ) -> ContactReport:
-    drawn = 1.0 if out is None else DRAWN_FROM
-    found = identify.contact(file, progress=lambda share: progress(drawn * share), **settings)
+    """Report of a recording that is identified at once, and its files."""
+    identification_share = 1.0 if out is None else DRAWN_FROM
+    result = identify.contact(file, progress=lambda share: progress(identification_share * share), **settings)
     if out is not None:
-        found.save(out)
+        result.save(out)
         if export is not None:
-            save_tables(curves(found.found), out, export)
-    return found.report
+            save_tables(curves(result.found), out, export)
+    return result.report
 
 
 def _by_segments(
     file: Path, segment_s: float, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]
 ) -> ContactReport:
-    report, parts = identify_long(file, segment_s=segment_s, progress=progress, **settings)
+    """Pooled report of a recording that is identified segment by segment, and its files."""
+    report, segment_results = identify_long(file, segment_s=segment_s, progress=progress, **settings)
     if out is not None:
-        from identify.contacts.figures import segments_drawn
+        from identify.contacts.figures import segments_figure
 
         make_folder(out)
         if report.contacts:
-            segments_drawn(report, parts).save(out / "segments.png")
-        write_json(Segments(parts), out / "segments.json")
+            segments_figure(report, segment_results).save(out / "segments.png")
+        write_json(Segments(segment_results), out / "segments.json")
         write_bytes(to_json(identified_rig(next(iter(segments(file, segment_s, 0.0))).rig, report)), out / "rig.json")
         write_json(report, out / "contact.json")
     return report
@@ -182,11 +178,11 @@ def law(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for law.html, a page, law.json and the figures.")] = None,
-    use: Used = "auto",
-    tolerances: Believed = None,
+    use: UseOption = "auto",
+    tolerances: TolerancesOption = None,
     seconds: Annotated[float, typer.Option(help="Longest search, s, shared by the contacts.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Of the search and of the points drawn for it.")] = 0,
-    export: Export = None,
+    export: ExportOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print law.json on standard output.")] = False,
     force: Force = False,
 ) -> None:
@@ -196,70 +192,69 @@ def law(
 
     Example: identify law barrel_cradle.mcap --contact contact_1 --out results
     """
-    if use not in get_args(Use):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+    sensors = checked_use(use)
     check_export(export, out)
     if out is not None:
         for name in ("law.json", "law.html"):
             refuse_existing(out / name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
-        found = identify.law(
+        result = identify.law(
             file,
             contact=contact,
-            use=msgspec.convert(use, Use),
+            use=sensors,
             seconds=seconds,
             seed=seed,
             tolerances=tolerances,
             progress=progress,
         )
     if out is not None:
-        found.save(out)
+        result.save(out)
         if export is not None:
-            save_tables(law_curves(found.found.found), out, export)
+            save_tables(law_curves(result.found.found), out, export)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
+        print_json(result.report)
     else:
-        print_laws(found.report, literal_console())
+        print_laws(result.report, literal_console())
 
 
 def print_laws(report: LawReport, console: Console) -> None:
-    """A sentence for every contact, then what was found and how it compares; before them what speaks against it."""
+    """Print the findings, then the verdict, formula and candidates of every contact."""
     print_findings(report.findings, console)
-    for found in report.laws:
-        console.print(Text.assemble((found.contact, "bold"), f": {found.verdict}."), soft_wrap=True)
-        console.print(f"  formula found: {found.formula}", soft_wrap=True)
+    for estimate in report.laws:
+        console.print(Text.assemble((estimate.contact, "bold"), f": {estimate.verdict}."), soft_wrap=True)
+        console.print(f"  formula found: {estimate.formula}", soft_wrap=True)
         table = Table("law", "rms left of held-out data, N")
-        for candidate in found.candidates:
+        for candidate in estimate.candidates:
             table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
         console.print(table)
         console.print(
-            f"  of a force of {found.force_rms_n:.3g} N rms; damping in the closed contact explains "
-            f"{100 * found.hysteresis_share:.2g} % of the scatter's variance"
-            + ("" if found.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
+            f"  of a force of {estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
+            f"{100 * estimate.hysteresis_share:.2g} % of the scatter's variance"
+            + ("" if estimate.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
             soft_wrap=True,
         )
-    for silent in report.unanswered:
-        console.print(f"{silent.name}: not told by this record: {silent.reason}", soft_wrap=True)
+    for unanswered in report.unanswered:
+        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}", soft_wrap=True)
 
 
 def print_report(report: ContactReport, console: Console) -> None:
-    """The answer as tables: contacts, then NIFO by modal equation; before them what speaks against it."""
+    """Print the findings, then tables of the contacts, and of NIFO by modal equation."""
     print_findings(report.findings, console)
     table = Table(title=f"Contacts of {report.rig}, ± 95 %")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
         table.add_column(heading, justify="left" if heading == "contact" else "right")
-    for found in report.contacts:
+    for estimate in report.contacts:
         table.add_row(
-            found.name,
-            _shown(found.clearance_m, 1e3),
-            _shown(found.stiffness_n_per_m),
-            _shown(found.damping_n_s_per_m),
+            estimate.name,
+            _interval(estimate.clearance_m, 1e3),
+            _interval(estimate.stiffness_n_per_m),
+            _interval(estimate.damping_n_s_per_m),
         )
     console.print(table)
-    for sentence in filter(None, (found.law_sentence for found in report.contacts)):
+    for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
         console.print(f"{sentence}.", soft_wrap=True)
-    for silent in report.unanswered:
-        console.print(f"{silent.name}: not told by this record: {silent.reason}")
+    for unanswered in report.unanswered:
+        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}")
     if report.nifo:
         console.print(_nifo_table(report))
     for note in report.notes:
@@ -275,22 +270,22 @@ def _nifo_table(report: ContactReport) -> Table:
     spectra = Table(title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency")
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
         spectra.add_column(heading)
-    for each in report.nifo:
-        for stiffness in each.stiffness:
+    for result in report.nifo:
+        for stiffness in result.stiffness:
             spectra.add_row(
-                each.equation,
+                result.equation,
                 stiffness.contact,
                 number(stiffness.mean_n_per_m.value),
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
-                "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
+                "nearly invisible" if stiffness.contact in result.nearly_invisible else "",
             )
-        answered = {s.contact for s in each.stiffness}
-        for name in (n for n in each.nearly_invisible if n not in answered):
-            spectra.add_row(each.equation, name, "", "", "on a node: not told")
+        answered = {s.contact for s in result.stiffness}
+        for name in (n for n in result.nearly_invisible if n not in answered):
+            spectra.add_row(result.equation, name, "", "", "on a node: not told")
     return spectra
 
 
-def _shown(estimate: Estimate, scale: float = 1.0) -> str:
+def _interval(estimate: Estimate, scale: float = 1.0) -> str:
     return interval(scale * estimate.value, scale * estimate.standard_error, "1")
 
 

@@ -1,14 +1,12 @@
 """The command `identify gap`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 from identify.api import gap as diagnosed
-from identify.commands.options import Believed, Export, check_export
+from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
 from identify.gaps.results import Matters
 from identify.pages.tables import save_tables
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
@@ -41,7 +39,7 @@ def gap(
             help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
         ),
     ] = None,
-    tolerances: Believed = None,
+    tolerances: TolerancesOption = None,
     matters: Annotated[
         float, typer.Option(min=0.0, help="A gap below this share of the acceleration does not matter, %.")
     ] = 0.5,
@@ -54,7 +52,7 @@ def gap(
             "--next-experiment", help="Compute which further recording would tell two causes apart (minutes)."
         ),
     ] = False,
-    export: Export = None,
+    export: ExportOption = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -73,10 +71,10 @@ def gap(
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
         def show(stage: str, fraction: float) -> None:
-            begin, length = stages[stage]
-            progress(begin + length * fraction)
+            start, length = stages[stage]
+            progress(start + length * fraction)
 
-        found = diagnosed(
+        result = diagnosed(
             real,
             validate,
             simulator=simulator,
@@ -88,19 +86,19 @@ def gap(
             progress=show,
         )
     if out is not None:
-        found.save(out)
+        result.save(out)
         if export is not None:
-            from identify.gaps.page.curves import curves
+            from identify.gaps.page.report import curves
 
-            save_tables(curves(found.report), out, export)
+            save_tables(curves(result.report), out, export)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found.report) + b"\n")
+        print_json(result.report)
     else:
-        from identify.gaps.page.screen import shown
+        from identify.gaps.page.screen import screen_view
 
         console = literal_console()
-        console.print(shown(found.report))
-        if found.findings:
+        console.print(screen_view(result.report))
+        if result.findings:
             console.print("the check of the recordings says:", style="bold")
-        for finding in found.findings:
+        for finding in result.findings:
             console.print(f"  {finding.sentence}", soft_wrap=True)

@@ -1,19 +1,16 @@
 """The commands `identify compare` and `identify history`."""
 
-import sys
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
-import msgspec
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from identify.api import compare as compared
-from identify.commands.options import Believed, Used
-from identify.history.observed import sources_in
+from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
+from identify.history.observations import sources_in
 from identify.history.page import rows
-from identify.signals.kinematics import Use
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
 
 Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
@@ -24,8 +21,8 @@ def compare(
         list[Path], typer.Argument(help="Recordings of one machine in their order, or folders with a contact.json.")
     ],
     out: Out = None,
-    use: Used = "auto",
-    tolerances: Believed = None,
+    use: UseOption = "auto",
+    tolerances: TolerancesOption = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -33,7 +30,7 @@ def compare(
 
     Example: identify compare before.mcap after.mcap --out results
     """
-    _shown(recordings, out, use, tolerances, as_json, force)
+    _compare_and_print(recordings, out, use, tolerances, as_json, force)
 
 
 def history(
@@ -41,8 +38,8 @@ def history(
         Path, typer.Argument(help="Folder with the recordings of one machine, or with folders of contact.json.")
     ],
     out: Out = None,
-    use: Used = "auto",
-    tolerances: Believed = None,
+    use: UseOption = "auto",
+    tolerances: TolerancesOption = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -50,28 +47,29 @@ def history(
 
     Example: identify history recordings --out results
     """
-    _shown(sources_in(folder), out, use, tolerances, as_json, force)
+    _compare_and_print(sources_in(folder), out, use, tolerances, as_json, force)
 
 
-def _shown(sources: list[Path], out: Path | None, use: str, tolerances: str | None, as_json: bool, force: bool) -> None:
-    if use not in get_args(Use):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
+def _compare_and_print(
+    sources: list[Path], out: Path | None, use: str, tolerances: str | None, as_json: bool, force: bool
+) -> None:
+    sensors = checked_use(use)
     if out is not None:
         for name in ("history.html", "history.csv", "history.json"):
             refuse_existing(out / name, force, *sources, new_folder=True)
     with progress_bar(f"comparing {len(sources)} recordings") as progress:
-        found = compared(sources, use=msgspec.convert(use, Use), tolerances=tolerances, progress=progress)
+        result = compared(sources, use=sensors, tolerances=tolerances, progress=progress)
     if out is not None:
-        found.save(out)
+        result.save(out)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.encode(found.to_dict()) + b"\n")
+        print_json(result.to_dict())
         return
-    say(str(found))
+    say(str(result))
     table = Table("", "mean", "first to last, ± 95 %", "p, trend", "p, differences", box=SIMPLE_HEAD)
-    for row in rows(found.report):
+    for row in rows(result.report):
         table.add_row(*row)
     literal_console().print(table)
-    for observation in found.report.observations:
+    for observation in result.report.observations:
         if observation.report is None:
             say(f"left out: {observation.name}: {observation.reason}")
         for finding in observation.report.findings if observation.report else ():

@@ -1,7 +1,7 @@
-"""Third stage: what of the determined contacts is relied upon, and what speaks against them.
+"""Third stage, acceptance: standard errors widened by the pulls of nuisance parameters, and findings against a fit.
 
-Pulls of the nuisance parameters, scatter between the record's halves, what the fit leaves, negative damping; a force
-that was not recorded.
+A finding is a pull beyond its tolerance, a difference between the record's halves, unexplained force, or negative
+damping. A free decay that its contact laws do not explain is refused: a force acted that was not recorded.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -11,10 +11,9 @@ import numpy as np
 
 from identify.checks import check_recording, naming
 from identify.checks.findings import Cause, Finding
-from identify.contacts.contact_record import STIFFNESS
 from identify.contacts.determination import Outcomes, determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import FormName
+from identify.contacts.law_form import STIFFNESS, FormName
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, is_unforced, separate
 from identify.linear.modal import NEARLY_INVISIBLE
@@ -25,18 +24,21 @@ from identify.signals.kinematics import Use
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-BROKEN = 4.5
-"""A nuisance parameter that is pulled by more tolerances than this is off."""
-USUAL = 1.5
-"""A body's frequency or mass, or the force's gain, that is pulled by more widens the intervals: see `widened`."""
-WHOLE = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
-UNLIKE = 3.7
-"""The halves of a record differ by so many standard errors; of sixteen parts that all agree, 4 is the most."""
-UNEXPLAINED = 0.3
-SURE, APART, ERRORS = 0.1, 0.1, 5.0
-"""A modal equation in which a stiffness varies over frequency by less than that share is sure of it: if it is further
-from the joint fit's, and by so many standard errors, the two do not agree."""
-NEGATIVE = 5.0
+PULL_LIMIT = 4.5
+"""Tolerances by which a nuisance parameter is pulled before it is a finding."""
+USUAL_PULL = 1.5
+"""Tolerances by which `BODY_AND_FORCE_KINDS` may be pulled before the intervals widen: see `widened_estimate`."""
+BODY_AND_FORCE_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
+HALVES_LIMIT = 3.7
+"""Standard errors by which the halves of a record may differ; 4 is the largest value that 16 equal parts can give."""
+UNEXPLAINED_LIMIT, FREE_DECAY_UNEXPLAINED_LIMIT = 0.3, 0.03
+"""Share of a contact force's root mean square that the fit may leave. In a free decay less is left, unless a force acts
+that was not recorded."""
+STEADY_SHARE, DIFFERENT_SHARE, DIFFERENT_ERRORS = 0.1, 0.1, 5.0
+"""A stiffness that varies over frequency by less than the first share contradicts the joint fit if it differs by more
+than the second share and by so many standard errors."""
+NEGATIVE_DAMPING_ERRORS = 5.0
+"""Standard errors below zero from which a negative damping is a finding."""
 CAUSES: dict[NuisanceKind, Cause] = {
     NuisanceKind.GAIN: "gain",
     NuisanceKind.POSITION: "station",
@@ -46,17 +48,14 @@ CAUSES: dict[NuisanceKind, Cause] = {
     NuisanceKind.FREQUENCY: "frequency",
     NuisanceKind.DAMPING: "damping",
 }
-"""Not of an unknown high-pass: the slow motion that accelerometers miss has its shape."""
-OF_SENSORS = (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
-
-
-MOST_UNEXPLAINED = 0.03
-"""Of a contact's force: in a free decay less is left, where a force acts that was not recorded more."""
+"""Cause by kind of nuisance parameter. A high-pass has none: the slow motion that accelerometers miss looks the
+same."""
+SENSOR_KINDS = (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
 
 
 @dataclass(frozen=True)
 class Contacts:
-    """The contacts of a recording: what was separated of them, what is determined, and what speaks against it."""
+    """Contacts of a recording: separated forces, outcome of each contact, and findings against them."""
 
     separation: Separation
     outcomes: Outcomes
@@ -66,10 +65,10 @@ class Contacts:
 def checked_contacts(
     recording: Recording, use: Use, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
 ) -> Contacts:
-    """`find_contacts` of a recording that is checked before; the findings are those of both.
+    """`find_contacts` after a check of the recording, with the findings of both.
 
-    Of the check's findings, not that the record begins in motion, which the fit takes as it is, nor that the channel of
-    the force is dead, which a free decay explains. Raises RigError as `find_contacts` does, with the first finding.
+    Leaves out two findings of the check: that the record begins in motion, which the fit allows for, and that the force
+    channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
     """
     findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
     with naming(findings):
@@ -80,8 +79,8 @@ def checked_contacts(
 
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
-    """Clearance, stiffness and damping of every contact, or why the record does not determine it; its law is a dead
-    zone, or the one of `forms` that the record asks for.
+    """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
+    zone, or the one of `forms` that the record supports.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
@@ -91,15 +90,15 @@ def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms:
 
 
 def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
-    """The outcomes, in the order of the rig, with the standard errors that their pulls ask for, and what cannot be.
+    """Outcomes in the order of the rig, with standard errors widened by their pulls, and the findings on the fits.
 
-    Of a record without a force a refusal says that one may be missing. Raises ContactRefusedError if then the contacts'
-    forces do not follow from the motion: other forces acted.
+    Without a recorded force, refusals say that one may be missing, and ContactRefusedError is raised if the contact
+    laws do not explain the contact forces: other forces acted.
     """
     names = [c.name for c in separation.rig.contacts]
     parameters = separation.forces.nuisances.parameters
     estimates = {
-        name: widened(outcomes.estimates[name], parameters, separation.mass_pull)
+        name: widened_estimate(outcomes.estimates[name], parameters, separation.mass_pull)
         for name in names
         if name in outcomes.estimates
     }
@@ -111,95 +110,101 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
 
 
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
+    """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
-        if estimate.unexplained > MOST_UNEXPLAINED:
+        if estimate.unexplained > FREE_DECAY_UNEXPLAINED_LIMIT:
             percent = 100 * estimate.unexplained
             raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=percent)
 
 
 def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tuple[Finding, ...]:
-    """The findings without those of force channels at zero, which a free decay explains."""
+    """Findings without those of force channels at zero, which a free decay explains."""
     return tuple(f for f in findings if f.cause != "dead" or not set(f.channels) <= set(forces))
 
 
-def widened(found: JointEstimate, parameters: Sequence[Nuisance], in_gaps: float) -> JointEstimate:
-    """Standard errors times the largest pull p of what belongs to a whole body or to the force, where it is unusual.
+def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> JointEstimate:
+    """Estimate with standard errors times the largest pull p of `BODY_AND_FORCE_KINDS`, where p exceeds `USUAL_PULL`.
 
-    A clock, a density or a unit that is off shows there, and what it does beside is in no tolerance. A rig of one body
-    has no second one to tell a clock from its frequencies by: there p always counts, as sqrt(1 + p^2). So does the
-    pull of a mass while its contacts are open, which is no part of the fit. Where a spring holds the bodies, a sensor's
-    high-pass counts too: it stands for slow motion that accelerometers miss, and that the spring feels.
+    An error of the clock, a density or a unit pulls these parameters, and its other consequences are in no tolerance.
+    A rig of one body has no second body that would tell a clock error from a frequency error: there the factor is
+    always sqrt(1 + p^2). So it is with mass_pull, the pull of a mass while its contacts are open, which is no part of
+    the fit. Where a spring holds the bodies, a sensor's high-pass counts too: it represents slow motion that
+    accelerometers miss and that the spring feels.
     """
-    kinds = (*WHOLE, NuisanceKind.HIGH_PASS) if found.sides_known else WHOLE
-    whole = {of: abs(p) for p, of in zip(found.pulls, parameters, strict=True) if of.kind in kinds and of.mode is None}
-    pull = max(whole.values(), default=0.0)
-    alone = sum(of.kind == NuisanceKind.FREQUENCY for of in whole) == 1
-    unusual = 1 + pull**2 if alone else pull**2 if pull > USUAL else 1.0
-    square = max(unusual, 1 + in_gaps**2)
+    kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
+    body_and_force_pulls = {
+        of: abs(p) for p, of in zip(estimate.pulls, parameters, strict=True) if of.kind in kinds and of.mode is None
+    }
+    largest_pull = max(body_and_force_pulls.values(), default=0.0)
+    single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
+    pull_factor = 1 + largest_pull**2 if single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
+    variance_factor = max(pull_factor, 1 + mass_pull**2)
     return replace(
-        found,
-        covariance=square * found.covariance,
-        of_tolerances=square * found.of_tolerances,
-        of_drift=square * found.of_drift,
-        of_misfit=square * found.of_misfit,
+        estimate,
+        covariance=variance_factor * estimate.covariance,
+        of_tolerances=variance_factor * estimate.of_tolerances,
+        of_drift=variance_factor * estimate.of_drift,
+        of_misfit=variance_factor * estimate.of_misfit,
     )
 
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
-    """Findings on the fits: parameters beyond their tolerances, and the faults of each contact."""
+    """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate."""
     for k, parameter in enumerate(parameters):
         pull = max((estimate.pulls[k] for estimate in estimates.values()), key=abs, default=0.0)
-        if parameter.kind in CAUSES and abs(pull) > BROKEN:
-            yield _beyond_tolerance(parameter, pull)
+        if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
+            yield _pull_finding(parameter, pull)
     for name, estimate in estimates.items():
-        yield from _faults(name, estimate)
+        yield from _estimate_findings(name, estimate)
 
 
-def _beyond_tolerance(parameter: Nuisance, pull: float) -> Finding:
+def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
     of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
     return Finding(
         cause=CAUSES[parameter.kind],
-        channels=(parameter.of,)
-        if parameter.kind in (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
-        else (),
+        channels=(parameter.of,) if parameter.kind in SENSOR_KINDS else (),
         of=of,
         evidence=f"the contacts' fit asks for the {parameter.kind} of {of} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
 
-def _faults(name: str, estimate: JointEstimate) -> Iterator[Finding]:
+def _estimate_findings(name: str, estimate: JointEstimate) -> Iterator[Finding]:
+    """Findings on one estimate: negative damping, halves that differ, unexplained force."""
     damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
-    if damping < -NEGATIVE * error:
-        yield _of_fit(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-    if max(np.abs(estimate.halves)) > UNLIKE:
-        yield _of_fit(name, f"{name} differs between the halves of the record by more than scatter makes")
-    if estimate.unexplained > UNEXPLAINED:
+    if damping < -NEGATIVE_DAMPING_ERRORS * error:
+        yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
+    if max(np.abs(estimate.halves)) > HALVES_LIMIT:
+        yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
+    if estimate.unexplained > UNEXPLAINED_LIMIT:
         unexplained = f"{100 * estimate.unexplained:.2g} %"
-        yield _of_fit(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
+        yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 
 def equation_findings(
     names: Sequence[str], estimates: Mapping[str, JointEstimate], spectra: Sequence[Nifo]
 ) -> Iterator[Finding]:
-    """Contacts of which a modal equation by itself, by NIFO, is sure that they are other than all stations say."""
-    for one in spectra:
-        for j, mean, error, deviation in zip(
-            one.contacts, one.mean_n_per_m, one.stiffness_error_n_per_m, one.deviation_n_per_m, strict=True
+    """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
+    for result in spectra:
+        for j, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
+            result.contacts, result.mean_n_per_m, result.stiffness_error_n_per_m, result.deviation_n_per_m, strict=True
         ):
-            name, clear = names[j], one.equation.visibility[j] >= NEARLY_INVISIBLE
-            if name not in estimates or not clear or deviation > SURE * abs(mean):
+            name, visible = names[j], result.equation.visibility[j] >= NEARLY_INVISIBLE
+            if name not in estimates or not visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
-            found, of_found = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS)
-            if abs(mean - found) > max(APART * found, ERRORS * float(np.hypot(error, of_found))):
-                yield _of_fit(
+            stiffness_n_per_m, standard_error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS)
+            if abs(mean_n_per_m - stiffness_n_per_m) > max(
+                DIFFERENT_SHARE * stiffness_n_per_m,
+                DIFFERENT_ERRORS * float(np.hypot(mean_error_n_per_m, standard_error)),
+            ):
+                yield _fit_finding(
                     name,
-                    f"{one.equation.name} by itself gives {name} {number(mean)} N/m, all stations "
-                    f"together {interval(found, of_found, 'N/m')} (± 95 %)",
+                    f"{result.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
+                    f"together {interval(stiffness_n_per_m, standard_error, 'N/m')} (± 95 %)",
                 )
 
 
-def _of_fit(contact: str, evidence: str) -> Finding:
+def _fit_finding(contact: str, evidence: str) -> Finding:
     return Finding(
         cause="fit",
         of=contact,

@@ -1,42 +1,51 @@
-"""The contacts of a recording in stages: separate, determine, accept; the paper's methods beside them, the report."""
+"""Identification of the contacts of a recording: separate, determine, accept, then the paper's methods and the
+report."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from identify.checks.findings import Finding
+from identify.contacts import results
 from identify.contacts.acceptance import checked_contacts, equation_findings
 from identify.contacts.determination import Outcomes
-from identify.contacts.law_choice import FORMS
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_fit import FORMS
 from identify.contacts.paper_methods import (
     PaperMethods,
     SignalsByLaw,
-    check_asked,
+    check_request,
     paper_methods,
     signals_by_law,
     stops_of,
 )
+from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
-from identify.contacts.summary import contact_report
 from identify.linear.joined import Joined
-from identify.paper.nifo import Nifo
+from identify.linear.modal import NEARLY_INVISIBLE, Transformation
+from identify.pages.wording import COVERED
+from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics, Use
+from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
-from rig.model.description import Rig
+from rig.model.description import Rig, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
+
+CLOSED_SHARE_DOUBT = 0.05
+"""Largest half-width of the 95 % interval of a share of time that is reported."""
 
 
 @dataclass(frozen=True)
 class Identification:
-    """The report, and what it was drawn from, for figures and for further work.
+    """Result of an identification: the report, and the signals and estimates behind it.
 
-    motion has the force and what was measured where, but not the stations' rows. eta_m is complete with its drift;
-    separated_n are the contact forces at every `factor`-th sample, one of all contacts that are of the `same_place`.
+    motion has the forces and the sensors, but not the stations' signals. eta_m includes the drift; separated_n are the
+    contact forces at every `factor`-th sample, one for all contacts of the `same_place`.
     """
 
     report: ContactReport
@@ -69,6 +78,7 @@ class Identification:
 
     @property
     def stops(self) -> tuple[Stops | None, ...]:
+        """Stops of each contact of the rig; None where the record does not determine it."""
         return stops_of(self.rig, self.outcomes)
 
     @property
@@ -81,8 +91,8 @@ class Identification:
 
 
 @dataclass(frozen=True)
-class _Answers:
-    """Results of the first three stages, for the paper's methods and the report."""
+class _SeparatedContacts:
+    """Results of the first three stages without the nuisance signals, which take much memory."""
 
     motion: Kinematics
     same_place: tuple[Joined, ...]
@@ -104,54 +114,53 @@ def identify_contact(
 ) -> Identification:
     """Clearance, stiffness and damping of every contact of a recording's rig.
 
-    The contact forces are separated without a law, then each is fitted together with the slow drift of its relative
-    displacement: these are the answers. With the law found, the modes beyond the fitted ones are taken off the
-    motion, and the paper's methods are applied to every modal equation: the restoring force surface and NIFO. The main
-    equation, which the figures show, is the one whose stiffness varies least over frequency, unless it is named
-    ("barrel 3"). What cannot be made of them is a note of the report.
+    The record is checked first (`identify.checks`). The contact forces are separated without a law; each is fitted
+    together with the drift of its relative displacement, which gives the estimates. With the estimated laws, the
+    response of the modes beyond the fitted ones is subtracted from the motion, and the paper's methods, the restoring
+    force surface and NIFO, are applied to every modal equation. The main equation, which the figures show, is the one
+    whose stiffness varies least over frequency, unless `equation` names one ("barrel 3").
 
-    Before all that the record is checked (`identify.checks`): what is wrong with it or with rig.json stands in the
-    report's findings, beside what does not fit in the joint estimates.
+    The findings of the report are those of the check and those on the fits; its notes are the methods that failed.
 
     Raises RigError if the record does not allow it: too short, too few stations, no force; with the first finding.
     """
     averaging = averaging or Averaging()
-    check_asked(recording, averaging, equation)
+    check_request(recording, averaging, equation)
     rig = recording.rig
-    answers = _answers(recording, use, tolerances)
+    separated = _separated_contacts(recording, use, tolerances)
     progress(0.5)
-    alone = {place.members[0] for place in answers.same_place if len(place.members) == 1}
+    single_contacts = {place.members[0] for place in separated.same_place if len(place.members) == 1}
     methods = paper_methods(
         rig,
-        answers.motion,
-        answers.signals,
-        stops_of(rig, answers.outcomes),
-        alone=alone,
+        separated.motion,
+        separated.signals,
+        stops_of(rig, separated.outcomes),
+        single_contacts=single_contacts,
         averaging=averaging,
         equation=equation,
     )
     progress(0.95)
     names = [contact.name for contact in rig.contacts]
-    findings = answers.findings + tuple(equation_findings(names, answers.outcomes.estimates, methods.spectra))
+    findings = separated.findings + tuple(equation_findings(names, separated.outcomes.estimates, methods.spectra))
     return Identification(
-        report=contact_report(rig, answers.outcomes, methods, findings),
+        report=contact_report(rig, separated.outcomes, methods, findings),
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        same_place=answers.same_place,
-        separated_n=answers.separated_n,
-        factor=answers.factor,
-        outcomes=answers.outcomes,
+        same_place=separated.same_place,
+        separated_n=separated.separated_n,
+        factor=separated.factor,
+        outcomes=separated.outcomes,
         methods=methods,
         tolerances=tolerances or rig.tolerances or LABORATORY,
     )
 
 
-def _answers(recording: Recording, use: Use, tolerances: Tolerances | None) -> _Answers:
-    """Results without the nuisance signals over time, which take much memory."""
+def _separated_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> _SeparatedContacts:
+    """Separation, determination and acceptance of a recording's contacts."""
     contacts = checked_contacts(recording, use, tolerances, FORMS)
     separation = contacts.separation
-    return _Answers(
+    return _SeparatedContacts(
         motion=separation.motion,
         same_place=separation.same_place,
         separated_n=separation.forces.force_n,
@@ -159,4 +168,103 @@ def _answers(recording: Recording, use: Use, tolerances: Tolerances | None) -> _
         outcomes=contacts.outcomes,
         findings=contacts.findings,
         signals=signals_by_law(separation, contacts.outcomes),
+    )
+
+
+def contact_report(
+    rig: Rig, outcomes: Outcomes, methods: PaperMethods, findings: tuple[Finding, ...] = ()
+) -> results.ContactReport:
+    """Report of the outcomes and of the results of the paper's methods."""
+    motion = methods.motion
+    eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
+    return results.ContactReport(
+        rig=rig.name,
+        contacts=tuple(_contact(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        unanswered=results.unanswered(outcomes.refusals),
+        main_equation=methods.main_equation,
+        modes=_modes(rig, methods.spectra, outcomes.refusals),
+        nifo=tuple(_nifo_result(rig, n) for n in methods.spectra),
+        surface=results.Surfaces(
+            tuple(results.SurfaceResult(s.equation.name, _clearances(rig, s.stops)) for s in methods.surfaces),
+            _clearances(rig, methods.histogram),
+        ),
+        transformation=tuple(_transformation_result(t) for t in methods.transformations),
+        trusted_hz=motion.trusted_hz,
+        channels_used=(*rig.force_names, *motion.channels),
+        findings=findings,
+        noise_from=noise_source(motion, rig),
+        notes=methods.notes,
+    )
+
+
+def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> float | None:
+    """Share of the samples beyond the touched stops; None if it depends too much on the 95 % intervals of these."""
+    lower, upper = estimate.touched
+    (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
+
+    def share(errors_outwards: float) -> float:
+        below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
+        return float(np.mean(below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
+
+    return share(0.0) if share(-COVERED) - share(COVERED) < 2 * CLOSED_SHARE_DOUBT else None
+
+
+def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
+    lower, upper, stiffness, damping, clearance = (
+        results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
+        for gradient in (*np.eye(len(estimate.values)), estimate.clearance)
+    )
+    return results.ContactEstimate(
+        name=name,
+        clearance_m=clearance,
+        stiffness_n_per_m=stiffness,
+        damping_n_s_per_m=damping,
+        lower_clearance_m=lower if estimate.sides_known and estimate.touched[0] else None,
+        upper_clearance_m=upper if estimate.sides_known and estimate.touched[1] else None,
+        closed_share=closed_share(estimate, eta_m),
+        law=estimate.form.name,
+        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.shapes else None,
+        reference_depth_m=estimate.form.reference_depth_m if estimate.form.shapes else None,
+    )
+
+
+def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -> tuple[results.Mode, ...]:
+    """Elastic modes within the band of NIFO."""
+    nifo_in_band = [nifo for nifo in spectra if 0 < nifo.equation.frequency_hz < nifo.frequency_hz[-1]]
+    undetermined = [c for c in rig.contacts if c.name in refusals]
+
+    def mode_of(nifo: Nifo) -> results.Mode:
+        body = nifo.equation.body
+        acting = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
+        return results.Mode(body, nifo.equation.index, *fitted_mode(nifo), acting)
+
+    return tuple(mode_of(nifo) for nifo in nifo_in_band)
+
+
+def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
+    stiffness = tuple(
+        results.Stiffness(rig.contacts[j].name, results.Estimate(float(mean), float(error)), float(deviation))
+        for j, mean, error, deviation in zip(
+            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
+        )
+    )
+    hidden = tuple(
+        c.name for c, share in zip(rig.contacts, nifo.equation.visibility, strict=True) if share < NEARLY_INVISIBLE
+    )
+    band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
+    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, hidden)
+
+
+def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
+    return tuple(
+        results.Clearance(c.name, results.Estimate(s.clearance_m, s.clearance_error_m))
+        for c, s in zip(rig.contacts, stops, strict=True)
+        if s is not None
+    )
+
+
+def _transformation_result(transform: Transformation) -> results.TransformationResult:
+    modes, stations = transform.inverse.shape
+    return results.TransformationResult(
+        transform.body.name, stations, modes, transform.condition, tuple(float(x) for x in transform.lost)
     )

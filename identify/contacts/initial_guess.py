@@ -1,7 +1,7 @@
-"""First guesses of a contact's law, of the drift of its relative displacement, and of the motion at the record's start.
+"""Initial guesses of a contact's law, of the drift of its relative displacement, and of the modes' initial states.
 
-A single contact is taken from the samples at which it is clearly closed. The sum of several dead zones that share a
-relative displacement has a knee at each stop: a soft bumper, and a hard stop behind it.
+The law of one contact is regressed on the samples at which it is clearly closed. The force of several dead zones that
+share a relative displacement has a knee at each stop, as of a soft bumper with a hard stop behind it.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,50 +13,39 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from identify.contacts.contact_record import (
-    CLEAR_SHARE,
-    LAW,
-    Believed,
-    ContactRecord,
-    Law,
-    Touched,
-    clearly_closed,
-    touched_stops,
-)
-from identify.contacts.law_form import by_stiffness_and_damping
-from identify.contacts.linearization import held_n
+from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, Touched, clearly_closed, touched_stops
+from identify.contacts.law_form import LAW, Law, NominalLaws, by_stiffness_and_damping
+from identify.contacts.linearization import Guess, ground_force_n
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline, spline
 from identify.signals.refit import refit_until_settled
 
-Start = tuple[Law, Float[np.ndarray, " knots"]]
-"""A law, and the drift's knots."""
 Sides = tuple[bool, bool]
-"""Whether the lower stop is touched, and the upper one."""
+"""(lower, upper): True where that stop is touched."""
 STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
-"""Where a contact is clearly closed, its displacement is known to a share of its own standard deviation, and the
-drift's curvature so many times better than measured: in turn, so that at first no drift can follow the closures."""
-OUTSIDE = 3.0
-"""So many of those shares off, a force of either sign that rings weighs little in the next turn (Geman, McClure)."""
-BEYOND = 1.1
-"""A stop that is never touched is put so many times the largest relative displacement away."""
-KNEES = 12
-"""So many forces, evenly spread over their logarithm, are tried for each knee."""
-SMALL_SHARE = 0.01
-"""A soft stop counts as closed where the force exceeds this share of its 99.5 % quantile."""
-STARTS = 4
-"""So many laws are fitted to the end."""
-ROUNDS = 30
-LEAST = 1e-3
-"""Deviations below this share of the median one weigh no more."""
+"""Error of the displacement where the contact is clearly closed, as a share of its standard deviation, and weight of
+the drift's curvature, stage by stage: at first so stiff that no drift can follow the closures."""
+OUTLIER_SHARES = 3.0
+"""Scale of the weights of the next stage, in those errors: samples that ring are outliers (Geman and McClure)."""
+UNTOUCHED_RATIO = 1.1
+"""Clearance of a stop that is never touched over the largest relative displacement."""
+KNEE_FORCES = 12
+"""Forces that are tried for each knee, spaced evenly in their logarithm."""
+SOFT_STOP_SHARE = 0.01
+"""A soft stop is closed where the force exceeds this share of its 99.5 % quantile."""
+MOST_GUESSES = 4
+"""Guesses that are fitted by Gauss-Newton."""
+REWEIGHTING_ROUNDS = 30
+LEAST_DEVIATION_SHARE = 1e-3
+"""Deviations below this share of the median deviation weigh as much as that share."""
 
 
-def regressed(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Start:
-    """Regression where the contact is clearly closed, eta + b = +-clearance + force / k: linear in clearance, 1/k and
-    b; by the stops on these sides, or those that are touched.
+def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Guess:
+    """Law and drift b by the regression eta + b = +-clearance + force / k, linear in clearance, 1 / k and b, over the
+    samples at which a stop on these sides, or else on the touched ones, is clearly closed.
 
-    A spring s on the drift adds s b to the measured force. Then b is left to Gauss-Newton at first; if that finds no
-    law, as where a record begins in motion, (1 + s / k) b is solved for.
+    A spring s on the drift adds s b to the measured force. Then b = 0 is tried first; if that gives no law, as where a
+    record begins in motion, (1 + s / k) b is solved for.
 
     Raises ContactRefusedError as `touched_stops` does, and if no force grows with the relative displacement.
     """
@@ -64,10 +53,10 @@ def regressed(record: ContactRecord, curve: Spline, sides: Sides | None = None) 
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
         *knots, clearance, softness = closed_fit(record, curve, with_drift, sides=touched)
         if np.isfinite(clearance) and softness > 0:
-            far = BEYOND * float(np.max(np.abs(record.eta_m)))
-            lower, upper = (max(clearance, 0.0) if one else far for one in touched)
-            shared = 1 + record.spring_n_per_m * softness * with_drift
-            return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots) / shared
+            far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+            lower, upper = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched)
+            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
+            return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
@@ -79,113 +68,116 @@ def closed_fit(
     beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
     sides: Sides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
-    """The drift's knots, the clearance, one over the stiffness, and what less of it the forces beyond knees ask for."""
-    size = np.abs(record.force_n)
-    at_force = curve.value[:: record.factor][: size.size]
+    """Regression on closed samples: drift's knots, clearance, 1 / stiffness, and the decrease of it beyond each
+    knee."""
+    magnitude_n = np.abs(record.force_n)
+    drift_at_force = curve.value[:: record.factor][: magnitude_n.size]
     force = record.force_n
     closed = clearly_closed(record, clear_share) & np.where(force < 0, *sides)
     if not with_drift:
-        at_force = csr_matrix(at_force.shape)
-    eta = record.eta_m[:: record.factor][: size.size][closed]
+        drift_at_force = csr_matrix(drift_at_force.shape)
+    eta = record.eta_m[:: record.factor][: magnitude_n.size][closed]
     side = np.sign(force)
-    of_law = np.stack([side, force, *(-side * beyond for beyond in beyond_n)], axis=1)[closed]
-    columns = hstack([-at_force[closed], of_law]).tocsr()
-    bent = hstack([curve.curvature, csr_matrix((curve.target.size, of_law.shape[1]))])
+    law_columns = np.stack([side, force, *(-side * beyond for beyond in beyond_n)], axis=1)[closed]
+    columns = hstack([-drift_at_force[closed], law_columns]).tocsr()
+    curvature_rows = hstack([curve.curvature, csr_matrix((curve.target.size, law_columns.shape[1]))])
     weights = np.ones(eta.size)
-    for share, stiffer in STAGES:
-        fuzz_m = share * float(np.std(eta))
-        rows = vstack([diags(weights / fuzz_m) @ columns, stiffer * bent]).tocsc()
-        target = np.concatenate([weights * eta / fuzz_m, stiffer * curve.target])
-        ridge = diags(np.r_[np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max()), np.zeros(of_law.shape[1])])
-        found = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
-        weights = 1 / (1 + ((eta - columns @ found) / (OUTSIDE * fuzz_m)) ** 2)
-    return np.asarray(found)
+    for share, curvature_weight in STAGES:
+        scale_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
+        target = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
+        knot_ridge = np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max())
+        ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
+        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SHARES * scale_m)) ** 2)
+    return np.asarray(solution)
 
 
 def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
-    """Reach of the relative displacement to either side, m.
+    """Largest relative displacement to either side, m.
 
-    Raises ContactRefusedError as `regressed` does.
+    Raises ContactRefusedError as `regressed_guess` does.
     """
     curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    eta = record.eta_m + curve.value @ regressed(record, curve)[1]
+    eta = record.eta_m + curve.value @ regressed_guess(record, curve)[1]
     return np.array([-eta.min(), eta.max()])
 
 
-def starts(record: ContactRecord, curve: Spline, believed: Believed, touched: Touched) -> list[Start]:
-    """Laws, each with and without the drift that its regression finds.
+def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> list[Guess]:
+    """Initial guesses, each with and without the drift of its regression.
 
-    Of several contacts those that leave least of the clearances that are believed, and of those by which, for some
-    forces F_m at the knees, where the contact is closed
+    For several contacts, the guesses of least misfit among the nominal clearances and the regressions, for some forces
+    F_m at the knees, over the closed samples, on
 
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
     sides = np.any(touched, axis=0)
-    law, knots = regressed(record, curve, (bool(sides[0]), bool(sides[1])))
-    found = [(law, knots)]
-    if len(believed) > 1:
-        far = BEYOND * float(np.max(np.abs(record.eta_m)))
-        believed = np.column_stack([np.where(touched, believed[:, :2], far), believed[:, 2:]])
-        found = [(believed.ravel(), knots), *_by_knees(record, curve, believed, touched)]
-    found += [(law, np.zeros_like(knots)) for law, knots in found if curve.knots]
-    if len(believed) == 1:
-        return found
-    ranked = sorted((_by_least_squares(record, curve, *start) for start in found), key=lambda one: one[0])
-    return [start for left, start in ranked[:STARTS] if np.isfinite(left)]
+    law, knots = regressed_guess(record, curve, (bool(sides[0]), bool(sides[1])))
+    candidates = [(law, knots)]
+    if len(nominal) > 1:
+        far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_m), nominal[:, 2:]])
+        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, curve, nominal, touched)]
+    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if curve.knots]
+    if len(nominal) == 1:
+        return candidates
+    ranked = sorted((_refined_guess(record, curve, *guess) for guess in candidates), key=lambda refined: refined[0])
+    return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
-def _by_least_squares(
+def _refined_guess(
     record: ContactRecord, curve: Spline, law: Law, knots: Float[np.ndarray, " knots"]
-) -> tuple[float, Start]:
-    """Law with the stiffnesses and dampings that leave least of the force, and what they leave: infinite where one is
-    not told, or a stiffness is negative.
-    """
-    few, laws = slice(None, record.force_n.size * record.factor, record.factor), law.reshape(-1, len(LAW)).copy()
-    eta, rate = (record.eta_m + curve.value @ knots)[few], (record.velocity_m_per_s + curve.rate @ knots)[few]
-    columns = np.stack([row for one in laws for row in by_stiffness_and_damping(one, eta, rate)], axis=1)
-    force = record.force_n - held_n(record, curve) @ knots
-    found, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
-    laws[:, 2:] = found.reshape(-1, 2)
-    told = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
-    return float(np.sum((force - columns @ found) ** 2)) if told else np.inf, (laws.ravel(), knots)
+) -> tuple[float, Guess]:
+    """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
+    determined, or a stiffness is negative."""
+    at_force, laws = slice(None, record.force_n.size * record.factor, record.factor), law.reshape(-1, len(LAW)).copy()
+    eta = (record.eta_m + curve.value @ knots)[at_force]
+    rate = (record.velocity_m_per_s + curve.rate @ knots)[at_force]
+    columns = np.stack([row for single in laws for row in by_stiffness_and_damping(single, eta, rate)], axis=1)
+    force = record.force_n - ground_force_n(record, curve) @ knots
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
+    laws[:, 2:] = coefficients.reshape(-1, 2)
+    is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
+    return float(np.sum((force - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
 
 
-def _by_knees(record: ContactRecord, curve: Spline, believed: Believed, touched: Touched) -> Iterator[Start]:
-    size = np.abs(record.force_n)
-    sides, most = touched.sum(axis=0), float(np.quantile(size, 0.9995))
-    tried = np.geomspace(size[clearly_closed(record, SMALL_SHARE)].min(), most, KNEES + 2)[1:-1]
-    for forces in combinations(tried, int(sides.max()) - 1):
-        beyond = [
-            np.maximum(size - force, 0.0) * (np.where(record.force_n < 0, *sides) > m)
-            for m, force in enumerate(forces, 1)
+def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> Iterator[Guess]:
+    """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
+    magnitude_n = np.abs(record.force_n)
+    sides, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
+    least_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
+    knee_forces_n = np.geomspace(least_n, largest_n, KNEE_FORCES + 2)[1:-1]
+    for knees_n in combinations(knee_forces_n, int(sides.max()) - 1):
+        beyond_n = [
+            np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *sides) > m)
+            for m, knee_n in enumerate(knees_n, 1)
         ]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            found = closed_fit(record, curve, with_drift, SMALL_SHARE, beyond)
-            knots, (clearance, softness, *softer) = found[: curve.knots], found[curve.knots :].tolist()
+            solution = closed_fit(record, curve, with_drift, SOFT_STOP_SHARE, beyond_n)
+            knots, (clearance, softness, *softer) = solution[: curve.knots], solution[curve.knots :].tolist()
             sums = 1 / (softness - np.cumsum([0.0, *softer]))
             if not (np.isfinite(clearance) and np.all(sums > 0) and np.all(np.diff(sums) > 0)):
                 continue
-            clearances = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *forces]) / sums[:-1])])
+            clearances = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / sums[:-1])])
             stiffnesses = np.diff([0.0, *sums])
-            law = believed.copy()
+            law = nominal.copy()
             for side in range(2):
-                mine = np.flatnonzero(touched[:, side])
-                mine = mine[np.argsort(believed[mine, side], kind="stable")]
-                law[mine, side], law[mine, 2] = clearances[: mine.size], stiffnesses[: mine.size]
-            shared = 1 + record.spring_n_per_m * softness * with_drift
-            yield law.ravel(), knots / shared
+                contacts = np.flatnonzero(touched[:, side])
+                contacts = contacts[np.argsort(nominal[contacts, side], kind="stable")]
+                law[contacts, side], law[contacts, 2] = clearances[: contacts.size], stiffnesses[: contacts.size]
+            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
+            yield law.ravel(), knots / drift_ratio
 
 
-def first_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
-    """Beginning of a record in motion: what the modes' free motion from there adds to a contact's force may be
-    many times the force.
+def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
+    """Initial states of the modes of a record that begins in motion; zero for all other nuisance parameters.
 
-    A contact is open for much of the time. So theta of
+    Their free motion may add many times a contact's force. As a contact is open for much of the time, theta of
 
         force(t) = theta' nuisance_n(t) + contact force(t)
 
-    is found by least absolute deviations, with the prior of one on each theta, by iteratively reweighted least squares;
-    zero of all nuisance parameters that are not initial.
+    is estimated by least absolute deviations, with a prior of one on each theta, by iteratively reweighted least
+    squares.
     """
     pulls = np.zeros(len(record.nuisance_n))
     if not np.any(record.initial):
@@ -193,16 +185,16 @@ def first_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     columns = record.nuisance_n[record.initial].astype(float)
 
     def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
-        size = np.abs(record.force_n - theta @ columns)
-        middle = max(float(np.median(size)), 1e-300)
-        weighed = columns / np.maximum(size, LEAST * middle)
-        prior = np.eye(len(columns)) / middle
-        return np.linalg.solve(weighed @ columns.T + prior, weighed @ record.force_n)
+        deviation_n = np.abs(record.force_n - theta @ columns)
+        median_n = max(float(np.median(deviation_n)), 1e-300)
+        weighted = columns / np.maximum(deviation_n, LEAST_DEVIATION_SHARE * median_n)
+        prior = np.eye(len(columns)) / median_n
+        return np.linalg.solve(weighted @ columns.T + prior, weighted @ record.force_n)
 
-    pulls[record.initial] = refit_until_settled(pulls[record.initial], reweighted, rounds=ROUNDS)
+    pulls[record.initial] = refit_until_settled(pulls[record.initial], reweighted, rounds=REWEIGHTING_ROUNDS)
     return pulls
 
 
-def contact_alone(record: ContactRecord, pulls: Float[np.ndarray, " nuisances"]) -> ContactRecord:
-    """Contact without what a first guess adds to its force."""
+def without_nuisances(record: ContactRecord, pulls: Float[np.ndarray, " nuisances"]) -> ContactRecord:
+    """Record with the nuisance signals of these pulls subtracted from its force."""
     return replace(record, force_n=record.force_n - pulls @ record.nuisance_n) if pulls.any() else record

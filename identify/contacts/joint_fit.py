@@ -1,5 +1,5 @@
-"""Clearances, stiffness and damping of one contact, or of several that share a relative displacement, its slow drift,
-and the tolerances of rig.json, together: Gauss-Newton, with weights that the scatter left asks for."""
+"""Joint fit of clearances, stiffness and damping of one contact, or of several that share a relative displacement, with
+the drift of that displacement and the nuisance parameters of rig.json; estimates with their covariance."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,49 +9,38 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
-from identify.contacts.contact_record import (
-    LAW,
-    LEAST_CLOSED,
-    STIFFNESS,
-    Believed,
-    ContactRecord,
-    Law,
-    Touched,
-    clearly_closed,
-)
-from identify.contacts.initial_guess import contact_alone, first_pulls, starts
-from identify.contacts.law_choice import asked_form, misfit_covariance
-from identify.contacts.law_fit import fitted, tie_of
-from identify.contacts.law_form import DEAD_ZONE, FormName, LawForm, Signal
-from identify.contacts.linearization import State, drift_of
+from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, Touched, clearly_closed
+from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
+from identify.contacts.law_fit import chosen_form, dead_zone_fit, misfit_covariance, tie_of
+from identify.contacts.law_form import DEAD_ZONE, LAW, STIFFNESS, FormName, Law, LawForm, NominalLaws, Signal
+from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
 from identify.signals.drift import Spline, spline
-from identify.signals.scores import PARTS, part_scores, quietest, telling_parts
+from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
 
-MOST_PULL = 25.0
-"""A drift whose curvature is on average more than the root of this away from what was measured is no drift."""
-LOST = 3.0
-"""If between two closures the noise, integrated twice, wanders by more than this multiple of the median penetration,
-the fit cannot tell which closure belongs where."""
-MOST_NOISE = 1.5
-"""The noise of a separated force is no larger multiple of what the sensors' noise makes of it."""
-PAUSES = 0.05
-"""So large a share of the times between closures, the longest ones, may be longer: a pause parts the record in two."""
+DRIFT_PULL_LIMIT = 25.0
+"""Largest mean square of the drift's curvature less the measured one, in standard deviations."""
+WANDER_LIMIT = 3.0
+"""Noise, integrated twice between two closures, over the median penetration: beyond it the closures cannot be
+placed."""
+NOISE_LIMIT = 1.5
+"""Largest noise of a separated force over that of the sensors in it."""
+PAUSE_SHARE = 0.05
+"""Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
 
 
 @dataclass(frozen=True)
 class JointEstimate:
-    """The estimate: values of the parameters of `LAW`, with covariance.
+    """Estimate of one contact: values of the parameters of `LAW` with their covariance.
 
-    of_tolerances, of_drift and of_misfit are the parts of the covariance that come from what rig.json may have wrong,
-    from the slow motion that accelerometers miss, and from what the form of the law does not have; the rest is the
-    record's own scatter. sides_known says whether lower and upper are told apart, touched which of them the record
-    tells. drift_m and drift_m_per_s are what was added to the relative displacement and velocity. pulls are the
-    nuisance parameters in their standard deviations. unexplained is the share of the contact force's root mean square
-    that the fit leaves beyond the sensors' noise, halves by how many standard errors the clearance and the stiffness
-    of the record's halves differ. form is that of the law; of a power law the stiffness is the force over the depth at
-    its reference depth.
+    of_tolerances, of_drift and of_misfit are the parts of the covariance from the tolerances of rig.json, from the slow
+    motion that accelerometers miss, and from the misfit of the law's form; the rest is the record's own scatter.
+    sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
+    drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
+    deviations. unexplained is the share of the contact force's root mean square that the fit leaves beyond the sensors'
+    noise; halves are the differences of clearance and stiffness between the record's halves in standard errors. The
+    stiffness of a power law is the force over the depth at the reference depth of its form.
     """
 
     values: Law
@@ -72,20 +61,20 @@ class JointEstimate:
 
     @property
     def law(self) -> Law:
-        """The numbers that the form takes: the exponent of a power law behind the others."""
+        """Parameters as the form takes them: values, then the exponent of a power law."""
         return np.concatenate([self.values, np.full(self.form.shapes, self.exponent)])
 
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         return self.form.force_n(self.law, eta_m, rate_m_per_s)
 
     def spring_m(self, eta_m: Signal) -> Signal:
-        """Factor of the stiffness: the depth (m), or what a power law makes of it."""
+        """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
         unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law[len(LAW) :]])
         return self.form.force_n(unit, eta_m, np.zeros_like(eta_m))
 
     @property
     def clearance(self) -> Law:
-        """Clearance as a linear function of the parameters: half the total play, or that of the one stop touched."""
+        """Clearance as a linear function of the parameters: half the total play, or that of the only touched stop."""
         return _clearance(self.touched)
 
     @property
@@ -102,20 +91,20 @@ class JointEstimate:
 
     @property
     def errors(self) -> Law:
-        """The standard error of every parameter."""
+        """Standard error of every parameter."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def error(self, of: Law) -> float:
-        """The standard error of a linear function of the parameters, such as `STIFFNESS`."""
-        return float(np.sqrt(of @ self.covariance @ of))
+    def error(self, gradient: Law) -> float:
+        """Standard error of a linear function of the parameters, such as `STIFFNESS`."""
+        return float(np.sqrt(gradient @ self.covariance @ gradient))
 
-    def own_error(self, of: Law) -> float:
-        """The part of it that another record does not repeat."""
-        return float(np.sqrt(of @ (self.covariance - self.of_tolerances - self.of_misfit) @ of))
+    def own_error(self, gradient: Law) -> float:
+        """Standard error of a linear function by the record's own scatter and drift, which differ in other records."""
+        return float(np.sqrt(gradient @ (self.covariance - self.of_tolerances - self.of_misfit) @ gradient))
 
     @property
     def reversed(self) -> "JointEstimate":
-        """Estimate of the contact counted in the other direction."""
+        """Estimate with the relative displacement counted in the other direction."""
         swapped = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower, upper = self.touched
         return replace(
@@ -137,9 +126,9 @@ def _clearance(touched: tuple[bool, bool]) -> Law:
 
 
 def fit_joint(
-    record: ContactRecord, believed: Believed, touched: Touched, forms: Sequence[FormName] = ()
+    record: ContactRecord, nominal: NominalLaws, touched: Touched, forms: Sequence[FormName] = ()
 ) -> tuple[JointEstimate, ...]:
-    """Estimates of all nominal contacts by one fit.
+    """Joint estimates of all contacts of a record by one fit.
 
     Gauss-Newton on the low-passed residual, with a cubic spline b(t) for the drift, a spring to the ground, and
     nuisance parameters theta with a prior of one:
@@ -149,122 +138,126 @@ def fit_joint(
                     gap, over the contacts]) / g
                    - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
 
-    b'' is held to what the accelerometers saw of it, within their noise. Where nothing holds the zero of the relative
-    displacement, lower = upper = half the total play. g and h keep gains from being fitted to the noise, which
-    shrinks as the signals do. It begins at a linear regression of eta on the force over the samples at which the
-    contact is clearly closed (`starts`). Of a contact by itself the form of its law is then chosen among the dead zone
-    and `forms`.
+    The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
+    relative displacement is unknown, lower = upper = half the total play. g and h keep gains from being fitted to the
+    noise, which shrinks with the signals. The fit starts from `guesses`. For a single contact the form of the law is
+    then chosen among the dead zone and `forms`.
 
-    The covariance is a sandwich estimate over sixteenths of the record (residuals may be coloured), plus what an error
-    of one in each row of the priors does; it holds whatever the residuals were weighed by. Where forms are tried, what
-    the chosen one leaves is added (`misfit_covariance`).
+    The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
+    of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
+    added.
 
-    Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several cannot be
-    told apart.
+    Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
+    cannot be told apart.
     """
     curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    tie, first = tie_of(touched, record.sides_known), first_pulls(record)
-    begun = starts(contact_alone(record, first), curve, believed, touched)
-    fit = fitted(record, curve, tie, begun, first)
-    if _curvature_pull(curve, fit.state) > MOST_PULL:
+    tie, start_pulls = tie_of(touched, record.sides_known), initial_pulls(record)
+    candidates = guesses(without_nuisances(record, start_pulls), curve, nominal, touched)
+    fit = dead_zone_fit(record, curve, tie, candidates, start_pulls)
+    if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
     _check_bridged(record, fit.state)
-    alone = len(touched) == 1
-    fit = asked_form(fit, forms if alone else ())
+    is_single = len(touched) == 1
+    fit = chosen_form(fit, forms if is_single else ())
     state = fit.state
     derivatives, equations, to_law = fit.linearized
     pulls, free = state.pulls.size, to_law.shape[1]
-    by_knots, by_others = equations.solved(np.zeros((curve.knots, free)), np.eye(pulls + free, free, -pulls))
-    in_law = np.concatenate([by_others[:pulls], to_law @ by_others[pulls:]])
+    by_knots, by_dense = equations.solved(np.zeros((curve.knots, free)), np.eye(pulls + free, free, -pulls))
+    in_law = np.concatenate([by_dense[:pulls], to_law @ by_dense[pulls:]])
     influence = derivatives.times(by_knots, in_law) * fit.weights[:, None] ** 2  # of residuals on parameters
-    left = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
-    few = np.sqrt(PARTS / left) * t.ppf(0.975, left) / norm.ppf(0.975)
-    begins = telling_parts(influence @ to_law[LAW.names.index("stiffness_n_per_m")])
-    by_parts = part_scores(influence, state.residual, begins)
+    degrees_of_freedom = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
+    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
+    part_starts = informative_parts(influence @ to_law[LAW.names.index("stiffness_n_per_m")])
+    by_parts = part_scores(influence, state.residual, part_starts)
     of_rows = (
-        few * by_parts,
-        record.sample_ratio * by_others[:pulls],
+        small_sample_factor * by_parts,
+        record.sample_ratio * by_dense[:pulls],
         curve.curvature @ by_knots,
     )
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
-    of_misfit = misfit_covariance(fit, derivatives, begins) if forms and alone else np.zeros_like(of_scatter)
+    of_misfit = misfit_covariance(fit, derivatives, part_starts) if forms and is_single else np.zeros_like(of_scatter)
     covariance = of_scatter + of_tolerances + of_drift + of_misfit
-    drift_m, drift_m_per_s = drift_of(record, curve, state.knots, state.pulls)
-    if not alone:
+    drift_m, drift_m_per_s = drift_signals(record, curve, state.knots, state.pulls)
+    if not is_single:
         _check_separable(state.law, covariance, touched, record.eta_m + drift_m)
 
-    def joint(first: int, lower: bool, upper: bool) -> JointEstimate:
-        own = slice(first, first + len(LAW))
+    def estimate_at(first: int, lower: bool, upper: bool) -> JointEstimate:
+        block = slice(first, first + len(LAW))
         return JointEstimate(
-            values=state.law[own],
-            covariance=covariance[own, own],
-            of_tolerances=of_tolerances[own, own],
-            of_drift=of_drift[own, own],
-            of_misfit=of_misfit[own, own],
+            values=state.law[block],
+            covariance=covariance[block, block],
+            of_tolerances=of_tolerances[block, block],
+            of_drift=of_drift[block, block],
+            of_misfit=of_misfit[block, block],
             sides_known=record.sides_known,
             touched=(lower, upper),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained=_unexplained(record, state),
-            halves=_halves(by_parts @ to_law[own].T, (_clearance((lower, upper)), STIFFNESS)),
+            halves=_halves(by_parts @ to_law[block].T, (_clearance((lower, upper)), STIFFNESS)),
             form=state.form,
             exponent=state.form.exponent(state.law),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.shapes else 0.0,
         )
 
-    return tuple(joint(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
+    return tuple(estimate_at(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
 
 
 def _unexplained(record: ContactRecord, state: State) -> float:
-    """Beyond the sensors' noise, as a share of the force: that of the quietest parts, as far as sensors may make it,
-    and three standard deviations of its variance in a part of n samples, sqrt(2 / n) of it."""
-    noise_n = min(float(quietest(state.residual)), MOST_NOISE * record.noise_n)
+    """Root mean square of the residual beyond the sensors' noise, as a share of the force's.
+
+    The noise is that of the quietest parts, at most `NOISE_LIMIT` times the sensors', and three standard deviations of
+    its variance in a part of n samples, sqrt(2 / n) of it.
+    """
+    noise_n = min(float(quiet_deviation(state.residual)), NOISE_LIMIT * record.noise_n)
     noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual.size))
-    left, force = (max(float(np.var(n)) - noise, 0.0) for n in (state.residual, record.force_n))
-    return float(np.sqrt(left / force)) if force > 0 else 0.0
+    residual_square, force_square = (
+        max(float(np.var(signal_n)) - noise, 0.0) for signal_n in (state.residual, record.force_n)
+    )
+    return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
 
 
-def _halves(by_parts: Float[np.ndarray, "parts 4"], of: tuple[Law, Law]) -> tuple[float, float]:
-    """Influence of the first half's parts on the estimates less that of the second's, over their scatter."""
-    told = by_parts @ np.stack(of, axis=1)
-    scatter = np.maximum(np.sqrt(np.sum(told**2, axis=0)), 1e-300)
-    first, second = told[: len(told) // 2].sum(axis=0), told[len(told) // 2 :].sum(axis=0)
+def _halves(by_parts: Float[np.ndarray, "parts 4"], gradients: tuple[Law, Law]) -> tuple[float, float]:
+    """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
+    influence = by_parts @ np.stack(gradients, axis=1)
+    scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
+    first, second = influence[: len(influence) // 2].sum(axis=0), influence[len(influence) // 2 :].sum(axis=0)
     clearance, stiffness = (first - second) / scatter
     return float(clearance), float(stiffness)
 
 
 def _curvature_pull(curve: Spline, state: State) -> float:
-    """Mean square of the drift's curvature less what was measured of it, in its standard deviations; about 1 to 2."""
+    """Mean square of the drift's curvature less the measured one, in standard deviations; usually 1 to 2."""
     return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
 
 
 def _check_bridged(record: ContactRecord, state: State) -> None:
-    """Raises ContactRefusedError if between closures the integrated noise wanders too far for them to be put in their
-    places."""
+    """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
+    penetrations."""
     if record.drift is None or record.drift.spring_n_per_m > 0:
         return
     closed = clearly_closed(record)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * record.factor / record.sample_rate_hz
-    between_s = np.sort(between_s)[: round((1 - PAUSES) * between_s.size)]
+    between_s = np.sort(between_s)[: round((1 - PAUSE_SHARE) * between_s.size)]
     wander_m = record.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
     depth_m = float(np.median(np.abs(record.force_n[closed]))) / state.stiffness_n_per_m
-    if wander_m > LOST * depth_m:
+    if wander_m > WANDER_LIMIT * depth_m:
         raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
 
 
 def _check_separable(
     law: Law, covariance: Float[np.ndarray, "laws laws"], touched: Touched, eta_m: Float[np.ndarray, " samples"]
 ) -> None:
-    """Raises ContactRefusedError if a stop is hardly ever reached, or two knees are no further apart than their 95 %
+    """Raises ContactRefusedError if a stop is hardly ever reached, or two knees differ by less than their 95 %
     interval."""
     laws = law.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
-        mine = np.flatnonzero(touched[:, side])
-        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED for i in mine):
+        touching = np.flatnonzero(touched[:, side])
+        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching):
             raise refused(RefusalCode.NOT_SEPARABLE)
-        for i, j in combinations(mine, 2):
-            apart = np.zeros_like(law)
-            apart[[len(LAW) * i + side, len(LAW) * j + side]] = 1, -1
-            if abs(apart @ law) < COVERED * np.sqrt(apart @ covariance @ apart):
+        for i, j in combinations(touching, 2):
+            difference = np.zeros_like(law)
+            difference[[len(LAW) * i + side, len(LAW) * j + side]] = 1, -1
+            if abs(difference @ law) < COVERED * np.sqrt(difference @ covariance @ difference):
                 raise refused(RefusalCode.NOT_SEPARABLE)

@@ -1,11 +1,11 @@
-"""Forms of a contact's law that a record may ask for: the dead zone, a power of the depth, a stop that cannot pull.
+"""Parameters and forms of a contact's law: the dead zone, a power of the depth, a stop that cannot pull.
 
-Of each the numbers of `LAW` are fitted; of a power law the exponent stands behind them. With the penetration `depth`
-beyond a stop and its reference depth d,
+All forms have the parameters of `LAW`; a power law has its exponent behind them. With the penetration `depth` beyond a
+stop and its reference depth d,
 
     f = k depth |depth / d|^(p - 1) + c rate min(1, |depth| / 10 um)
 
-where p is 1 but of a power law; a stop that cannot pull gives f only where f depth > 0.
+where p = 1 except for a power law; a stop that cannot pull has f = 0 where f depth < 0.
 """
 
 from dataclasses import dataclass
@@ -14,50 +14,71 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from identify.contacts.contact_record import LAW, Law
 from rig.model.contact_laws import DeadZone
+from rig.model.parameters import Parameter, ParameterSet
+
+LAW = ParameterSet(
+    (
+        Parameter("m", 0.0, np.inf, name="lower_clearance_m"),
+        Parameter("m", 0.0, np.inf, name="upper_clearance_m"),
+        Parameter("N/m", 0.0, np.inf, name="stiffness_n_per_m"),
+        Parameter("N s/m", -np.inf, np.inf, name="damping_n_s_per_m"),
+    )
+)
+"""Estimated parameters of a `DeadZone`; its damping may have either sign."""
+STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
+"""Stiffness as a linear function of the parameters."""
+DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
+OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
+"""Distance of the middle of the play from zero, m."""
+
+Law = Float[np.ndarray, " laws"]
+"""Values of the parameters of `LAW`, contact by contact."""
+NominalLaws = Float[np.ndarray, "contacts 4"]
+"""Values of the parameters of `LAW` in rig.json."""
 
 FormName = Literal["dead zone", "power law", "cannot pull"]
 EXPONENTS = (1.0, 3.0)
-"""Between these `DeadZone` knows a power law."""
+"""Range of the exponent of a `DeadZone`."""
 
 Signal = Float[np.ndarray, "*samples"]
 
 
 @dataclass(frozen=True)
 class LawForm:
-    """A form. At the reference depth a power law has the force of a linear stop of the same stiffness."""
+    """Form of a law. At the reference depth a power law has the force of a linear stop of the same stiffness."""
 
     name: FormName = "dead zone"
     reference_depth_m: float = 1e-4
 
     @property
     def shapes(self) -> int:
-        """Count of the law's numbers behind those of the contacts."""
+        """Number of further parameters behind those of `LAW`: 1 for a power law, else 0."""
         return int(self.name == "power law")
 
     def contacts(self, law: Law) -> Float[np.ndarray, "contacts 4"]:
-        """The numbers of each contact."""
+        """Parameters of `LAW` by contact."""
         return law[: law.size - self.shapes].reshape(-1, len(LAW))
 
     def exponent(self, law: Law) -> float:
         return float(law[-1]) if self.shapes else 1.0
 
     def is_possible(self, law: Law) -> bool:
-        """True if every number lies in its range and each stop has a stiffness."""
-        contacts, (least, most) = self.contacts(law), EXPONENTS
+        """True if every parameter lies in its range and each stiffness is positive."""
+        contacts, (lowest, highest) = self.contacts(law), EXPONENTS
         inside = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
-        return bool(inside and least <= self.exponent(law) <= most)
+        return bool(inside and lowest <= self.exponent(law) <= highest)
 
     def force_n(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        """The sum over the contacts: stiffness and damping, of any sign, times what a `DeadZone` makes of one each."""
+        """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
+        each."""
         force = np.zeros_like(eta_m)
         for contribution in self._contributions(law, eta_m, rate_m_per_s):
             force += contribution.force_n
         return force
 
     def slopes(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
-        """Stiffness and damping of the contacts that are closed."""
+        """Derivatives of the force by displacement (N/m) and by velocity (N s/m)."""
         by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
         for contribution in self._contributions(law, eta_m, rate_m_per_s):
             by_stiffness += contribution.slope_n_per_m
@@ -65,7 +86,7 @@ class LawForm:
         return by_stiffness, by_damping
 
     def derivatives(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
-        """Derivatives of the force by every number of the law."""
+        """Derivatives of the force by every parameter of the law."""
         rows, by_exponent = [], np.zeros_like(eta_m)
         for contribution in self._contributions(law, eta_m, rate_m_per_s):
             lower = contribution.slope_n_per_m * (contribution.depth_m < 0)
@@ -107,7 +128,7 @@ class LawForm:
 
 @dataclass(frozen=True)
 class _Contribution:
-    """One contact: its depth, the forces of a unit of stiffness and of damping, and the slope of its force."""
+    """Force of one contact: depth, forces of unit stiffness and of unit damping, derivative by the displacement."""
 
     depth_m: Signal
     spring_m: Signal
@@ -119,14 +140,14 @@ class _Contribution:
 
     @property
     def force_n(self) -> Signal:
-        whole = self.stiffness_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper
-        return np.asarray(whole * self.closed)
+        force = self.stiffness_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper
+        return np.asarray(force * self.closed)
 
 
 DEAD_ZONE = LawForm()
 
 
 def by_stiffness_and_damping(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
-    """Forces of a unit of stiffness and of a unit of damping of a dead zone, by a contact's motion."""
+    """Forces of a dead zone of unit stiffness and of one of unit damping, for a contact's motion."""
     (contribution,) = DEAD_ZONE._contributions(law, eta_m, rate_m_per_s)
     return contribution.spring_m, contribution.damper

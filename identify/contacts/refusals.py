@@ -1,4 +1,4 @@
-"""Why a record does not determine a contact: codes, and the one place where they become sentences."""
+"""Refusals: codes for why a record does not determine a contact, their evidence and remedies, and their sentences."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,7 +7,7 @@ from enum import StrEnum
 from rig.errors import RigError
 
 Evidence = Mapping[str, float | int | str]
-"""Numbers and words by the names that the sentence of a code has in braces."""
+"""Numbers and words by their names in the sentence of a code."""
 
 
 class RemedyCode(StrEnum):
@@ -34,7 +34,7 @@ class RemedyCode(StrEnum):
 
 
 class RefusalCode(StrEnum):
-    """Why a contact, or all contacts of a record, cannot be determined."""
+    """Causes for which a contact, or all contacts of a record, cannot be determined."""
 
     NO_CONTACTS = "no_contacts"
     NOT_MODELLED = "not_modelled"
@@ -158,15 +158,15 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         RemedyCode.SEPARATE_STOPS,
     ),
 }
-"""By code the cause, with its evidence in braces, and the usual remedy."""
+"""Cause, with its evidence in braces, and usual remedy by code."""
 PERHAPS_UNRECORDED = "the exciting force is zero throughout: unless this is a free decay, record it"
 
 
 @dataclass(frozen=True)
 class Refusal:
-    """A contact, or all of a record, that cannot be determined.
+    """Refusal to determine a contact, or all contacts of a record.
 
-    unforced says that the record's force is zero throughout, which may be the reason.
+    unforced: the record's force is zero throughout, which may be the cause.
     """
 
     code: RefusalCode
@@ -181,7 +181,7 @@ class Refusal:
 
     @property
     def cause(self) -> str:
-        """Why, as a part of a sentence."""
+        """Cause as a part of a sentence."""
         return CAUSES[self.code][0].format_map(self.evidence)
 
     @property
@@ -191,16 +191,17 @@ class Refusal:
 
 
 class ContactRefusedError(RigError):
-    """A record that does not determine what was asked of it; `refusal` says why."""
+    """Error of a record that does not determine its contacts; `refusal` says why."""
 
     def __init__(self, refusal: Refusal, note: str = "") -> None:
         super().__init__(f"{refusal.sentence} {note}".rstrip())
         self.refusal = refusal
 
     def noting(self, note: str) -> "ContactRefusedError":
+        """Error with a note behind its sentence."""
         return ContactRefusedError(self.refusal, note)
 
 
 def refused(code: RefusalCode, remedy: RemedyCode | None = None, **evidence: float | int | str) -> ContactRefusedError:
-    """The error to raise; with the usual remedy of the code if none is given."""
+    """Error to raise for a code, with its usual remedy if none is given."""
     return ContactRefusedError(Refusal(code, evidence, remedy or CAUSES[code][1]))

@@ -1,4 +1,5 @@
-"""An identification on disk: contact.json, the identified rig.json, the figures, and contact.html, a page."""
+"""Results of an identification on disk: contact.json, the identified rig.json, the figures, and contact.html with its
+assumptions and recommendations."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -6,19 +7,35 @@ from html import escape
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
-from identify.contacts.advice import assumed, recommendations
 from identify.contacts.identification import Identification
-from identify.contacts.identified_rig import identified_rig
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import STIFFNESS
 from identify.contacts.paper_methods import attempted
-from identify.contacts.results import ContactEstimate, ContactReport, Estimate
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
+from identify.contacts.separation import is_unforced
 from identify.pages import page
-from identify.pages.picture import Picture
-from identify.pages.wording import interval, number
+from identify.pages.style import Picture
+from identify.pages.wording import interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import to_json
+from rig.model.description import Station, to_json
+from rig.model.tolerances import EXACT
 
+SHORTEST_QUIET_S = 0.3
+"""Time before the force that is needed to measure the noise."""
+DOMINANT_SHARE = 0.5
+"""Share of an estimate's variance from which its source is named."""
+_VARIANCE_REMEDIES = {
+    "tolerances": "what rig.json may have wrong (gains, positions, frequencies, damping): calibrate the sensors, "
+    "measure their positions and fit the modes; a longer record would not help",
+    "drift": "the slow motion that accelerometers miss: add displacement sensors at the contact, or take quieter "
+    "accelerometers",
+    "law": "what the contact's law leaves: forces that press in and let go, or deep and shallow ones, ask for other "
+    "numbers; look at the force over the relative displacement, and take identify law",
+    "scatter": "the record's own scatter: record longer (four times as long halves it) or excite more strongly",
+}
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
     "found.",
@@ -34,30 +51,139 @@ _CAPTIONS = {
 Laws = Mapping[str, ContactLaw]
 
 
-def write_results(
-    found: Identification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path] = ()
-) -> None:
-    """Writes contact.html, the figures, the identified rig.json and, last of all, contact.json.
+def assumptions(result: Identification) -> Iterator[str]:
+    """Sentences on the law's form, the bodies, the tolerances of rig.json, and the sensors and bands used."""
+    report, motion, rig, tolerances = result.report, result.motion, result.rig, result.tolerances
+    yield (
+        "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
+        "velocity. Beside it, of a contact that is alone between its places, a power of the penetration and a stop "
+        "that cannot pull were tried: the record has to ask for them. Both stops of a contact are equally stiff, and "
+        "nothing wears during the record."
+    )
+    yield (
+        "The bodies are those of rig.json, linear: "
+        + "; ".join(
+            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}" for b in rig.bodies
+        )
+        + "."
+    )
+    if tolerances != EXACT:
+        yield (
+            "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
+            f"{100 * tolerances.gain:.2g} %, their positions {1e3 * tolerances.position_m:.2g} mm, delays "
+            f"{1e3 * tolerances.delay_s:.2g} ms and high-pass {tolerances.high_pass_hz:.2g} Hz, each force's gain "
+            f"{100 * tolerances.force_gain:.2g} %, masses {100 * tolerances.mass:.2g} %, natural frequencies "
+            f"{100 * tolerances.frequency:.2g} %, damping {100 * tolerances.damping:.2g} %."
+        )
+    else:
+        yield "rig.json is believed exactly: no tolerances."
+    places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
+    yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
+    if idle := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+        yield f"Channels not used: {', '.join(idle)}."
+    low, high = report.trusted_hz
+    yield (
+        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
+        f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
+        + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
+    )
+    for place in result.same_place:
+        if len(place.members) > 1:
+            yield (
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
+                "has the knee that comes nearest to its clearance and stiffness in rig.json."
+            )
+    if is_unforced(motion):
+        yield (
+            "No force was recorded: none acts during the record but those of the contacts, whose size rests on the "
+            "masses of rig.json."
+        )
+    yield f"The accelerations' noise is taken from {report.noise_from}."
+    if result.outcomes.refusals or not _sides_known(result):
+        yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
 
-    `laws` has for every contact what stands beside the identified values, and `laws_name` says what they are: the true
-    ones where they are known, else those of rig.json.
+
+def recommendations(result: Identification) -> Iterator[str]:
+    """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
+    for name, refusal in result.outcomes.refusals.items():
+        yield f"{name}: {refusal.advice}."
+    dominated: dict[str, list[str]] = {}
+    for name, estimate in result.outcomes.estimates.items():
+        for quantity, shares in variance_shares(estimate).items():
+            for source, share in shares.items():
+                if share >= DOMINANT_SHARE:
+                    dominated.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in dominated.items():
+        yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
+    if not _sides_known(result):
+        yield (
+            "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
+            "sides of a contact, would tell its two sides apart."
+        )
+    if not is_unforced(result.motion) and result.motion.excited_from < SHORTEST_QUIET_S * result.motion.sample_rate_hz:
+        yield (
+            f"The sensors' noise is taken from {result.report.noise_from}: let the record begin with a second or more "
+            "without force to measure it."
+        )
+    yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
+
+
+def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
+    """Shares of the variance of clearance and stiffness by source, which sum to one."""
+    covariances = {"tolerances": estimate.of_tolerances, "drift": estimate.of_drift, "law": estimate.of_misfit}
+    shares_by_quantity = {}
+    for quantity, gradient in (("clearance", estimate.clearance), ("stiffness", STIFFNESS)):
+        variance = float(gradient @ estimate.covariance @ gradient)
+        shares = (
+            {source: float(gradient @ covariance @ gradient) / variance for source, covariance in covariances.items()}
+            if variance > 0
+            else {}
+        )
+        shares_by_quantity[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
+    return shares_by_quantity
+
+
+def _sides_known(result: Identification) -> bool:
+    """True if all estimates tell the two sides of their contacts apart."""
+    return all(estimate.sides_known for estimate in result.outcomes.estimates.values())
+
+
+def _places(body: str, stations: tuple[Station, ...]) -> str:
+    return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
+
+
+def _frequencies(hz: np.ndarray) -> str:
+    return ", ".join(f"{f:.4g}" for f in hz if f > 0) + " Hz"
+
+
+def _enumeration(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def write_results(
+    result: Identification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path] = ()
+) -> None:
+    """Write contact.html, the figures, the identified rig.json and, last of all, contact.json.
+
+    `laws` are the reference values of every contact, and `laws_name` names them: the true ones where they are known,
+    else those of rig.json.
     """
-    from identify.contacts.figures import drawn
+    from identify.contacts.figures import contact_figures
 
     make_folder(out)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     notes: list[str] = []
-    figures = drawn(found, marks, laws_name, notes)
-    found = replace(found, report=msgspec.structs.replace(found.report, notes=(*found.report.notes, *notes)))
+    figures = contact_figures(result, marks, laws_name, notes)
+    result = replace(result, report=msgspec.structs.replace(result.report, notes=(*result.report.notes, *notes)))
     for name, picture in figures.items():
         picture.save(out / f"{name}.png")
-    write_page(found, figures, title, laws, laws_name, out / "contact.html", sources)
-    write_bytes(to_json(identified_rig(found.rig, found.report)), out / "rig.json")
-    write_json(found.report, out / "contact.json")
+    write_page(result, figures, title, laws, laws_name, out / "contact.html", sources)
+    write_bytes(to_json(identified_rig(result.rig, result.report)), out / "rig.json")
+    write_json(result.report, out / "contact.json")
 
 
 def write_page(
-    found: Identification,
+    result: Identification,
     figures: Mapping[str, Picture],
     title: str,
     laws: Laws,
@@ -65,96 +191,96 @@ def write_page(
     path: Path,
     sources: Sequence[Path] = (),
 ) -> None:
-    """Writes the page; figures by the names of `identify.contacts.figures`."""
-    report = found.report
-    told, count = len(report.contacts), len(found.rig.contacts)
+    """Write contact.html, with figures by the names of `identify.contacts.figures`."""
+    report = result.report
+    identified, count = len(report.contacts), len(result.rig.contacts)
     page.write(
         path,
         title=title,
-        colour="red" if report.findings or not told else "green" if told == count else "yellow",
+        colour="red" if report.findings or not identified else "green" if identified == count else "yellow",
         verdict="not to be relied on"
         if report.findings
         else "identified"
-        if told == count
-        else f"{told} of {count} contacts identified",
-        sentence=_sentence(found),
+        if identified == count
+        else f"{identified} of {count} contacts identified",
+        sentence=_sentence(result),
         sections=[
             *(
                 [("What speaks against it", page.listed(f.sentence for f in report.findings))]
                 if report.findings
                 else []
             ),
-            ("What was found", _values(found, laws, laws_name)),
-            *([("What was refused", _refused(found))] if report.unanswered else []),
-            ("What would make it surer", page.listed(recommendations(found))),
-            ("What was assumed", page.listed(assumed(found))),
+            ("What was found", _values(result, laws, laws_name)),
+            *([("What was refused", _refusals(result))] if report.unanswered else []),
+            ("What would make it surer", page.listed(recommendations(result))),
+            ("What was assumed", page.listed(assumptions(result))),
             ("Figures", _figures(figures)),
-            ("Beside it: the paper's methods", _methods(found)),
+            ("Beside it: the paper's methods", _methods(result)),
         ],
         foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
     )
 
 
-def _sentence(found: Identification) -> str:
-    contacts = found.report.contacts
+def _sentence(result: Identification) -> str:
+    contacts = result.report.contacts
     if not contacts:
         return "This record tells nothing of the contacts; below stands why, and what to do."
     return "; ".join(
-        f"{c.name}: clearance {_said(c.clearance_m, 'mm', 1e3)}, stiffness {_said(c.stiffness_n_per_m, 'N/m')}"
+        f"{c.name}: clearance {_interval(c.clearance_m, 'mm', 1e3)}, stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
         + (f" ({c.law})" if c.law_sentence else "")
         for c in contacts
     )
 
 
-def _said(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
+def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
     return interval(scale * estimate.value, scale * estimate.standard_error, unit)
 
 
-def _values(found: Identification, laws: Laws, laws_name: str) -> str:
+def _values(result: Identification, laws: Laws, laws_name: str) -> str:
     tables = [
         f"<h3>{escape(c.name)}</h3>" + page.table(("", "identified", laws_name, "differs by"), _rows(c, laws[c.name]))
-        for c in found.report.contacts
+        for c in result.report.contacts
     ]
     if not tables:
         return "<p>Nothing.</p>"
     note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
-    asked = [f"{c.law_sentence}." for c in found.report.contacts if c.law_sentence]
-    return note + "".join(tables) + (page.listed(asked) if asked else "")
+    law_sentences = [f"{c.law_sentence}." for c in result.report.contacts if c.law_sentence]
+    return note + "".join(tables) + (page.listed(law_sentences) if law_sentences else "")
 
 
-def _rows(found: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
-    """A row a quantity: what was identified, what stands beside it, and by how much the two differ."""
-    for name, estimate, beside, unit, scale in (
-        ("clearance", found.clearance_m, law.clearance_m, "mm", 1e3),
-        ("lower clearance", found.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
-        ("upper clearance", found.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
-        ("stiffness", found.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
-        ("damping", found.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
+def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
+    """Row of each quantity: identified value, reference value, difference."""
+    for name, estimate, reference, unit, scale in (
+        ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
+        ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
+        ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
+        ("stiffness", contact.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
+        ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
     ):
         if estimate is not None:
-            off = f"{100 * (estimate.value / beside - 1):+.3f} %" if beside else ""
-            yield f"{name}, {unit}", _said(estimate, "1", scale), number(scale * beside), off
+            difference = f"{100 * (estimate.value / reference - 1):+.3f} %" if reference else ""
+            yield f"{name}, {unit}", _interval(estimate, "1", scale), number(scale * reference), difference
 
 
-def _refused(found: Identification) -> str:
+def _refusals(result: Identification) -> str:
     return page.table(
-        ("contact", "not told by this record, because"), [(u.name, u.reason) for u in found.report.unanswered]
+        ("contact", "not told by this record, because"), [(u.name, u.reason) for u in result.report.unanswered]
     )
 
 
 def _figures(figures: Mapping[str, Picture]) -> str:
     notes: list[str] = []
     named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    shown = attempted(notes, "the figure", named, lambda one: page.figure(*one, _CAPTIONS[one[0]]))
-    return (page.listed(notes) if notes else "") + "".join(shown.values())
+    html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]]))
+    return (page.listed(notes) if notes else "") + "".join(html.values())
 
 
-def _methods(found: Identification) -> str:
-    """NIFO, surface and histogram, which the answers above do not rest on; first what of them could not be made."""
-    report = found.report
+def _methods(result: Identification) -> str:
+    """Section on NIFO, surface and histogram, which begins with the notes on methods that failed."""
+    report = result.report
     bands = [n.band_hz for n in report.nifo]  # each that of the forces on its body
-    by_nifo = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
+    nifo_bands = f"NIFO ({min(bands)[0]:.3g} to {max(b[1] for b in bands):.3g} Hz) and " if bands else ""
     modes = [
         (f"{m.beam} {m.index}", f"{m.frequency_hz:.3f} Hz", f"{100 * m.damping_ratio:.2f} %", m.flag)
         for m in report.modes
@@ -162,7 +288,7 @@ def _methods(found: Identification) -> str:
     return (
         (page.listed(report.notes) if report.notes else "")
         + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
-        f"{by_nifo}the restoring force surface are applied to every modal equation. Their values "
+        f"{nifo_bands}the restoring force surface are applied to every modal equation. Their values "
         "have no known error, and the answers above do not rest on them: each equation believes in its mode of "
         "rig.json and is blind to the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
@@ -174,22 +300,24 @@ def _methods(found: Identification) -> str:
 
 
 def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
-    for each in report.nifo:
-        for s in each.stiffness:
+    for nifo in report.nifo:
+        for s in nifo.stiffness:
             deviation = f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %"
-            hidden = "nearly invisible" if s.contact in each.nearly_invisible else ""
-            yield each.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, hidden
-    for each in report.nifo:
-        for name in each.nearly_invisible:
-            if name not in {s.contact for s in each.stiffness}:
-                yield each.equation, name, "not told", "", "on a node of this mode"
+            hidden = "nearly invisible" if s.contact in nifo.nearly_invisible else ""
+            yield nifo.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, hidden
+    for nifo in report.nifo:
+        for name in nifo.nearly_invisible:
+            if name not in {s.contact for s in nifo.stiffness}:
+                yield nifo.equation, name, "not told", "", "on a node of this mode"
 
 
 def _clearance_rows(report: ContactReport) -> Iterator[tuple[str, str, str]]:
-    ways = [(f"surface of {s.equation}", c) for s in report.surface.surfaces for c in s.clearances]
-    ways += [("histogram", c) for c in report.surface.histogram]
-    for way, c in ways:
-        yield c.contact, way, f"{number(1e3 * c.clearance_m.value)} mm"
+    clearances = [
+        (f"surface of {s.equation}", clearance) for s in report.surface.surfaces for clearance in s.clearances
+    ]
+    clearances += [("histogram", clearance) for clearance in report.surface.histogram]
+    for method, clearance in clearances:
+        yield clearance.contact, method, f"{number(1e3 * clearance.clearance_m.value)} mm"
     for contact in report.contacts:
-        if contact.name not in {c.contact for c in report.surface.histogram}:
+        if contact.name not in {clearance.contact for clearance in report.surface.histogram}:
             yield contact.name, "histogram", "not told"

@@ -1,18 +1,24 @@
-"""Structure of contact.json: the result of an identification."""
+"""Structure of contact.json, and the rig with the identified contacts."""
+
+from collections.abc import Mapping
 
 import msgspec
+import numpy as np
+from msgspec.structs import replace
 
 from identify.checks.findings import Finding
-from identify.contacts.law_form import FormName
-from identify.contacts.refusals import RefusalCode, RemedyCode
+from identify.contacts.law_form import EXPONENTS, FormName
+from identify.contacts.refusals import Refusal, RefusalCode, RemedyCode
 from identify.pages.wording import interval, number
+from rig.model.contact_laws import AnyLaw, DeadZone
+from rig.model.description import Rig
 
 
 class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A value with the standard error of its estimate, both in the unit that the field's name says.
+    """Value and standard error of an estimate, both in the unit in the name of its field.
 
-    own_error is the part of it that is this record's own (scatter and noise); the rest, which comes from what rig.json
-    may have wrong, is the same in all records of a machine, and tells nothing of whether the machine changed.
+    own_error is the standard error by this record's scatter and noise alone. The rest comes from errors of rig.json, is
+    the same in all records of a machine, and does not count when these are compared.
     """
 
     value: float
@@ -21,11 +27,11 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
 
 
 class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """A contact. clearance_m is half the total play, or that of the one stop that is ever touched; the two sides are
-    given where the zero of eta is known.
+    """Estimates of a contact. clearance_m is half the total play, or the clearance of the only touched stop; the two
+    sides are given where the zero of eta is known.
 
-    law is the form that the record asks for. Of a power law k depth |depth / d|^(p - 1) the exponent p and the
-    reference depth d stand beside it, and the stiffness k is the force over the depth at d.
+    law is the form that the record supports. A power law k depth |depth / d|^(p - 1) also has its exponent p and its
+    reference depth d, and its stiffness k is the force over the depth at d.
     """
 
     name: str
@@ -35,14 +41,14 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     lower_clearance_m: Estimate | None = None
     upper_clearance_m: Estimate | None = None
     closed_share: float | None = None
-    """Of the time of the record that is used; None where the stops' errors leave more than five points of doubt."""
+    """Share of the used time; None where the stops' errors leave more than five percentage points of doubt."""
     law: FormName = "dead zone"
     exponent: Estimate | None = None
     reference_depth_m: float | None = None
 
     @property
     def law_sentence(self) -> str:
-        """Sentence on the law that the record asks for in place of a dead zone, without a full stop; else empty."""
+        """Sentence on a law that is no dead zone, without a full stop; else empty."""
         biased = "clearance, stiffness and damping of a dead zone would be biased"
         if self.exponent is not None and self.reference_depth_m is not None:
             depth_mm = number(1e3 * self.reference_depth_m)
@@ -57,20 +63,20 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
 
 
 class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A contact that this record does not determine: the reason in words, and by code with its evidence and remedy."""
+    """Contact that this record does not determine: the reason as a sentence, and as a code with evidence and remedy."""
 
     name: str
     reason: str
     code: RefusalCode | None = None
-    """None in files of before there were codes."""
+    """None in files of versions without codes."""
     remedy: RemedyCode | None = None
     evidence: dict[str, float | int | str] = {}
 
 
 class Mode(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A linear mode as the FRF of its modal equation shows it: without a known error.
+    """Linear mode by the FRF of its modal equation, without a known error.
 
-    Contacts that act on its body and are not determined are in that response: the mode is that of the body with them.
+    Undetermined contacts that act on its body are in that response: the mode is that of the body with them.
     """
 
     beam: str
@@ -81,16 +87,16 @@ class Mode(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def flag(self) -> str:
-        """Finding in words; empty if there is none."""
+        """Note on undetermined contacts; empty if there are none."""
         names = " and ".join(self.undetermined)
         return f"with {names} in it, not determined" if self.undetermined else ""
 
 
 class Stiffness(msgspec.Struct, frozen=True):
-    """A contact's stiffness over frequency in one modal equation: spectral mean of the real part, rms deviation.
+    """Stiffness of a contact over frequency in one modal equation: spectral mean of the real part, rms deviation.
 
-    The standard error is the scatter of the blocks alone: it knows nothing of rig.json's errors nor of the modes left
-    out, and is no interval of the stiffness.
+    The standard error is the scatter of the blocks alone. It does not cover errors of rig.json or omitted modes, and
+    gives no interval of the stiffness.
     """
 
     contact: str
@@ -99,7 +105,7 @@ class Stiffness(msgspec.Struct, frozen=True):
 
 
 class NifoResult(msgspec.Struct, frozen=True):
-    """NIFO on one modal equation."""
+    """Result of NIFO on one modal equation."""
 
     equation: str
     band_hz: tuple[float, float]
@@ -107,25 +113,25 @@ class NifoResult(msgspec.Struct, frozen=True):
     averages: int
     stiffness: tuple[Stiffness, ...]
     nearly_invisible: tuple[str, ...]
-    """Contacts that lie so near a node of this mode that the equation tells little of them, or nothing."""
+    """Contacts near a node of this mode, of which the equation shows little or nothing."""
 
 
 class Clearance(msgspec.Struct, frozen=True):
-    """A contact's clearance by one method. The standard error is the scatter alone, no interval of the clearance."""
+    """Clearance of a contact by one method. The standard error is the scatter alone, no interval of the clearance."""
 
     contact: str
     clearance_m: Estimate
 
 
 class SurfaceResult(msgspec.Struct, frozen=True):
-    """The clearances by the restoring force surface of one modal equation."""
+    """Clearances by the restoring force surface of one modal equation."""
 
     equation: str
     clearances: tuple[Clearance, ...]
 
 
 class Surfaces(msgspec.Struct, frozen=True):
-    """The clearances by the restoring force surfaces and by the histogram of the relative displacements."""
+    """Clearances by the restoring force surfaces and by the histogram of the relative displacements."""
 
     surfaces: tuple[SurfaceResult, ...]
     histogram: tuple[Clearance, ...]
@@ -139,11 +145,11 @@ class TransformationResult(msgspec.Struct, frozen=True):
     modes: int
     condition_number: float
     lost_to_higher_modes: tuple[float, ...]
-    """Per mode, the rms share of the coordinate that the modes beyond the fitted would falsify, were they left in."""
+    """Error of each modal coordinate by the modes beyond the fitted ones, were they not subtracted, as an rms share."""
 
 
 class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
-    """contact.json. No value is to be relied on where findings say what is wrong with record, rig.json or fit."""
+    """Contents of contact.json. With findings against record, rig.json or fit, no value is to be relied on."""
 
     rig: str
     contacts: tuple[ContactEstimate, ...]
@@ -157,9 +163,9 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     channels_used: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
     noise_from: str = ""
-    """What the accelerations' noise is taken from."""
+    """Source of the accelerations' noise."""
     notes: tuple[str, ...] = ()
-    """What could not be made beside the answers (NIFO, a surface, a figure), and why."""
+    """Methods and figures of the paper that could not be computed, and why."""
 
 
 class Segment(msgspec.Struct, frozen=True):
@@ -171,6 +177,46 @@ class Segment(msgspec.Struct, frozen=True):
 
 
 class Segments(msgspec.Struct, frozen=True):
-    """segments.json."""
+    """Contents of segments.json."""
 
     segments: tuple[Segment, ...]
+
+
+def identified_rig(rig: Rig, report: ContactReport) -> Rig:
+    """Rig with clearance, stiffness, damping and exponent of every identified contact; all else is nominal.
+
+    Where only half the total play is known, the clearances are placed about the nominal middle of the play.
+    """
+    estimates = {c.name: c for c in report.contacts}
+    contacts = tuple(replace(c, law=_law(c.law, estimates[c.name])) if c.name in estimates else c for c in rig.contacts)
+    return replace(rig, contacts=contacts)
+
+
+def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
+    lower, upper = law.lower_clearance_m, law.upper_clearance_m
+    if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
+        off_centre = (upper - lower) / 2
+        lower, upper = estimate.clearance_m.value - off_centre, estimate.clearance_m.value + off_centre
+    if estimate.lower_clearance_m is not None:
+        lower = estimate.lower_clearance_m.value
+    if estimate.upper_clearance_m is not None:
+        upper = estimate.upper_clearance_m.value
+    if isinstance(law, DeadZone):
+        exponent = 1.0 if estimate.exponent is None else float(np.clip(estimate.exponent.value, *EXPONENTS))
+        depth_m = estimate.reference_depth_m or law.reference_depth_m
+        law = replace(law, exponent=exponent, reference_depth_m=depth_m, pulls=estimate.law != "cannot pull")
+    return replace(
+        law,
+        lower_clearance_m=max(0.0, lower),
+        upper_clearance_m=max(0.0, upper),
+        stiffness_n_per_m=max(0.0, estimate.stiffness_n_per_m.value),
+        damping_n_s_per_m=max(0.0, estimate.damping_n_s_per_m.value),  # an estimate may lie below zero
+    )
+
+
+def unanswered(refusals: Mapping[str, Refusal]) -> tuple[Unanswered, ...]:
+    """Refusals as entries of a report."""
+    return tuple(
+        Unanswered(name, refusal.sentence, refusal.code, refusal.remedy, dict(refusal.evidence))
+        for name, refusal in refusals.items()
+    )

@@ -1,4 +1,5 @@
-"""First stage: the contact forces separated without a law, and of each pair of places what its fit takes."""
+"""First stage, separation: motion and contact forces of a recording, without assuming a law, and the contact records
+that are fitted."""
 
 from dataclasses import dataclass, replace
 
@@ -7,10 +8,10 @@ from jaxtyping import Float
 from scipy.signal import welch
 
 from identify.checks.masses import mass_pull
-from identify.contacts.beginning import settled_s
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.forces import RING_S, ContactForces, separated_forces
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
+from identify.contacts.station_spectra import start_left_out_s
 from identify.linear.joined import Joined, joined, joined_contacts
 from identify.linear.modal import relative_displacements, relative_velocities
 from identify.linear.nuisance import NuisanceKind
@@ -22,23 +23,23 @@ from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-SEPARATED_TO = 4.0
-"""Contact forces are separated up to this multiple of the force's highest frequency."""
-QUIETEST = 1e-5
-"""No accelerometer is believed to be quieter, m/s^2/sqrt(Hz): then other errors than noise make the drift."""
-LEAST_S = 1.0
-"""A record of which less can be used is refused."""
-SEGMENT_S, ABOVE_NOISE = 1.0, 4.0
-"""Length of a segment; what exceeds the noise so many times in power stands out of it."""
-ROUNDING = 1e-7
-"""No contact force is believed to be quieter, of the exciting force: what a record without noise leaves is rounding."""
-UNKNOWN_TO_MODEL = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
-"""Of a rig's description, what the linear model of the identification leaves out."""
+BAND_RATIO = 4.0
+"""Highest frequency of the separated contact forces over that of the exciting force."""
+LEAST_NOISE_DENSITY = 1e-5
+"""Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
+SHORTEST_S = 1.0
+"""Least usable length of a record."""
+WELCH_SEGMENT_S, NOISE_POWER_RATIO = 1.0, 4.0
+"""Length of Welch's segments, and power over that of the noise that counts as motion."""
+ROUNDING_SHARE = 1e-7
+"""Least noise of a contact force over the exciting force: less is rounding, in a record without noise."""
+UNMODELLED_PARTS = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
+"""Fields of a rig that the linear model of the identification leaves out."""
 
 
 @dataclass(frozen=True)
 class Separation:
-    """The motion that was measured, and the contact forces that follow from it.
+    """Measured motion of a rig, and the contact forces that follow from it.
 
     forces and records have one entry for each pair of places, `same_place` the contacts of each. mass_pull is how many
     tolerances the mass of a rig's single mass is off while its contacts are open.
@@ -53,16 +54,16 @@ class Separation:
 
 
 def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
-    """The contact forces of a recording, without assuming a law.
+    """Contact forces of a recording, without assuming a law.
 
-    Of a segment of a longer record the first seconds, in which the beams ring of what was before, are left out.
+    The first seconds of a segment of a longer record, in which the beams ring of what was before, are left out.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     rig = recording.rig
     motion = kinematics(recording, use)
     excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
-    high_hz = min(SEPARATED_TO * excited_hz, motion.trusted_hz[1])
+    high_hz = min(BAND_RATIO * excited_hz, motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
     if motion.zero_known:
         _check_displacements(rig, motion)
@@ -71,7 +72,7 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     forces = separated_forces(places, motion, factor, noise, tolerances, from_rest)
     if recording.start_s > 0 or not from_rest:
-        motion, forces = _settled(recording, places, motion, forces, from_rest)
+        motion, forces = _without_start(recording, places, motion, forces, from_rest)
     records = _records(places, motion, noise, forces, tolerances)
     return Separation(rig, motion, forces, joined_contacts(rig), records, pull)
 
@@ -82,7 +83,7 @@ def is_unforced(motion: Kinematics) -> bool:
 
 
 def driven_to_hz(motion: Kinematics) -> float:
-    """Up to where the rig is excited: by the force or, without one, as far as its displacements vibrate.
+    """Highest frequency, Hz, of the exciting force or, without one, of the displacements.
 
     Raises ContactRefusedError if neither a force nor a motion was recorded.
     """
@@ -93,62 +94,62 @@ def driven_to_hz(motion: Kinematics) -> float:
 
 
 def vibrates_to_hz(motion: Kinematics) -> float:
-    """Up to where the displacements of a record without a force stand out of the noise, which is what the highest
-    frequencies hold; by windowed segments, as a record that begins in motion would leak.
+    """Highest frequency, Hz, at which the displacements of a record without a force exceed the noise, which is taken
+    from the highest frequencies. By windowed segments, as a record that begins in motion would leak.
 
     Raises ContactRefusedError if no motion was recorded.
     """
     highest = driven_to_hz(motion)
     moving = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
-    length = min(motion.samples, round(SEGMENT_S * motion.sample_rate_hz))
+    length = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     hz, power = welch(moving, motion.sample_rate_hz, nperseg=length)
     low, high = (share * motion.sample_rate_hz for share in BAND)
     noise = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
-    heard = power > ABOVE_NOISE * noise
-    ends = hz[power.shape[1] - 1 - np.argmax(heard[:, ::-1], axis=1)]
-    return float(min(highest, ends.max()))
+    exceeds_noise = power > NOISE_POWER_RATIO * noise
+    highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
+    return float(min(highest, highest_hz.max()))
 
 
-def _settled(
+def _without_start(
     recording: Recording, places: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
 ) -> tuple[Kinematics, ContactForces]:
-    """Separation without the start, in which the beams ring of what was before.
+    """Motion and contact forces without the start, in which the beams ring of what was before.
 
     Raises ContactRefusedError if too little is left.
     """
     rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
-    at_start_s = RING_S if from_rest else settled_s(places, forces.slow_n_per_m)
-    fewer = round(at_start_s * rate_hz / forces.factor)
-    if (samples - fewer) * forces.factor < LEAST_S * rate_hz:
+    at_start_s = RING_S if from_rest else start_left_out_s(places, forces.slow_n_per_m)
+    skipped = round(at_start_s * rate_hz / forces.factor)
+    if (samples - skipped) * forces.factor < SHORTEST_S * rate_hz:
         raise _too_short(recording, at_start_s, samples * forces.factor, motion.zero_known)
-    return motion.part(slice(fewer * forces.factor, None)), forces.after(fewer)
+    return motion.segment(slice(skipped * forces.factor, None)), forces.without_start(skipped)
 
 
-def _too_short(recording: Recording, at_start_s: float, until: int, zero_known: bool) -> ContactRefusedError:
-    usual, further = RemedyCode.RECORD_LONGER_OR_FROM_REST, RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+def _too_short(recording: Recording, at_start_s: float, last_sample: int, zero_known: bool) -> ContactRefusedError:
+    without_displacements = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
     return refused(
         RefusalCode.TOO_SHORT,
-        usual if zero_known else further,
+        RemedyCode.RECORD_LONGER_OR_FROM_REST if zero_known else without_displacements,
         duration_s=recording.duration_s,
         at_start_s=at_start_s,
-        at_end_s=recording.duration_s - until / recording.rig.sample_rate_hz,
+        at_end_s=recording.duration_s - last_sample / recording.rig.sample_rate_hz,
     )
 
 
 def check_described(rig: Rig) -> None:
-    """Raises ContactRefusedError if no contact is described, or something that the linear model leaves out."""
+    """Raises ContactRefusedError if the rig has no contact, or a field that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
-    for what in UNKNOWN_TO_MODEL:
-        if getattr(rig, what) not in ((), None, ForceSensor()):
-            if what == "base_motion":
+    for field in UNMODELLED_PARTS:
+        if getattr(rig, field) not in ((), None, ForceSensor()):
+            if field == "base_motion":
                 raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field)
 
 
 def _check_displacements(rig: Rig, motion: Kinematics) -> None:
-    """Raises ContactRefusedError if a contact has no sensor, and its body fewer stations than modes: its displacement
-    there does not follow from that at the stations."""
+    """Raises ContactRefusedError if a contact has no sensor, and its body more modes than stations: the displacement
+    there does not follow from those at the stations."""
     for contact in rig.contacts:
         for station in (s for s in contact_stations(contact) if motion.row(s) is None):
             stations = sum(s.body == station.body for s in motion.stations)
@@ -169,20 +170,20 @@ def _records(
     forces: ContactForces,
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
-    """Contact records of each pair of places."""
+    """Contact record of each pair of places."""
     samples = forces.force_n.shape[1] * forces.factor
     samples = min(samples, motion.samples)
     eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
-    found = []
+    records = []
     quiet = forces.force_n[:, : motion.excited_from // forces.factor]
     quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
-    quiet_n = np.maximum(quiet_n, ROUNDING * motion.forces_n.std(axis=1).max())
+    quiet_n = np.maximum(quiet_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
-        displaced = forces.nuisances.eta_m[:, j]
-        moving = np.any(displaced, axis=1)
+        displacements_m = forces.nuisances.eta_m[:, j]
+        moving = np.any(displacements_m, axis=1)
         drift = drift_of(rig, motion, j, noise, tolerances, samples)
-        nuisance_m = oversampled(displaced[moving], forces.factor)[:, :samples].astype(np.float32)
-        found.append(
+        nuisance_m = oversampled(displacements_m[moving], forces.factor)[:, :samples].astype(np.float32)
+        records.append(
             ContactRecord(
                 eta_m=eta[j, :samples],
                 velocity_m_per_s=velocity[j, :samples],
@@ -208,7 +209,7 @@ def _records(
                 ),
             )
         )
-    return tuple(found)
+    return tuple(records)
 
 
 def drift_of(
@@ -219,7 +220,7 @@ def drift_of(
     tolerances: Tolerances,
     samples: int,
 ) -> Drift | None:
-    """Drift: the slow part of a contact's relative displacement, as far as it is known; None where none is lost.
+    """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
 
     Raises ContactRefusedError if no sensor stands at the contact.
     """
@@ -238,7 +239,7 @@ def drift_of(
     densities = [_density(motion, s, noise, tolerances) for s in stations]
     return Drift(
         acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
-        noise_density=max(float(np.hypot.reduce(densities)), QUIETEST),
+        noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )
 
@@ -246,18 +247,20 @@ def drift_of(
 def _density(
     motion: Kinematics, station: Station, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> float:
-    """One-sided density of a station's acceleration error where the drift follows it, m/s^2/sqrt(Hz).
+    """One-sided density of a station's acceleration error in the band of the drift, m/s^2/sqrt(Hz).
 
-    The sensor's noise, and what the tolerances of its gain and of its position make of the slow acceleration there.
+    It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain and position.
     """
     row = motion.stations.index(station)
-    own = [i for i, s in enumerate(motion.stations) if s.body == station.body]
-    own.sort(key=lambda i: motion.stations[i].position_m)
+    body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
+    body_stations.sort(key=lambda i: motion.stations[i].position_m)
     followed_hz = 0.5 / KNOT_S
     factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
-    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[own]])
-    error = tolerances.gain**2 * np.mean(slow[own.index(row)] ** 2)
-    if len(own) > 1:
-        slope = np.gradient(slow, [motion.stations[i].position_m for i in own], axis=0)[own.index(row)]
+    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[body_stations]])
+    error = tolerances.gain**2 * np.mean(slow[body_stations.index(row)] ** 2)
+    if len(body_stations) > 1:
+        slope = np.gradient(slow, [motion.stations[i].position_m for i in body_stations], axis=0)[
+            body_stations.index(row)
+        ]
         error += tolerances.position_m**2 * np.mean(slope**2)
     return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))

@@ -1,11 +1,11 @@
-"""The decision, stated once: from what a record shows to one of six verdicts.
+"""Decision table: from the evidence of the records to one of six verdicts.
 
 Notes for maintainers
-1. D, a difference: p < `DIFFERS` over all records together, against null simulations.
+1. D, a difference: p < `DIFFERENCE_P_VALUE` over all records together, against null simulations.
 2. B, bounded: the upper 97.5 % bound of every quantity that matters lies below its threshold, and noise hides none.
-3. N, a name: at least one effect (or class of look-alikes) with an inclusion probability of `NAMED` or more and a 95 %
-   interval that excludes its neutral value.
-4. R, enough: what the named set leaves satisfies B, or its p is `USUAL` or more.
+3. N, a name: at least one effect (or class of look-alikes) with an inclusion probability of `NAMED_PROBABILITY` or more
+   and a 95 % interval that excludes its neutral value.
+4. R, enough: the misfit of the named set satisfies B, or its p is `USUAL_P_VALUE` or more.
 
     D    B     verdict
     no   yes   consistent
@@ -13,7 +13,7 @@ Notes for maintainers
     yes  yes   small
     yes  no    explained if N and R; partly_explained if N and at least half removed; else unexplained
 
-A rollout that predicts worse with the named set than without vetoes `explained`; it licenses nothing.
+A rollout with a worse prediction with the named set than without vetoes `explained`; a better one proves nothing.
 """
 
 from enum import StrEnum
@@ -21,14 +21,14 @@ from math import isfinite
 
 import msgspec
 
-DIFFERS = 0.01
+DIFFERENCE_P_VALUE = 0.01
 """p-value below which a difference is certain: one null in a hundred."""
-USUAL = 0.05
-"""p-value from which tolerances and noise explain what is left: convention."""
-NAMED = 0.95
+USUAL_P_VALUE = 0.05
+"""p-value from which tolerances and noise explain a misfit: convention."""
+NAMED_PROBABILITY = 0.95
 """Inclusion probability from which an effect is named: convention, as of 95 % intervals."""
-HALF = 0.5
-"""Removed share of the mismatch from which it is explained in part: more than is left."""
+PARTLY_EXPLAINED_SHARE = 0.5
+"""Removed share of the mismatch from which it is explained in part: more than remains."""
 
 
 class Verdict(StrEnum):
@@ -43,10 +43,11 @@ class Verdict(StrEnum):
 
 
 class Bounded(msgspec.Struct, frozen=True):
-    """A quantity that matters: its estimate, the upper end of its one-sided 97.5 % interval, and the threshold.
+    """Quantity that matters: its estimate, the upper end of its one-sided 97.5 % interval, and its threshold, in
+    `unit`.
 
-    All three in `unit`. upper is None where the records bound it by nothing: `why` then says the reason, `remedy` what
-    would show it; value is None where they do not even estimate it.
+    upper is None where the records do not bound it: `why` then gives the reason, and `remedy` what would show it. value
+    is None where they do not even estimate it.
     """
 
     name: str
@@ -64,14 +65,14 @@ class Bounded(msgspec.Struct, frozen=True):
 
     @property
     def holds(self) -> bool:
-        """True if it certainly lies below what matters; what is no number bounds nothing."""
+        """True if it certainly lies below its threshold; a value that is not finite bounds nothing."""
         return self.upper is not None and isfinite(self.upper) and self.upper < self.threshold
 
 
 class Strength(msgspec.Struct, frozen=True):
-    """An effect's strength and how probably it, or one of its look-alikes (`instead`), is there.
+    """Strength of an effect, and the inclusion probability of it or its look-alikes (`instead`).
 
-    The records do not tell an effect from its look-alikes, so that the class is named.
+    The records do not distinguish an effect from its look-alikes, so that the class is named.
     """
 
     effect: str
@@ -83,15 +84,16 @@ class Strength(msgspec.Struct, frozen=True):
     @property
     def is_named(self) -> bool:
         low, high = self.interval_95
-        return self.inclusion_probability >= NAMED and not low <= self.neutral <= high
+        return self.inclusion_probability >= NAMED_PROBABILITY and not low <= self.neutral <= high
 
 
 class Evidence(msgspec.Struct, frozen=True, kw_only=True):
-    """All that decides. `after` is what the named set leaves; without a name it is what the nominal rig leaves.
+    """Evidence that decides. `after` refers to the misfit of the named set, or of the nominal rig without a named
+    effect.
 
-    removed is the share of the mismatch that the named set removes, vetoed whether the rollout forbids `explained`.
-    held_back_shows: whether the record that was not fitted shows the difference by itself; where it does not, strengths
-    are those of all records.
+    removed is the share of the mismatch that the named set removes; vetoed is whether the rollout forbids `explained`.
+    held_back_shows tells whether the validation record shows the difference by itself; otherwise strengths are those of
+    all records.
     """
 
     p_value: float
@@ -105,28 +107,28 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def not_seen(self) -> tuple[Bounded, ...]:
-        """Quantities that stand beside every verdict as not seen."""
+        """Quantities that the records neither bound nor show, stated beside every verdict."""
         return tuple(quantity for quantity in self.quantities if quantity.not_seen)
 
     @property
     def differs(self) -> bool:
-        """D."""
-        return self.p_value < DIFFERS
+        """Criterion D."""
+        return self.p_value < DIFFERENCE_P_VALUE
 
     @property
     def bounded(self) -> bool:
-        """B of the nominal rig; nothing is bounded where nothing was looked at."""
+        """Criterion B of the nominal rig; false where no quantity was compared."""
         return all_hold(self.quantities)
 
     @property
     def named(self) -> tuple[str, ...]:
-        """N: the effects that may be named."""
+        """Criterion N: effects that may be named."""
         return tuple(s.effect for s in self.strengths if s.is_named)
 
     @property
     def enough(self) -> bool:
-        """R."""
-        return all_hold(self.quantities_after) or self.p_value_after >= USUAL
+        """Criterion R."""
+        return all_hold(self.quantities_after) or self.p_value_after >= USUAL_P_VALUE
 
     @property
     def verdict(self) -> Verdict:
@@ -136,9 +138,11 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
             return Verdict.SMALL
         if self.named and self.enough and not self.vetoed:
             return Verdict.EXPLAINED
-        return Verdict.PARTLY_EXPLAINED if self.named and self.removed >= HALF else Verdict.UNEXPLAINED
+        return (
+            Verdict.PARTLY_EXPLAINED if self.named and self.removed >= PARTLY_EXPLAINED_SHARE else Verdict.UNEXPLAINED
+        )
 
 
 def all_hold(quantities: tuple[Bounded, ...]) -> bool:
-    """B of some quantities."""
+    """Criterion B of some quantities."""
     return bool(quantities) and all(quantity.holds for quantity in quantities)

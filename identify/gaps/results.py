@@ -11,16 +11,16 @@ from identify.gaps.decision_table import Bounded, Evidence, Strength, Verdict
 from identify.gaps.rollout.results import Rollout
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
-AGAIN = "record the same again"
-"""The experiment beside which others are judged."""
+SAME_EXPERIMENT = "record the same again"
+"""Words of the reference experiment, with which others are compared."""
 
 
-class Left(msgspec.Struct, frozen=True, kw_only=True):
-    """Shares of the validation record that a rig leaves, beyond the sensors' noise.
+class UnexplainedShares(msgspec.Struct, frozen=True, kw_only=True):
+    """Shares of the validation record that a rig does not explain, beyond the sensors' noise.
 
     share is the unexplained share of the acceleration's root mean square, contact_shares that of each contact force's;
-    p_value how often tolerances and noise alone leave as much; largest_pull by how many of its stated standard
-    deviations a tolerance is off at most.
+    p_value is the probability that tolerances and noise alone leave as much; largest_pull is the largest deviation of
+    a toleranced quantity, in its stated standard deviations.
     """
 
     share: float
@@ -30,12 +30,12 @@ class Left(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Cause(msgspec.Struct, frozen=True, kw_only=True):
-    """Effects that together explain the difference, wholly or in part. parameters and places are named EFFECT.FIELD; of
-    a second effect of one kind EFFECT_2.FIELD.
+    """Set of effects that together explain the difference, wholly or in part.
 
-    words tell each effect with value and place, strengths how probable each is. explained is the share of the
-    difference that they close on the validation record: 1 - size with them / size without, of what `Matters` measures,
-    with the nuisance parameters as they are with them. log_prior and minus_two_log are what the probability is made of.
+    words state each effect with value and place; strengths hold the probability of each. parameters and places are
+    named EFFECT.FIELD, those of a second effect of one kind EFFECT_2.FIELD. explained is the share of the difference
+    that the set removes on the validation record: 1 - size with it / size without it, with size as `Matters.times` has
+    it and the nuisance parameters of the fit with the set. The probability follows from log_prior and minus_two_log.
     """
 
     effects: tuple[str, ...]
@@ -46,34 +46,34 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     places: dict[str, str]
     explained: float
     interval_95: tuple[float, float]
-    left: Left
+    left: UnexplainedShares
     log_prior: float
     minus_two_log: float
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The names by which parameters and places tell the effects apart."""
+        """Names of the effects in the keys of parameters and places."""
         return labels_of(self.effects)
 
     @property
     def named(self) -> tuple[str, ...]:
-        """The words of the effects that may be named."""
+        """Words of the effects that may be named."""
         return tuple(w for w, strength in zip(self.words, self.strengths, strict=True) if strength.is_named)
 
 
 def labels_of(effects: Iterable[str]) -> tuple[str, ...]:
-    """The names of effects, each once: "added_mass", "added_mass_2"."""
+    """Unique names of effects: "added_mass", "added_mass_2"."""
     counts = Counter[str]()
-    found = []
-    for name in effects:
-        counts[name] += 1
-        found.append(name if counts[name] == 1 else f"{name}_{counts[name]}")
-    return tuple(found)
+    labels = []
+    for effect in effects:
+        counts[effect] += 1
+        labels.append(effect if counts[effect] == 1 else f"{effect}_{counts[effect]}")
+    return tuple(labels)
 
 
 class Criteria(msgspec.Struct, frozen=True):
-    """The row of the decision table: whether there is a difference, all that matters is bounded, effects are named (as
-    EFFECT:PLACE), and what they leave is bounded or usual."""
+    """Row of the decision table: a difference is certain; all that matters is bounded; the named effects (as
+    EFFECT:PLACE); what these leave is bounded or usual."""
 
     differs: bool
     bounded: bool
@@ -82,7 +82,7 @@ class Criteria(msgspec.Struct, frozen=True):
 
 
 class Share(msgspec.Struct, frozen=True):
-    """The share of the gap that lies in an interval."""
+    """Share of the mismatch in an interval of time or frequency."""
 
     begin: float
     end: float
@@ -90,8 +90,8 @@ class Share(msgspec.Struct, frozen=True):
 
 
 class Band(msgspec.Struct, frozen=True, kw_only=True):
-    """A band of frequencies: the unexplained share of the acceleration there with the believed rig, with the likeliest
-    cause in it, and as nineteen of twenty null simulations stay below."""
+    """Unexplained shares of the acceleration in a frequency band: with the nominal rig, with the likeliest cause, and
+    the 95 % quantile of the null simulations."""
 
     low_hz: float
     high_hz: float
@@ -101,7 +101,7 @@ class Band(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ResidualMap(msgspec.Struct, frozen=True):
-    """Shares of the gap over relative displacement (rows) and velocity (columns) of a contact; edges of the cells."""
+    """Shares of the mismatch over relative displacement (rows) and velocity (columns) of a contact, with cell edges."""
 
     eta_m: tuple[float, ...]
     rate_m_per_s: tuple[float, ...]
@@ -109,24 +109,26 @@ class ResidualMap(msgspec.Struct, frozen=True):
 
 
 class Attribution(msgspec.Struct, frozen=True, kw_only=True):
-    """Location of the mismatch: each list sums to one. surface is the share by cells of (relative displacement,
-    velocity) of each contact; without contacts, of displacement and velocity of each single mass.
+    """Location of the mismatch; the shares of each field sum to one.
+
+    surface is the share by cells of relative displacement and velocity of each contact; without contacts, by those of
+    displacement and velocity of each single mass.
     """
 
     channels: dict[str, float] = {}
     modal_equations: dict[str, float] = {}
     positions_m: dict[str, dict[float, float]] = {}
-    """By body: the station, metres from its left end, and its share."""
+    """Share by body and station, metres from the left end of the body."""
     band_hz: tuple[Share, ...] = ()
     contact_state: dict[str, float] = {}
     time_s: tuple[Share, ...] = ()
     surface: dict[str, ResidualMap] = {}
     parts: dict[str, float] = {}
-    """Of the linear residual, and of each contact's law."""
+    """Share of the linear residual and of the law of each contact."""
 
 
-class Figure(msgspec.Struct, frozen=True):
-    """A figure that people know, of the measured record and of simulations with its force: believed and corrected."""
+class SummaryStatistic(msgspec.Struct, frozen=True):
+    """Summary statistic of the measured record, and of simulations by the nominal and the corrected rig."""
 
     name: str
     unit: str
@@ -134,11 +136,11 @@ class Figure(msgspec.Struct, frozen=True):
     believed: float
     corrected: float
     by_chance: float
-    """So far nineteen of twenty records of the believed rig lie from their mean, shaken by another such force."""
+    """95 % half-width of the statistic over null simulations under independent forces of the same kind."""
 
 
 class Curve(msgspec.Struct, frozen=True):
-    """A curve of the measured record beside those of simulations: believed and corrected."""
+    """Curve of the measured record and of simulations by the nominal and the corrected rig."""
 
     name: str
     x_label: str
@@ -148,31 +150,31 @@ class Curve(msgspec.Struct, frozen=True):
     believed: tuple[float, ...]
     corrected: tuple[float, ...]
     logarithmic: bool = False
-    """Whether y is best drawn over decades."""
+    """True if the y axis is logarithmic."""
 
 
 class Matters(msgspec.Struct, frozen=True):
-    """Thresholds of what is too small to matter, as the user says: shares of the acceleration's and of a contact
-    force's root mean square.
+    """Thresholds, set by the user, below which a difference does not matter: shares of the root mean square of the
+    acceleration and of a contact force.
     """
 
     motion: float = 5e-3
     contact: float = 3e-2
 
     def times(self, share: float, contact_shares: Iterable[float]) -> float:
-        """The size of a gap: sqrt((share / motion)^2 + sum over contacts of (share / contact)^2); 1 is what matters."""
-        return math.hypot(share / self.motion, *(one / self.contact for one in contact_shares))
+        """Size of a mismatch, sqrt((share / motion)^2 + sum over contacts (share / contact)^2); it matters from 1."""
+        return math.hypot(share / self.motion, *(contact_share / self.contact for contact_share in contact_shares))
 
 
 Trend = Literal["grows", "falls", "differs", "none"]
 
 
-class Compared(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter (EFFECT.FIELD, at a place) as each record has it by itself, in the order of the records.
+class ParameterByRecord(msgspec.Struct, frozen=True, kw_only=True):
+    """Estimates of a parameter (EFFECT.FIELD, at a place) from each record by itself, in the order of the records.
 
-    Standard errors are those of a value beside the mean of all: the tolerances that all records share are not in them.
-    p_value is that of one value for all; trend is "none" where nothing more than chance is seen, by_level the trend in
-    the order of the records' forces, "none" where these are one level.
+    Standard errors are those of a value's deviation from the mean, without the tolerances that all records share.
+    p_value tests one value for all records; trend is "none" where the values differ by chance; by_level is the trend in
+    the order of the records' forces, "none" where they are of one level.
     """
 
     parameter: str
@@ -184,9 +186,9 @@ class Compared(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
-    """The mode that changes most between the lowest and the highest level, where all that differs follows the level.
+    """Change of the mode that changes most between the lowest and the highest level of force (root mean square, N).
 
-    The levels are root mean squares of the force, N; the changes are relative to the lowest level.
+    Given where every difference between the records follows the level; changes are relative to the lowest level.
     """
 
     lowest_n: float
@@ -197,23 +199,26 @@ class LevelDependence(msgspec.Struct, frozen=True, kw_only=True):
     damping_change: float
 
 
-class Between(msgspec.Struct, frozen=True, kw_only=True):
-    """Differences between records, the validation record among them. cause: the parameters of the likeliest cause that
-    do not differ, with the p-value of one value for all; differing: those of at most two effects, at all places, that
-    differ beyond chance, with p-values times the number looked at (Bonferroni)."""
+class RecordDifferences(msgspec.Struct, frozen=True, kw_only=True):
+    """Differences between the records, the validation record among them.
+
+    cause holds the parameters of the likeliest cause that do not differ, with the p-value of one value for all;
+    differing those of at most two effects, at all places, that differ beyond chance, with p-values times the number
+    of effects tested, looked_at (Bonferroni).
+    """
 
     records: tuple[str, ...]
-    """Their numbers, forces (root mean square), and which of them validates."""
-    cause: tuple[Compared, ...]
+    """Number and force (root mean square) of each record, and which of them validates."""
+    cause: tuple[ParameterByRecord, ...]
     cause_p_value: float | None
-    differing: tuple[Compared, ...]
+    differing: tuple[ParameterByRecord, ...]
     looked_at: int
     level_dependence: LevelDependence | None = None
 
 
 class NextExperiment(msgspec.Struct, frozen=True):
-    """A further recording, and by how much (natural logarithm) it is expected to raise the odds of the true one of the
-    two likeliest causes (or of one, and the believed rig) against the other."""
+    """Further recording, with the expected gain in the log odds (natural) of the true one of the two likeliest causes,
+    or of the likeliest cause and the nominal rig, against the other."""
 
     words: str
     log_odds: float
@@ -232,60 +237,61 @@ Analysis = Literal[
 
 
 class Note(msgspec.Struct, frozen=True):
-    """A side analysis that could not be made, on which the verdict does not rest, and why."""
+    """Side analysis that could not be made, and the reason. The verdict does not rest on it."""
 
     analysis: Analysis
     reason: str
 
 
 class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
-    """Diagnosis: difference of the nominal rig and the records, judged on the one that was not fitted.
+    """Difference between the nominal rig and the records, judged on the record that was not fitted.
 
-    causes: the named effects first, then the likeliest; what their probabilities lack of one is that of the nominal rig
-    and of something unmeasured. The response comparison and the rollout are of the first. not_seen is what the records
-    neither bound nor show. channel_faults names dead and clipped channels, which were left out.
+    causes are the named effects, then the likeliest sets; the rest of probability one is that of the nominal rig and of
+    something unmeasured. The response comparison and the rollout are those of the first cause. not_seen holds the
+    quantities that the records neither bound nor show; channel_faults the dead and clipped channels, which were left
+    out.
     """
 
     verdict: Verdict
     criteria: Criteria
     evidence: Evidence
-    """All that the verdict follows from."""
+    """Numbers from which the verdict follows."""
     not_seen: tuple[Bounded, ...]
     rollout: Rollout | None = None
-    """Whether the motion is predicted better with the named effects; None where none is named."""
+    """Comparison of predictions with and without the named effects; None where none is named."""
     ruled_out: tuple[tuple[str, ...], ...] = ()
-    """Effects of likelier hypotheses, in words, with which it is predicted no better, so that others are named."""
+    """Effects of likelier hypotheses, in words, that were set aside because they do not improve the prediction."""
     free_decay: bool = False
-    """Whether no force was measured."""
-    before: Left
-    after: Left
-    """With the first cause in the rig; as before where there is none."""
+    """True if no force was measured."""
+    before: UnexplainedShares
+    after: UnexplainedShares
+    """Shares with the first cause in the rig; equal to `before` where there is none."""
     matters: Matters
     causes: tuple[Cause, ...]
     probability_nothing: float
     probability_unknown: float
     nothing_minus_two_log: float
-    """Of the nominal rig."""
+    """-2 ln p of the nominal rig."""
     unknown_gain: float | None
-    """By how much an unmeasured force lowers it; None where none was looked for."""
+    """Decrease of -2 ln p by an unmeasured force; None where none was looked for."""
     unknown: UnmeasuredForce | None
     bands: tuple[Band, ...]
     separate_by: tuple[str, ...]
     """Experiments that confirm or refute the likeliest effects, as "EFFECT: what to do"."""
     next_experiments: tuple[NextExperiment, ...] = ()
-    """The most telling first, where two causes stay alike and the experiments were asked for."""
+    """Proposed recordings, largest expected gain first, where two causes stay alike and proposals were asked for."""
     next_between: tuple[str, ...] = ()
-    """The two that it tells apart."""
+    """The two causes that these recordings tell apart."""
     attribution: Attribution
-    figures: tuple[Figure, ...] = ()
+    figures: tuple[SummaryStatistic, ...] = ()
     curves: tuple[Curve, ...] = ()
-    between: Between | None = None
-    """With more than two records."""
+    between: RecordDifferences | None = None
+    """Given with more than two records."""
     channel_faults: dict[str, str] = {}
     notes: tuple[Note, ...] = ()
 
 
 class Gap(Diagnosis, frozen=True, kw_only=True):
-    """A diagnosis with its sentence: the content of gap.json."""
+    """Diagnosis with its sentence: the content of gap.json."""
 
     sentence: str

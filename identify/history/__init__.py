@@ -1,4 +1,4 @@
-"""Several recordings of one machine: what of it changed, and whether by more than chance."""
+"""Changes of one machine over several recordings, tested against chance."""
 
 from identify.history.changes import LEVEL, History, Observation, QuantityHistory, history_of
 

@@ -1,4 +1,4 @@
-"""Tests for changes of a machine's clearances, stiffnesses and modes from recording to recording."""
+"""Statistical tests for changes of a machine's clearances, stiffnesses and modes from recording to recording."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from identify.contacts.results import ContactReport, Estimate
 from rig.errors import RigError
 
 LEVEL = 0.05
-"""The chance that anything at all is said to have changed of a machine that did not."""
-SHORT = 1.5
-"""Own errors may be so many times too short: of the machines of `tests.campaigns.wear --seed 3` the scatter of a
-clearance is 1.17 times (root mean square) what they say, at most 2.06 times; 1.5 is set by hand."""
-FEWEST = 4
-"""A trend is tested from so many recordings on."""
+"""Probability that any change at all is stated of a machine that did not change."""
+ERROR_INFLATION = 1.5
+"""Factor by which own errors may be too small: for the machines of `tests.campaigns.wear --seed 3` the scatter of a
+clearance over its own error is 1.17 (root mean square), at most 2.06; 1.5 is set by hand."""
+FEWEST_FOR_TREND = 4
+"""Fewest recordings of which a trend is tested."""
 UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}
 MODAL_UNITS = {"frequency_hz": "Hz", "damping_ratio": "1"}
 
@@ -26,7 +26,7 @@ Row = Float[np.ndarray, " recordings"]
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
-    """One recording: its name, when it was recorded where its provenance says so, what it tells, or why nothing.
+    """One recording: its name, its date if the provenance has one, and its report, or the reason why there is none.
 
     sha256 is that of the recording, or of the contact.json that was read.
     """
@@ -39,12 +39,12 @@ class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True)
 
 
 class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
-    """One quantity over the recordings; None where a recording does not tell it.
+    """One quantity over the recordings; None where a recording does not determine it.
 
-    standard_errors are of the value by itself, own_errors of its differences to other recordings (zero: not known).
-    mean is weighted by the latter. p_different is the chance of such differences if nothing changed, p_trend that of
-    such a trend; both are corrected for the number of tests of the history. drift is the change along the trend from
-    the first recording to the last; its standard error allows for the share by which rig.json may scale every value.
+    standard_errors are of the value alone, own_errors of its differences to other recordings (zero: unknown). mean is
+    weighted by the latter. p_different and p_trend are the p-values of the differences and of the trend if nothing
+    changed, corrected for the number of tests of the history. drift is the change along the trend from the first
+    recording to the last; its standard error includes the share by which rig.json may scale every value.
     """
 
     of: str
@@ -76,120 +76,130 @@ class History(msgspec.Struct, frozen=True):
 
 
 def history_of(observations: Sequence[Observation]) -> History:
-    """Every quantity over the recordings in their order, tested for a change.
+    """History of every quantity over the recordings in their order, tested for changes.
 
-    Raises RigError if fewer than two tell anything, or they are of different rigs.
+    Raises RigError if fewer than two recordings have a report, or they are of different rigs.
     """
     reports = [o.report for o in observations if o.report is not None]
     if len(reports) < 2:
-        why = "".join(f"; {o.reason}" for o in observations if o.reason)
-        raise RigError(f"{len(reports)} of {len(observations)} recordings can be compared; give two or more{why}")
-    for other in reports[1:]:
-        if other.rig != reports[0].rig:
-            raise RigError(f"recordings of the rigs {reports[0].rig!r} and {other.rig!r}; compare those of one machine")
-    return History(reports[0].rig, tuple(observations), corrected([*_of_contacts(reports), *_of_modes(reports)]))
+        reasons = "".join(f"; {o.reason}" for o in observations if o.reason)
+        raise RigError(f"{len(reports)} of {len(observations)} recordings can be compared; give two or more{reasons}")
+    rig = reports[0].rig
+    for report in reports[1:]:
+        if report.rig != rig:
+            raise RigError(f"recordings of the rigs {rig!r} and {report.rig!r}; compare those of one machine")
+    return History(rig, tuple(observations), holm_corrected([*_of_contacts(reports), *_of_modes(reports)]))
 
 
 def _of_contacts(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
-    by_name = [{c.name: c for c in r.contacts} for r in reports]
-    names = list(dict.fromkeys(name for each in by_name for name in each))
+    """Histories of the quantities of every contact that any report has."""
+    contacts = [{c.name: c for c in r.contacts} for r in reports]
+    names = list(dict.fromkeys(name for by_name in contacts for name in by_name))
     return [
-        quantity_of(name, field, unit, [getattr(each[name], field) if name in each else None for each in by_name])
+        quantity_of(
+            name, field, unit, [getattr(by_name[name], field) if name in by_name else None for by_name in contacts]
+        )
         for name in names
         for field, unit in UNITS.items()
     ]
 
 
 def _of_modes(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
-    by_name = [{f"mode {m.index} of {m.beam}": m for m in r.modes} for r in reports]
-    names = [name for name in by_name[0] if all(name in each for each in by_name)]
+    """Histories of frequency and damping of the modes that all reports have, without known errors."""
+    modes = [{f"mode {m.index} of {m.beam}": m for m in r.modes} for r in reports]
+    names = [name for name in modes[0] if all(name in by_name for by_name in modes)]
     return [
-        quantity_of(name, field, unit, [Estimate(getattr(each[name], field), 0.0, 0.0) for each in by_name])
+        quantity_of(name, field, unit, [Estimate(getattr(by_name[name], field), 0.0, 0.0) for by_name in modes])
         for name in names
         for field, unit in MODAL_UNITS.items()
     ]
 
 
 def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
-    """The tests of one quantity, not yet corrected for their number."""
-    nothing = Estimate(np.nan, np.nan)
-    given = [e or nothing for e in estimates]
-    values, errors = np.array([(e.value, e.standard_error) for e in given]).T
-    own = np.array([e.standard_error if e.own_error is None else e.own_error for e in given])
-    told = np.isfinite(values) & np.isfinite(own)
-    known = bool(told.any() and np.all(own[told] > 0))
-    weights = np.where(told, 1 / own**2 if known else 1.0, 0.0)
-    mean = float(np.average(values[told], weights=weights[told]))
-    tests = tested(np.flatnonzero(told).astype(float), values[told], weights[told], known)
+    """History of one quantity, with p-values not yet corrected for the number of tests."""
+    missing = Estimate(np.nan, np.nan)
+    filled = [e or missing for e in estimates]
+    values, errors = np.array([(e.value, e.standard_error) for e in filled]).T
+    own_errors = np.array([e.standard_error if e.own_error is None else e.own_error for e in filled])
+    is_determined = np.isfinite(values) & np.isfinite(own_errors)
+    errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
+    weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
+    mean = float(np.average(values[is_determined], weights=weights[is_determined]))
+    positions = np.flatnonzero(is_determined).astype(float)
+    tests = change_tests(positions, values[is_determined], weights[is_determined], errors_known)
+    common_error = float(np.sqrt(max(0.0, np.mean((errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
         quantity=quantity,
         unit=unit,
-        values=_known(values),
-        standard_errors=_known(errors),
-        own_errors=_known(own),
+        values=_finite_values(values),
+        standard_errors=_finite_values(errors),
+        own_errors=_finite_values(own_errors),
         mean=mean,
         p_different=tests.p_different,
         p_trend=tests.p_trend,
-        drift=tests.drift and _scaled(tests.drift, mean, float(np.sqrt(max(0.0, np.mean((errors**2 - own**2)[told]))))),
+        drift=tests.drift and _with_common_error(tests.drift, mean, common_error),
     )
 
 
-def _scaled(drift: Estimate, mean: float, shared: float) -> Estimate:
-    """The drift, which an error that is common to all values makes larger or smaller by its share of the mean."""
-    share = shared / abs(mean) if mean else 0.0
+def _with_common_error(drift: Estimate, mean: float, common_error: float) -> Estimate:
+    """Drift whose standard error includes a relative error that all values have in common."""
+    share = common_error / abs(mean) if mean else 0.0
     return Estimate(drift.value, float(np.hypot(drift.standard_error, share * drift.value)))
 
 
-def _known(row: Row) -> tuple[float | None, ...]:
+def _finite_values(row: Row) -> tuple[float | None, ...]:
+    """Values of a row, None for those that are not finite."""
     return tuple(value if np.isfinite(value) else None for value in row.tolist())
 
 
 @dataclass(frozen=True)
-class Tests:
-    """Tests of one quantity: see `QuantityHistory`."""
+class ChangeTests:
+    """Uncorrected p-values and drift of one quantity, as in `QuantityHistory`; None where there is no test."""
 
     p_different: float | None
     p_trend: float | None
     drift: Estimate | None
 
 
-def tested(at: Row, values: Row, weights: Row, known: bool) -> Tests:
-    """Are the values x_i equal, and do they follow a line over `at`?
+def change_tests(positions: Row, values: Row, weights: Row, errors_known: bool) -> ChangeTests:
+    """Test whether the values x_i differ, and whether they follow a line over the positions t_i.
 
-    With weights w_i = 1 / s_i^2 of known errors s_i, Q = sum of w_i (x_i - mean)^2 / SHORT^2 has a chi-square
+    With weights w_i = 1 / s_i^2 of known errors s_i, Q = sum of w_i (x_i - mean)^2 / ERROR_INFLATION^2 has a chi-square
     distribution with n - 1 degrees of freedom if nothing changed. The line is fitted by weighted least squares; its
-    slope b has the standard error s_b = sqrt(v / sum of w_i (t_i - mean t)^2), v being the residuals' mean square with
-    n - 2 degrees of freedom, with known errors not less than 1, so that intervals a little too short give no trend.
+    slope b has the standard error s_b = sqrt(v / sum of w_i (t_i - mean t)^2), where v is the mean square of the
+    residuals with n - 2 degrees of freedom, at least 1 with known errors, so that slightly small errors give no trend.
     b / s_b is compared with Student's t. Without known errors only the line is tested.
     """
     count = values.size
     if count < 2:
-        return Tests(None, None, None)
-    centred_at, centred = at - np.average(at, weights=weights), values - np.average(values, weights=weights)
-    p_different = float(chi2.sf(weights @ centred**2 / SHORT**2, count - 1)) if known else None
-    if count < FEWEST:
-        return Tests(p_different, None, None)
-    size = weights @ centred_at**2
-    slope = float(weights @ (centred_at * centred) / size)
-    square = float(weights @ (centred - slope * centred_at) ** 2) / (count - 2)
-    error = float(np.sqrt(max(square, 1.0 if known else 0.0) / size))
-    span = float(np.ptp(at))
+        return ChangeTests(None, None, None)
+    centred_positions = positions - np.average(positions, weights=weights)
+    centred_values = values - np.average(values, weights=weights)
+    p_different = float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, count - 1)) if errors_known else None
+    if count < FEWEST_FOR_TREND:
+        return ChangeTests(p_different, None, None)
+    spread = weights @ centred_positions**2
+    slope = float(weights @ (centred_positions * centred_values) / spread)
+    mean_square = float(weights @ (centred_values - slope * centred_positions) ** 2) / (count - 2)
+    error = float(np.sqrt(max(mean_square, 1.0 if errors_known else 0.0) / spread))
+    span = float(np.ptp(positions))
     p_trend = float(2 * t.sf(abs(slope) / error, count - 2)) if error > 0 else float(slope == 0)
-    return Tests(p_different, p_trend, Estimate(slope * span, error * span))
+    return ChangeTests(p_different, p_trend, Estimate(slope * span, error * span))
 
 
-def corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
-    """Tests with p-values for all together (Holm, "A simple sequentially rejective multiple test procedure", 1979)."""
-    places = [
+def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
+    """Quantities with p-values corrected for all tests (Holm, "A simple sequentially rejective multiple test
+    procedure", 1979)."""
+    p_values = [
         (p, i, name)
         for i, q in enumerate(quantities)
         for name in ("p_different", "p_trend")
         if (p := getattr(q, name)) is not None
     ]
-    new: list[dict[str, float]] = [{} for _ in quantities]
-    least = 0.0
-    for rank, (p, i, name) in enumerate(sorted(places)):
-        least = max(least, min(1.0, (len(places) - rank) * p))
-        new[i][name] = least
-    return tuple(msgspec.structs.replace(q, **changes) for q, changes in zip(quantities, new, strict=True))
+    adjustments: list[dict[str, float]] = [{} for _ in quantities]
+    adjusted = 0.0
+    for rank, (p, i, name) in enumerate(sorted(p_values)):
+        adjusted = max(adjusted, min(1.0, (len(p_values) - rank) * p))
+        adjustments[i][name] = adjusted
+    return tuple(msgspec.structs.replace(q, **changes) for q, changes in zip(quantities, adjustments, strict=True))

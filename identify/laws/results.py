@@ -1,20 +1,34 @@
-"""Structure of law.json: the results on contact laws."""
+"""Results on contact laws: the structure of law.json, and the sentence that sums up a law."""
 
 import msgspec
+import numpy as np
+from jaxtyping import Float
 
 from identify.checks.findings import Finding
 from identify.contacts.results import Estimate, Unanswered
+from identify.laws.fitted_laws import PiecewiseLinear, SlidingFriction
+from identify.pages.wording import interval
+
+PIECEWISE, FORMULA, DEAD_ZONE, CUBIC, SLIDING = (
+    "piecewise-linear law",
+    "formula found",
+    "dead zone of the joint estimate",
+    "cubic polynomial",
+    "friction behind a backlash",
+)
+FLAT_SHARE = 0.01
+"""Slope over the steepest below which a piece counts as flat, the gap of a dead zone."""
 
 
 class TriedLaw(msgspec.Struct, frozen=True):
-    """A law and the rms of what it leaves of the force in the held-out half of the record."""
+    """Law that was tried, and the rms error of its force in the held-out half of the record."""
 
     law: str
     held_out_error_n: float
 
 
 class SlidingLaw(msgspec.Struct, frozen=True, kw_only=True):
-    """Dry friction reached through a backlash by a spring: sliding forces both ways, the whole backlash, the stiffness.
+    """Dry friction reached through a backlash by a spring: sliding force in each direction, backlash, stiffness.
 
     Standard errors are of the scatter alone.
     """
@@ -29,10 +43,9 @@ class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
     """Law of one contact; eta is its relative displacement.
 
     knees_m and slopes_n_per_m are those of the formula; fitted_knees_m and fitted_slopes_n_per_m those of the
-    piecewise-linear law fitted from them, with standard errors of the scatter alone: not of the drift, nor of what
-    rig.json may have wrong, for which see contact.json. hysteresis_share is the share of
-    the scatter's variance that a damper in the closed contact explains. repeatable says whether the same seed gives the
-    same formula: not if time ended the search.
+    piecewise-linear law fitted from them, with standard errors of the scatter alone: contact.json has those of drift
+    and rig.json. hysteresis_share is the share of the unexplained variance that a damper in the closed contact
+    explains. repeatable is false if time ended the search, as the same seed may then give another formula.
     """
 
     contact: str
@@ -50,7 +63,7 @@ class ContactLawEstimate(msgspec.Struct, frozen=True, kw_only=True):
     points: int
     repeatable: bool
     sliding: SlidingLaw | None = None
-    """Where it is the best law."""
+    """Values of the friction, if it is the best law."""
 
 
 class LawReport(msgspec.Struct, frozen=True, kw_only=True):
@@ -60,3 +73,54 @@ class LawReport(msgspec.Struct, frozen=True, kw_only=True):
     laws: tuple[ContactLawEstimate, ...]
     unanswered: tuple[Unanswered, ...]
     findings: tuple[Finding, ...] = ()
+
+
+def verdict_sentence(
+    pieces: PiecewiseLinear,
+    formula: str,
+    candidates: tuple[TriedLaw, ...],
+    best: TriedLaw,
+    sides_known: bool,
+    sliding: SlidingFriction | None,
+) -> str:
+    """Sentence on the law of one contact: its kind and values, or which law is better than straight pieces."""
+    if sliding is not None:
+        law = sliding_estimates(sliding)
+        return (
+            f"friction behind a backlash: it slides at {_interval(law.upper_n, 'N')} one way and at "
+            f"{_interval(law.lower_n, 'N')} the other, behind a backlash of {_interval(law.backlash_m, 'mm', 1e3)} and "
+            f"a stiffness of {_interval(law.stiffness_n_per_m, 'N/m')} (95 % intervals of the scatter); it leaves "
+            f"{best.held_out_error_n:.3g} N rms of held-out data"
+        )
+    if best.law != PIECEWISE:
+        free = next(c.held_out_error_n for c in candidates if c.law == PIECEWISE)
+        formula_note = f", {formula}" if best.law == FORMULA else ""
+        return (
+            f"a freely fitted piecewise-linear law is not the best: it leaves {free:.3g} N rms of held-out data, "
+            f"the {best.law} {best.held_out_error_n:.3g} N{formula_note}"
+        )
+    slopes = pieces.slopes_n_per_m
+    if not pieces.knees_m.size:
+        return f"straight line with the slope {slopes[0]:.5g} N/m"
+    has_gap = pieces.knees_m.size == 2 and abs(slopes[1]) < FLAT_SHARE * np.abs(slopes).max()
+    kind, slopes_shown = ("dead zone", slopes[[0, 2]]) if has_gap else ("piecewise-linear law", slopes)
+    origin_note = "" if sides_known else ", counted from the middle of the play as no sensor tells its place"
+    knees_mm, slopes_text = _enumerated(1e3 * pieces.knees_m), _enumerated(slopes_shown)
+    return f"{kind} with knees at {knees_mm} mm and slopes {slopes_text} N/m{origin_note}"
+
+
+def sliding_estimates(friction: SlidingFriction) -> SlidingLaw:
+    """Values of the friction with their standard errors."""
+    names = SlidingLaw.__struct_fields__
+    return SlidingLaw(
+        **{name: Estimate(getattr(friction, name), error) for name, error in zip(names, friction.errors, strict=True)}
+    )
+
+
+def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
+    return interval(scale * estimate.value, scale * estimate.standard_error, unit)
+
+
+def _enumerated(values: Float[np.ndarray, " values"]) -> str:
+    numbers = [f"{value:.5g}" for value in values]
+    return " and ".join([", ".join(numbers[:-1]), numbers[-1]] if len(numbers) > 1 else numbers)

@@ -1,4 +1,4 @@
-"""Contacts between the same two places: sensors tell the sum of their forces alone, over one relative displacement."""
+"""Contacts between the same two places: sensors show only the sum of their forces, over one relative displacement."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,11 @@ Values = Float[np.ndarray, "*shape"]
 
 @dataclass(frozen=True)
 class Joined:
-    """Contacts of one pair of places, by their indices in the rig. signs are -1 where `at` and `against` are exchanged,
-    so that the relative displacement is minus that of the first."""
+    """Contacts of one pair of places, by their indices in the rig.
+
+    signs are -1 where `at` and `against` are exchanged: the relative displacement is then minus that of the first
+    contact.
+    """
 
     contact: Contact
     members: tuple[int, ...]
@@ -23,34 +26,34 @@ class Joined:
 
 
 def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
-    """Contacts joined by pair of places, in the order of the first of each."""
-    found: list[list[int]] = []
+    """Contacts joined by pair of places, in the order of the first contact of each pair."""
+    groups: list[list[int]] = []
     contacts = rig.contacts
     for j, contact in enumerate(contacts):
-        ends = {contact.at, contact.against}
-        same = next((f for f in found if {contacts[f[0]].at, contacts[f[0]].against} == ends), None)
-        if same is None:
-            found.append([j])
+        places = {contact.at, contact.against}
+        group = next((f for f in groups if {contacts[f[0]].at, contacts[f[0]].against} == places), None)
+        if group is None:
+            groups.append([j])
         else:
-            same.append(j)
+            group.append(j)
     return tuple(
         Joined(
-            replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *more))),
-            (first, *more),
-            tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *more)),
+            replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *further))),
+            (first, *further),
+            tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *further)),
         )
-        for first, *more in found
+        for first, *further in groups
     )
 
 
 def joined(rig: Rig) -> Rig:
-    """The rig with one contact for each pair of places, which bears the names of all and the law of the first."""
+    """Rig with one contact for each pair of places, which has the names of all and the law of the first."""
     return replace(rig, contacts=tuple(j.contact for j in joined_contacts(rig)))
 
 
 @dataclass(frozen=True)
 class JoinedLaw:
-    """The sum of the laws of contacts of one pair of places, over the relative displacement of the first."""
+    """Sum of the laws of the contacts of one pair of places, over the relative displacement of the first."""
 
     laws: tuple[ContactLaw, ...]
     signs: tuple[int, ...]
@@ -66,6 +69,7 @@ class JoinedLaw:
         return min(lower), min(upper)
 
     def force_n(self, eta_m: Values, rate_m_per_s: Values | float = 0.0, time_s: Values | float = 0.0) -> Values:
+        """Sum of the contact forces, N."""
         pairs = zip(self.signs, self.laws, strict=True)
         return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in pairs))
 

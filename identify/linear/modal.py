@@ -1,4 +1,4 @@
-"""The modal transformation (equations 21 and 22 of the paper): from stations to modal coordinates."""
+"""Modal transformation (equations 21 and 22 of the paper): from stations to modal coordinates."""
 
 from dataclasses import dataclass
 
@@ -10,16 +10,16 @@ from identify.signals.kinematics import Kinematics
 from rig.errors import RigError
 from rig.model.description import Body, Rig, Station, contact_stations
 
-INVISIBLE = 1e-3
+INVISIBLE_SHARE = 1e-3
 NEARLY_INVISIBLE = 0.15
-"""Shares of a shape's largest value; where it is smaller, the equation tells nothing, or little, of a contact."""
+"""Shares of a shape's largest value; below them a modal equation shows nothing, or little, of a contact."""
 
 
 @dataclass(frozen=True)
 class Transformation:
-    """Station displacements to modal coordinates of one body: q = inverse @ u (kg^1/2 m).
+    """Transformation from station displacements to modal coordinates of one body: q = inverse @ u (kg^1/2 m).
 
-    lost is, per mode, the rms share of the coordinate that the higher modes falsify when the contact forces and the
+    lost is, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
     exciting force shake the body with a white spectrum up to the highest fitted frequency.
     """
 
@@ -32,11 +32,11 @@ class Transformation:
 
 @dataclass(frozen=True)
 class ModalEquation:
-    """One decoupled equation: q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
+    """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several forces shape_at_force is that of the largest size, and F is `pushing_force`.
-    shape_at_force and shape_at_contacts are mass-normalised (1/sqrt(kg)); the latter carry the sign with which the
-    body's displacement enters the relative displacement. visibility is their size as a share of the shape's largest.
+    Of several forces, shape_at_force is the one of the largest size, and F is `pushing_force`. Both kinds of shapes are
+    mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
+    displacement. visibility is their size as a share of the shape's largest value.
     """
 
     body: str
@@ -56,13 +56,13 @@ class ModalEquation:
 
     @property
     def visible(self) -> tuple[bool, ...]:
-        return tuple(v >= INVISIBLE for v in self.visibility)
+        return tuple(v >= INVISIBLE_SHARE for v in self.visibility)
 
 
 def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
-    """The least-squares inverse of the shapes at the stations, with as many modes as there are stations.
+    """Least-squares inverse of the shapes at the stations, with as many modes as there are stations.
 
-    Raises RigError if a body has no station, or if they cannot tell the modes apart.
+    Raises RigError if a body has no station, or if these cannot tell the modes apart.
     """
     rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
     if not rows:
@@ -77,7 +77,7 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
             "spread them over the body"
         )
     inverse = np.linalg.pinv(shapes)
-    return Transformation(body, rows, inverse, condition, _lost(rig, body, places, inverse))
+    return Transformation(body, rows, inverse, condition, _truncation_error(rig, body, places, inverse))
 
 
 def modal_equations(
@@ -87,11 +87,11 @@ def modal_equations(
     modes: int = 4,
     contact_force_n: Float[np.ndarray, "contacts samples"] | None = None,
 ) -> tuple[ModalEquation, ...]:
-    """The first `modes` modal equations of a body, with their coordinates from the measured motion.
+    """First `modes` modal equations of a body, with their coordinates from the measured motion.
 
-    Given the contact forces, what the modes beyond the fitted ones do to the stations is taken off: the response of
-    each is its receptance, as the rig's description has it, times its modal force. Then the last quarter second is left
-    out (`until`), as the contact forces after the record's end are not known.
+    Given the contact forces, the motion by the modes beyond the fitted ones is subtracted from the stations: the
+    response of each is its receptance, as the rig's description has it, times its modal force. The last quarter second
+    is then left out (`correctable_samples`), as the contact forces after the record's end are unknown.
     """
     transform = transformation(rig, body, motion)
     modes = min(modes, transform.inverse.shape[0])
@@ -125,7 +125,7 @@ def modal_equations(
 def pushing_force(
     rig: Rig, equation: ModalEquation, forces_n: Float[np.ndarray, "forces samples"]
 ) -> Float[np.ndarray, " samples"]:
-    """The force that pushes the mode as all forces do: F = sum_k phi(x_k) F_k / shape_at_force."""
+    """Force F that pushes the mode as all forces do: sum_k phi(x_k) F_k / shape_at_force."""
     if len(forces_n) == 1 or equation.shape_at_force == 0:
         return forces_n[0]
     body = rig.body(equation.body)
@@ -133,8 +133,8 @@ def pushing_force(
     return shapes / equation.shape_at_force @ forces_n
 
 
-def until(motion: Kinematics) -> int:
-    """Count of samples with modal coordinates from which the higher modes can be taken off."""
+def correctable_samples(motion: Kinematics) -> int:
+    """Number of samples from whose modal coordinates the higher modes can be subtracted."""
     return motion.samples - round(0.25 * motion.sample_rate_hz)
 
 
@@ -145,27 +145,27 @@ def _without_higher_modes(
     coordinates: list[Float[np.ndarray, "modes samples"]],
     contact_force_n: Float[np.ndarray, "contacts samples"],
 ) -> list[Float[np.ndarray, "modes fewer"]]:
-    """Mode by mode, as all their responses together take much memory."""
-    body, fitted, keep = transform.body, len(transform.inverse), until(motion)
+    """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
+    body, fitted, keep = transform.body, len(transform.inverse), correctable_samples(motion)
     length = next_fast_len(motion.samples, real=True)
-    at_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
+    frequency_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
     forces = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
     places = np.array([motion.stations[i].position_m for i in transform.rows])
-    shown = transform.inverse[: len(coordinates[0])] @ body.shapes(places, body.max_modes)
+    in_coordinates = transform.inverse[: len(coordinates[0])] @ body.shapes(places, body.max_modes)
     contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
     drive = np.stack([*(shape_at(body, s, body.max_modes) for s in rig.forces), *contacts])
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
-    falsified = np.zeros((len(shown), at_hz.size), dtype=complex)
+    higher_modes = np.zeros((len(in_coordinates), frequency_hz.size), dtype=complex)
     for m in range(fitted, body.max_modes):
-        response = receptance(float(natural_hz[m]), float(ratios[m]), at_hz) * (drive[:, m] @ forces)
-        for i, share in enumerate(shown[:, m]):
-            falsified[i] += share * response
+        response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * (drive[:, m] @ forces)
+        for i, weight in enumerate(in_coordinates[:, m]):
+            higher_modes[i] += weight * response
     cleaned = []
     for rows in coordinates:
         cleaned.append(
-            np.stack([r - np.fft.irfft(f, length)[:keep] for r, f in zip(rows[:, :keep], falsified, strict=True)])
+            np.stack([r - np.fft.irfft(f, length)[:keep] for r, f in zip(rows[:, :keep], higher_modes, strict=True)])
         )
-        falsified *= 2j * np.pi * at_hz
+        higher_modes *= 2j * np.pi * frequency_hz
     return cleaned
 
 
@@ -174,7 +174,7 @@ def receptance(
     damping_ratio: float | Float[np.ndarray, " modes"],
     at_hz: Float[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "*modes lines"]:
-    """q over the modal force: 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; zero at 0 Hz if rigid."""
+    """Receptance of a modal force, 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; zero at 0 Hz if rigid."""
     natural, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * at_hz
     stiff = natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega
     stiff[stiff == 0] = np.inf
@@ -182,26 +182,28 @@ def receptance(
 
 
 def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:
-    """Mode shapes in the relative displacement of a contact: plus at its station, minus against it."""
+    """Mode shapes in the relative displacement of a contact: that at its station minus that against it."""
     both = rig.contacts[contact]
     against = shape_at(body, both.against, modes) if both.against else 0.0
     return np.asarray(shape_at(body, both.at, modes) - against)
 
 
 def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """The relative displacement of each contact, from the sensors at its stations or, where none is, from the modes."""
+    """Relative displacement of each contact, from the sensors at its stations or, without any, from the modes."""
     return _relative(rig, motion, motion.displacement_m)
 
 
 def relative_velocities(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """Relative velocities at the contacts, as `relative_displacements`."""
+    """Relative velocity of each contact, as `relative_displacements`."""
     return _relative(rig, motion, motion.velocity_m_per_s)
 
 
 def _relative(
     rig: Rig, motion: Kinematics, rows: Float[np.ndarray, "stations samples"]
 ) -> Float[np.ndarray, "contacts samples"]:
-    def at(station: Station) -> Float[np.ndarray, " samples"]:
+    """Relative motion of each contact, from rows of station motion."""
+
+    def station_motion(station: Station) -> Float[np.ndarray, " samples"]:
         row = motion.row(station)
         if row is not None:
             return rows[row]
@@ -210,26 +212,27 @@ def _relative(
         shape = shape_at(body, station, transform.inverse.shape[0])
         return np.asarray(shape @ transform.inverse @ rows[list(transform.rows)])
 
-    return np.stack([at(c.at) - (at(c.against) if c.against else 0.0) for c in rig.contacts])
+    return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
 def shape_at(body: Body, station: Station, modes: int) -> Float[np.ndarray, " modes"]:
-    """The body's shapes at a station; zero at a station of another body."""
+    """Shapes of a body at a station; zero at a station of another body."""
     return body.shapes(np.array([station.position_m]), modes)[0] if station.body == body.name else np.zeros(modes)
 
 
-def _lost(
-    rig: Rig, body: Body, places: Float[np.ndarray, " stations"], inverse: Float[np.ndarray, "modes stations"]
+def _truncation_error(
+    rig: Rig, body: Body, positions_m: Float[np.ndarray, " stations"], inverse: Float[np.ndarray, "modes stations"]
 ) -> Float[np.ndarray, " modes"]:
+    """Share of each fitted coordinate that the higher modes contribute (`Transformation.lost`)."""
     fitted, all_modes = inverse.shape[0], body.max_modes
     if fitted >= all_modes:
         return np.zeros(fitted)
     natural_hz = body.frequencies_hz(all_modes)
-    high_hz = natural_hz[fitted - 1] or natural_hz[fitted]
-    response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * high_hz)
-    pushed = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
-    pushed += [s for s in rig.forces if s.body == body.name]
-    drive = body.shapes(np.array([s.position_m for s in pushed]), all_modes)
+    highest_hz = natural_hz[fitted - 1] or natural_hz[fitted]
+    response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * highest_hz)
+    loaded = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
+    loaded += [s for s in rig.forces if s.body == body.name]
+    drive = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
-    error = inverse @ body.shapes(places, all_modes) - np.eye(fitted, all_modes)
+    error = inverse @ body.shapes(positions_m, all_modes) - np.eye(fitted, all_modes)
     return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted]))

@@ -1,11 +1,11 @@
-"""The linear model of a rig: accelerations at some places by forces at others, and across its contacts.
+"""Linear model of a rig: accelerations at some places by forces at others, and across its contacts.
 
 With modes of natural frequency omega_m, damping ratio zeta_m and mass-normalised shapes phi_m,
 
     a(x) = sum_k G(x, x_k) F_k - sum_j G_j(x) f_j,   G(x, x_k) = sum_m phi_m(x) A_m phi_m(x_k)
     A_m = -omega^2 / D_m,   D_m = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega
 
-Slow motion, which accelerations do not show, is in it too: where springs then act, and how stiffly they hold contacts.
+It also covers slow motion, which accelerations do not show: where springs then act, and how stiffly they hold contacts.
 """
 
 from collections import OrderedDict
@@ -22,23 +22,23 @@ from rig.errors import RigError
 from rig.model.description import Body, Rig, Station
 from rig.model.modes import Modes, modes_of
 
-SLOPE = 1e-4
-"""Slopes of shapes are differences over this share of the body's length to either side."""
-RANK = 1e-9
-"""A mode that moves a contact by a smaller share of the largest does not move it."""
+SLOPE_STEP = 1e-4
+"""Step of the differences for slopes of shapes, as a share of the body's length, to either side."""
+RANK_TOLERANCE = 1e-9
+"""Smallest share of the largest modal displacement of a contact that counts as motion."""
 
 Value = TypeVar("Value")
 
 
 class Recent(Generic[Value]):
-    """The values used last, no more than `size` of them."""
+    """Cache of the values used last, at most `size` of them."""
 
     def __init__(self, size: int) -> None:
         self._size = size
         self._values: OrderedDict[Hashable, Value] = OrderedDict()
 
     def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """The value of a key, made if it is not there."""
+        """Value of a key, made if it is not there."""
         value = self._values.pop(key) if key in self._values else make()
         self._values[key] = value
         if len(self._values) > self._size:
@@ -50,7 +50,7 @@ class Recent(Generic[Value]):
 class Dynamics:
     """Modes on the lines of a record; one object for the same modes of one cache.
 
-    The springs of those that are high_passed act on the high-passed displacement alone.
+    The springs of the modes in high_passed act on the high-passed displacement alone.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
@@ -60,10 +60,10 @@ class Dynamics:
 
 
 class ResponseCache:
-    """Modal accelerances, and transfers between places, on the lines `omega`: those used last.
+    """Cache of the modal accelerances, and of the transfers between places, on the lines `omega`.
 
-    Whoever lays many rigs against one record makes one, hands it to every model and drops it with the models: most of
-    them change one body at most. Of `size` zero it keeps nothing, for a single model of many lines.
+    To compare many rigs with one record, make one cache, hand it to every model and drop it with them: most rigs change
+    at most one body. With `size` zero it keeps nothing, for a single model of many lines.
     """
 
     def __init__(self, omega: Float[np.ndarray, " lines"], size: int = 4) -> None:
@@ -104,7 +104,7 @@ class ResponseCache:
 
 @dataclass(frozen=True)
 class Response:
-    """One body's modes, and their accelerations per modal force."""
+    """Modes of one body, and their accelerations per modal force."""
 
     body: Body
     modes: Modes
@@ -126,21 +126,21 @@ class Response:
         return shapes
 
     def slopes(self, stations: Sequence[Station]) -> Float[np.ndarray, "stations modes"]:
-        """The shapes' derivatives along the body, 1/m, at stations on it; zero of a single mass."""
+        """Derivatives of the shapes along the body, 1/m, at stations on it; zero for a single mass."""
         places, length = np.array([s.position_m for s in stations]), self.body.length_m
         if not length:
             return np.zeros((len(stations), self.count))
-        step = SLOPE * length
-        right, left = np.minimum(places + step, length), np.maximum(places - step, 0.0)
-        beside = [self.modes.shapes(x, self.count) for x in (right, left)]
-        return np.asarray((beside[0] - beside[1]) / (right - left)[:, None])
+        step = SLOPE_STEP * length
+        upper_m, lower_m = np.minimum(places + step, length), np.maximum(places - step, 0.0)
+        shapes = [self.modes.shapes(x, self.count) for x in (upper_m, lower_m)]
+        return np.asarray((shapes[0] - shapes[1]) / (upper_m - lower_m)[:, None])
 
     def sensitivity(
         self, kind: Literal["frequency", "damping"], modes: slice = slice(None)
     ) -> Complex[np.ndarray, "modes lines"]:
-        """The relative change of each mode's acceleration by that of its frequency, or of its damping: -dD / D.
+        """Relative change -dD / D of each mode's acceleration by that of its frequency, or of its damping.
 
-        An error dD changes a mode's acceleration by -dD / D of what it truly is: of what was measured.
+        An error dD changes a mode's acceleration by -dD / D times its true, that is its measured, value.
         """
         hz, zeta, omega = self.dynamics.natural_hz[modes], self.dynamics.damping_ratios[modes], self.dynamics.omega
         natural = 2 * np.pi * hz[:, None]
@@ -162,7 +162,7 @@ class Response:
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
 
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
-        """Response with springs of some modes that act on the high-passed displacement alone."""
+        """Response in which the springs of these modes act on the high-passed displacement alone."""
         return replace(
             self, dynamics=self.cache.dynamics(self.dynamics.natural_hz, self.dynamics.damping_ratios, modes)
         )
@@ -175,6 +175,7 @@ def response_of(rig: Rig, body: Body, cache: ResponseCache) -> Response:
 
 
 def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
+    """Accelerance A_m of each mode."""
     hz, zeta, omega = dynamics.natural_hz, dynamics.damping_ratios, dynamics.omega
     accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
     for mode in dynamics.high_passed:
@@ -189,26 +190,26 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
 def accelerances(
     rig: Rig, responses: Sequence[Response], forces: Sequence[Station], stations: Sequence[Station | None]
 ) -> Complex[np.ndarray, "inputs stations lines"]:
-    """The accelerations at some stations per newton: of each force at a place, then of each contact force f_j, -G_j."""
+    """Accelerations at some stations per newton of each force, then of each contact force f_j (-G_j)."""
     lines = responses[0].cache.omega.size
-    found = np.zeros((len(forces) + len(rig.contacts), len(stations), lines), dtype=complex)
+    accelerance = np.zeros((len(forces) + len(rig.contacts), len(stations), lines), dtype=complex)
     for response in responses:
         rows = [i for i, s in enumerate(stations) if s is not None and s.body == response.body.name]
         inputs = input_shapes(rig, response, forces)
-        driven = np.flatnonzero(np.any(inputs, axis=1))
-        if rows and driven.size:
+        driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
+        if rows and driving_inputs.size:
             outputs = response.shapes([stations[i] for i in rows])
-            found[driven[:, None], rows] = response.transfer(outputs, inputs[driven])
-    return found
+            accelerance[driving_inputs[:, None], rows] = response.transfer(outputs, inputs[driving_inputs])
+    return accelerance
 
 
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
-    """Mode shapes by which forces at some places, and contact forces, drive a body."""
+    """Mode shapes through which forces at some places, and contact forces, drive a body."""
     return np.concatenate([response.shapes([*forces]), -across(rig, response)])
 
 
 def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
-    """Mode shapes of a body in the relative displacements."""
+    """Mode shapes of a body in the relative displacements of the contacts."""
     return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
 
 
@@ -228,19 +229,19 @@ def weights_of(
 def times(
     real: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
 ) -> Complex[np.ndarray, "rows lines"]:
-    """The product, without taking the real factor as complex: twice as fast."""
+    """Product of a real and a complex matrix, twice as fast as with the real factor taken as complex."""
     return np.asarray((real @ np.ascontiguousarray(spectra).view(spectra.real.dtype)).view(complex))
 
 
 def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Response, ...]:
-    """Responses of every body. Where no sensor shows the zero of displacements, the springs of some modes act on the
-    high-passed displacement alone.
+    """Responses of every body.
 
-    Only modes that are then free tell a constant contact force from accelerations. So these are the modes that would be
-    rigid but for attached springs, the mode of a single mass, and further the lowest that move the contacts, until
-    every contact force is told.
+    If no sensor shows the zero of displacements, the springs of some modes act on the high-passed displacement alone,
+    as only modes that are then free show a constant contact force in accelerations. These are the modes that would be
+    rigid without attached springs, the mode of a single mass, and further the lowest ones that move the contacts, until
+    every contact force can be identified.
 
-    Raises RigError if no number of modes tells every contact force.
+    Raises RigError if no number of modes identifies every contact force.
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
     over = np.concatenate([across(rig, r) for r in responses], axis=1)
@@ -251,14 +252,16 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
         )
     if zero_known or not rig.contacts:
         return responses
-    loose = _loose_modes(responses, over)
+    high_passed = _high_passed_modes(responses, over)
     return tuple(
-        r.with_high_passed(tuple(sorted(m for body, m in loose if body == k))) for k, r in enumerate(responses)
+        r.with_high_passed(tuple(sorted(m for body, m in high_passed if body == k))) for k, r in enumerate(responses)
     )
 
 
-def _loose_modes(responses: Sequence[Response], over: Float[np.ndarray, "contacts modes"]) -> list[tuple[int, int]]:
-    """The modes (body and number) whose springs act on the high-passed displacement alone: see `responses_of`."""
+def _high_passed_modes(
+    responses: Sequence[Response], over: Float[np.ndarray, "contacts modes"]
+) -> list[tuple[int, int]]:
+    """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
     modes = [(k, m) for k, r in enumerate(responses) for m in range(r.count)]
     rigid = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
     chosen = [i for i, (k, m) in enumerate(modes) if m < rigid[k]]
@@ -273,14 +276,14 @@ def _loose_modes(responses: Sequence[Response], over: Float[np.ndarray, "contact
 
 
 def _rank(over: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
-    """Count of contact forces that some modes tell apart."""
-    return int(np.linalg.matrix_rank(over[:, list(modes)], RANK * float(np.max(np.abs(over), initial=0.0))))
+    """Number of contact forces that some modes tell apart."""
+    return int(np.linalg.matrix_rank(over[:, list(modes)], RANK_TOLERANCE * float(np.max(np.abs(over), initial=0.0))))
 
 
 def slow_damping(
     rig: Rig, responses: tuple[Response, ...], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
 ) -> Float[np.ndarray, "contacts contacts"]:
-    """The contact forces (N s) per slow relative velocity (m/s): K M K, M = sum of phi phi' 2 zeta / omega^3."""
+    """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
     over = np.concatenate([across(rig, r) for r in responses], axis=1)
     omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
     zeta = np.concatenate([r.dynamics.damping_ratios for r in responses])
@@ -289,15 +292,15 @@ def slow_damping(
 
 
 def slow_stiffness(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, "contacts contacts"]:
-    """The contact forces (N) that slow relative displacements (m) take, where springs act on the high-passed ones.
+    """Contact forces (N) per slow relative displacement (m), where springs act on the high-passed displacements.
 
-    With C the sum of phi phi' / omega^2 over the modes that are held, and N the combinations of contacts which no free
-    mode moves, K = N (N' C N)^-1 N'. Zero where no mode's spring acts on the high-passed displacement.
+    K = N (N' C N)^-1 N', with C the sum of phi phi' / omega^2 over the held modes, and N the combinations of contacts
+    that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
     """
     over = np.concatenate([across(rig, r) for r in responses], axis=1)
     omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
     combined, sizes, _ = np.linalg.svd(over[:, omega == 0])
-    still = combined[:, np.count_nonzero(sizes > RANK * np.max(np.abs(over), initial=0.0)) :]
+    still = combined[:, np.count_nonzero(sizes > RANK_TOLERANCE * np.max(np.abs(over), initial=0.0)) :]
     if not (still.size and any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)):
         return np.zeros((len(over), len(over)))
     held = over[:, omega > 0]

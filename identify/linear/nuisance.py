@@ -1,8 +1,8 @@
-"""Nuisance parameters: what a laboratory never knows exactly, and what each would change in what sensors deliver.
+"""Nuisance parameters: properties that a laboratory never knows exactly, and how each changes the sensors' signals.
 
-With D = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega of a mode, an error dD of it changes its acceleration by
--dD / D of the true one exactly: so the measured modal accelerations stand in these changes. All are in units of one
-standard deviation, as the tolerances state it.
+With D = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega of a mode, an error dD changes its acceleration by exactly -dD /
+D times the true one: therefore these changes hold the measured modal accelerations. All are in units of one standard
+deviation, as the tolerances state it.
 """
 
 from collections.abc import Iterator
@@ -23,7 +23,7 @@ THE_RECORD = "the record"
 
 
 class NuisanceKind(StrEnum):
-    """Kinds of what is not known exactly: of a sensor, a force, a body or one of its modes, a record."""
+    """Kinds of nuisance parameters: of a sensor, a force, a body or one of its modes, a record."""
 
     GAIN = "gain"
     POSITION = "position"
@@ -40,7 +40,7 @@ class NuisanceKind(StrEnum):
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One nuisance parameter: of a sensor, a body or (mode counts from 1) a mode of a body, of force or record."""
+    """One nuisance parameter of a sensor, a force, a record, a body or (mode counts from 1) a mode of a body."""
 
     kind: NuisanceKind
     of: str
@@ -53,10 +53,10 @@ class Nuisance:
 
 @dataclass(frozen=True)
 class BodyMotion:
-    """A body's modes and their accelerations, of the first ones alone where the others are taken to rest.
+    """Modes of a body and the accelerations of the first of them; the others are taken to rest.
 
     `elastic` are the modes with parameters of their own, from 0. Where `by_sensors` is known, the accelerations of the
-    first modes are those of all sensors times it, plus what the model adds.
+    first modes are those of all sensors times it, plus contributions of the model.
     """
 
     response: Response
@@ -66,16 +66,16 @@ class BodyMotion:
 
     @property
     def moving(self) -> slice:
-        """The modes that do not rest."""
+        """Modes that do not rest."""
         return slice(len(self.acceleration))
 
 
 @dataclass(frozen=True)
 class Observed:
-    """Signals that sensors deliver of the true motion (explained), the accelerations by each measured force (by_force),
-    and the displacements at the sensors' stations, which the sensors `displaced_by` gave.
+    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
 
-    sensor_response is what a sensor delivers per acceleration.
+    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration.
     """
 
     sensors: tuple[Sensor, ...]
@@ -96,7 +96,7 @@ class Observed:
 
 @dataclass(frozen=True)
 class Reading:
-    """Reading of a change from what was measured: `pattern` times the sensors' accelerations, weighted."""
+    """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
     pattern: Complex[np.ndarray, "some lines"]
     weights: Float[np.ndarray, " sensors"]
@@ -104,9 +104,9 @@ class Reading:
 
 @dataclass(frozen=True)
 class Change:
-    """Change by one standard deviation of a parameter in what some sensors deliver, and in the displacements there.
+    """Change by one standard deviation of a parameter in the signals of some sensors, and in the displacements there.
 
-    reading is None where nothing measured enters, or where it is not known how.
+    reading is None if nothing measured enters, or if its way is unknown.
     """
 
     parameter: Nuisance
@@ -120,35 +120,35 @@ class Change:
         displaced = None if self.displaced is None else self.displaced.astype(np.complex64)
         return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
 
-    def at_all(self, sensors: int) -> Complex[np.ndarray, "sensors lines"]:
-        """Change at all sensors, of this count."""
+    def at_all_sensors(self, sensors: int) -> Complex[np.ndarray, "sensors lines"]:
+        """Change at all sensors, of this number."""
         delivered = np.zeros((sensors, self.delivered.shape[1]), dtype=complex)
         delivered[self.sensors] = self.delivered
         return delivered
 
 
 def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
-    """The modes of the first `count` that bend a body; none of a single mass."""
+    """Modes among the first `count` that bend a body; none for a single mass."""
     body = response.body
     return np.arange(body.rigid_modes, max(count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
 
 
 def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
-    """Changes of every tolerance above zero; those that all modes of a body have in common only if asked for."""
-    yield from _of_sensors(observed)
-    yield from _of_forces(observed)
+    """Changes by every tolerance above zero; by those that all modes of a body have in common only on request."""
+    yield from _sensor_changes(observed)
+    yield from _force_changes(observed)
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
-        yield from _of_positions(observed, body, rows)
-        yield from _of_modes(observed, body, rows, common)
+        yield from _position_changes(observed, body, rows)
+        yield from _mode_changes(observed, body, rows, common)
 
 
-def _of_sensors(observed: Observed) -> Iterator[Change]:
-    """Changes of each sensor's chain."""
+def _sensor_changes(observed: Observed) -> Iterator[Change]:
+    """Changes by each sensor's chain."""
     single = np.eye(len(observed.sensors))
     for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
         for channel in dict.fromkeys((sensor, displacement)):
-            for kind, factor in _of_chain(channel, observed.tolerances, observed.omega).items():
+            for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
                     delivered = factor * observed.explained[[i]] * (channel == sensor)
                     displaced = factor * observed.displaced[[i]] if channel == displacement else None
@@ -157,7 +157,7 @@ def _of_sensors(observed: Observed) -> Iterator[Change]:
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:
-    """Shares of a channel that those beside it show, where both measure the same quantity: tolerance times A."""
+    """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
     share, sensors = observed.tolerances.crosstalk, observed.sensors
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
     for first, second in pairwise(range(len(sensors)) if share else ()):
@@ -176,11 +176,11 @@ def crosstalk_of(observed: Observed) -> Iterator[Change]:
             )
 
 
-def _of_chain(
+def _chain_changes(
     sensor: Sensor, tolerances: Tolerances, omega: Float[np.ndarray, " lines"]
 ) -> dict[NuisanceKind, Complex[np.ndarray, " lines"]]:
-    """The relative change of what a sensor delivers by one tolerance each of its gain g, its delay tau, and the corner
-    w of a first-order high-pass i omega / (i omega + w) that an AC-coupled one has: g, -i omega tau, -w / (i omega + w)
+    """Relative change of a sensor's signal by one tolerance each of its gain g, its delay tau, and the corner w of the
+    first-order high-pass i omega / (i omega + w) of an AC-coupled one: g, -i omega tau, -w / (i omega + w).
     """
     tolerance, turning = tolerances.of_sensor(sensor.name), 1j * omega
     corner = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
@@ -191,8 +191,8 @@ def _of_chain(
     }
 
 
-def _of_forces(observed: Observed) -> Iterator[Change]:
-    """A measured force is gain times the true one."""
+def _force_changes(observed: Observed) -> Iterator[Change]:
+    """Changes by the gain of each measured force, which is gain times the true one."""
     names = force_names(len(observed.by_force)) if len(observed.by_force) > 1 else (THE_FORCE,)
     if gain := observed.tolerances.force_gain:
         for name, by_force in zip(names, observed.by_force, strict=True):
@@ -200,7 +200,8 @@ def _of_forces(observed: Observed) -> Iterator[Change]:
             yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(delivered))), delivered)
 
 
-def _of_positions(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+def _position_changes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+    """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
     slopes = motion.response.slopes([observed.sensors[i].station for i in rows])[:, motion.moving]
@@ -219,8 +220,8 @@ def _of_positions(observed: Observed, motion: BodyMotion, rows: list[int]) -> It
                 yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], delivered, displaced, reading)
 
 
-def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int], common: bool) -> Iterator[Change]:
-    """The mass of a body; its frequencies and its damping together, and of each mode by itself."""
+def _mode_changes(observed: Observed, motion: BodyMotion, rows: list[int], common: bool) -> Iterator[Change]:
+    """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode."""
     response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
     shapes = response.shapes([observed.sensors[i].station for i in rows])[:, motion.moving]
@@ -229,11 +230,11 @@ def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int], common: b
         yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         factors = response.sensitivity("frequency" if kind is NuisanceKind.FREQUENCY else "damping", motion.moving)
-        if common and (tolerance := _relative(tolerances, kind)):
+        if common and (tolerance := _tolerance_of(tolerances, kind)):
             delivered = tolerance * sensor_response * times(shapes, factors * motion.acceleration)
             yield Change(Nuisance(kind, body.name), rows, delivered)
         for m in motion.elastic.tolist():
-            if tolerance := _relative(tolerances.of_mode(body.name, m + 1), kind):
+            if tolerance := _tolerance_of(tolerances.of_mode(body.name, m + 1), kind):
                 pattern = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
                 reading = None
                 if motion.by_sensors is not None:
@@ -242,5 +243,6 @@ def _of_modes(observed: Observed, motion: BodyMotion, rows: list[int], common: b
                 yield Change(Nuisance(kind, body.name, m + 1), rows, delivered, reading=reading)
 
 
-def _relative(tolerances: Tolerances, kind: NuisanceKind) -> float:
+def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:
+    """Tolerance of frequencies or of damping ratios."""
     return tolerances.frequency if kind is NuisanceKind.FREQUENCY else tolerances.damping

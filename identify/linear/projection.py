@@ -1,12 +1,12 @@
-"""The one solution of the linear model: unknown inputs by generalised least squares, and what they leave.
+"""Solution of the linear model: unknown inputs by generalised least squares, and the residual.
 
 At every line, of the sensors' accelerations y beyond those by known forces,
 
     y = B x + e,   cov(e) = C,   var(x_i) = 1 of inputs with a prior, any of free ones
     x = T y,   T = N^-1 B^H C^-1,   N = B^H C^-1 B + P,   r = y - B x
 
-with the accelerations B by a unit of each input, and P one for inputs with a prior, zero for free ones. The first
-`free` inputs are the free ones.
+with the accelerations B per unit of each input, and P one for inputs with a prior, zero for free ones. The first `free`
+inputs are the free ones.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -15,18 +15,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-RIDGE, LEAST = 1e-13, 1e-300
-"""Added to the diagonal of N, as a share of it and for inputs that no sensor feels: inputs that the sensors do not tell
-apart share what they make."""
+RIDGE_SHARE, MIN_RIDGE = 1e-13, 1e-300
+"""Added to the diagonal of N: a share of it, and the least for inputs that no sensor shows. Inputs that the sensors
+cannot tell apart then share their effect."""
 
 Covariances = Iterable[tuple[slice, Complex[np.ndarray, "_ sensors sensors"]]]
-"""Lines, part by part, and the covariance of the sensors' errors on each: what all lines would take is too much."""
+"""Lines, batch by batch, and the covariance of the sensors' errors on each: all lines at once take too much memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """T of sensors that err independently, each by its standard `deviation`: `by_input` is B over it, `to_inputs` gives
-    the inputs of y over it."""
+    """T of sensors with independent errors of the standard deviation `deviation`.
+
+    `by_input` is B over it, and `to_inputs` gives the inputs of y over it.
+    """
 
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     to_inputs: Complex[np.ndarray, "inputs sensors lines"]
@@ -36,8 +38,10 @@ class Projection:
     def of(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
-        """The residual in standard deviations, with inputs that have a prior as last rows, and the free inputs, of
-        something that some sensors deliver."""
+        """Residual of a change that some sensors deliver, in standard deviations, and the free inputs.
+
+        The inputs with a prior are the residual's last rows.
+        """
         standard = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
         inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standard)
         residual = unexplained(self.by_input, inputs, standard, sensors)
@@ -59,13 +63,15 @@ def projection(
 def estimated_inputs(
     by_input: Complex[np.ndarray, "inputs sensors lines"], standard: Complex[np.ndarray, "sensors lines"], free: int
 ) -> tuple[Complex[np.ndarray, "inputs lines"], float]:
-    """The inputs of one set of accelerations, both in standard deviations; and the logarithm of the determinant by
-    which those with a prior widen the residual's distribution, det N over that of the free inputs alone."""
+    """Inputs of one set of accelerations, both in standard deviations; and ln(det N / det N of the free inputs alone).
+
+    The latter is the factor by which inputs with a prior widen the residual's distribution.
+    """
     normal = _normal(by_input, by_input, free)
     inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standard)[:, None])[:, 0]
     if free == len(by_input):
         return inputs, 0.0
-    wide, narrow = (np.linalg.slogdet(part)[1].sum() for part in (normal, normal[:, :free, :free]))
+    wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free, :free]))
     return inputs, float(wide - narrow)
 
 
@@ -75,7 +81,7 @@ def unexplained(
     standard: Complex[np.ndarray, "some lines"],
     sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
-    """r = y - B x of accelerations that some sensors deliver."""
+    """Residual r = y - B x of accelerations that some sensors deliver."""
     residual = -np.einsum("isl,il->sl", by_input, inputs)
     residual[sensors] += standard
     return residual
@@ -84,17 +90,19 @@ def unexplained(
 def to_free_inputs(
     by_input: Complex[np.ndarray, "inputs sensors lines"], covariances: Covariances
 ) -> tuple[Complex[np.ndarray, "inputs sensors lines"], float]:
-    """T of free inputs where the sensors' errors have a covariance; and the largest condition number of N over all
-    lines, infinite where the sensors cannot tell the inputs apart."""
+    """T of free inputs where the sensors' errors have a covariance; and the largest condition number of N.
+
+    The condition number is infinite if the sensors cannot tell the inputs apart.
+    """
     to_inputs, condition = np.empty_like(by_input), 1.0
-    for part, covariance in covariances:
-        columns = by_input[..., part]
+    for lines, covariance in covariances:
+        columns = by_input[..., lines]
         weighted = np.linalg.solve(covariance, _line_by_line(columns)).transpose(2, 1, 0)
         normal = _normal(columns, weighted, len(columns))
         if not np.isfinite(normal).all():
             return to_inputs, np.inf
         condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
-        to_inputs[..., part] = _solved(normal, weighted.conj())
+        to_inputs[..., lines] = _solved(normal, weighted.conj())
     return to_inputs, condition
 
 
@@ -103,31 +111,33 @@ def without_free_inputs(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     covariances: Covariances,
 ) -> Iterator[Complex[np.ndarray, "rows columns"]]:
-    """The residuals of some columns in standard deviations, part of the lines by part: with C = L L^H, those of
-    y = L^-1 column and B = L^-1 by_input."""
+    """Residuals of some columns in standard deviations, batch of lines by batch.
+
+    With C = L L^H, those of y = L^-1 column and B = L^-1 by_input.
+    """
     inputs = len(by_input)
-    for part, covariance in covariances:
+    for lines, covariance in covariances:
         root = np.linalg.cholesky(covariance)
-        rows = _line_by_line(np.concatenate([by_input[..., part], *(c[..., part] for c in columns)]))
+        rows = _line_by_line(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
         standard = np.linalg.solve(root, rows)
-        made, known = standard[..., :inputs], standard[..., inputs:]
-        right = (made.conj().transpose(0, 2, 1) @ known).transpose(1, 2, 0)
-        normal = _normal(made.transpose(2, 1, 0), made.transpose(2, 1, 0), inputs)
-        residual = known - made @ _solved(normal, right).transpose(2, 0, 1)
+        standard_inputs, standard_columns = standard[..., :inputs], standard[..., inputs:]
+        products = (standard_inputs.conj().transpose(0, 2, 1) @ standard_columns).transpose(1, 2, 0)
+        normal = _normal(standard_inputs.transpose(2, 1, 0), standard_inputs.transpose(2, 1, 0), inputs)
+        residual = standard_columns - standard_inputs @ _solved(normal, products).transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
 
 def complement(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
 ) -> Complex[np.ndarray, "lines rows sensors"]:
-    """Orthonormal rows that no input reaches, line by line: with them, |rows y|^2 = |r|^2 of free inputs."""
+    """Orthonormal rows that no input reaches, line by line: |rows y|^2 = |r|^2 for free inputs."""
     inputs, sensors, lines = by_input.shape
     if not inputs:
         return np.broadcast_to(np.eye(sensors, dtype=complex), (lines, sensors, sensors))
     if inputs >= sensors:
         return np.zeros((lines, 0, sensors), dtype=complex)
-    whole = np.linalg.qr(by_input.transpose(2, 1, 0), mode="complete")[0]
-    return np.ascontiguousarray(whole[:, :, inputs:].conj().transpose(0, 2, 1))
+    unitary = np.linalg.qr(by_input.transpose(2, 1, 0), mode="complete")[0]
+    return np.ascontiguousarray(unitary[:, :, inputs:].conj().transpose(0, 2, 1))
 
 
 def _normal(
@@ -141,15 +151,17 @@ def _normal(
     for i, column in enumerate(weighted.conj()):
         normal[:, i, i:] = np.einsum("sl,jsl->lj", column, by_input[i:])
         normal[:, i:, i] = normal[:, i, i:].conj()
-        normal[:, i, i] += RIDGE * normal[:, i, i].real + LEAST + (i >= free)
+        normal[:, i, i] += RIDGE_SHARE * normal[:, i, i].real + MIN_RIDGE + (i >= free)
     return normal
 
 
 def _solved(
     normal: Complex[np.ndarray, "lines inputs inputs"], right: Complex[np.ndarray, "inputs many lines"]
 ) -> Complex[np.ndarray, "inputs many lines"]:
+    """N^-1 right, line by line."""
     return np.ascontiguousarray(np.linalg.solve(normal, right.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
 def _line_by_line(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
+    """Array with the line as the first axis and the input as the last."""
     return np.ascontiguousarray(rows.transpose(2, 1, 0))

@@ -1,4 +1,4 @@
-"""A page that stands alone: one HTML file with its style and its pictures, readable on a phone, light or dark."""
+"""Self-contained page: one HTML file with its style and its pictures, readable on a phone, light or dark."""
 
 import sys
 from base64 import b64encode
@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Literal
 
 from identify.pages.interactive import interactive, library
-from identify.pages.picture import Picture
+from identify.pages.style import Picture
 from rig.files import sha256_of, write_bytes
 
 Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]
 SHOWN_DIGITS = 12
-"""Of the SHA-256 of a recording."""
+"""Digits of the SHA-256 of a recording that a page shows."""
 
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
@@ -68,10 +68,10 @@ def write(
     foot: str,
     sources: Sequence[Path] = (),
 ) -> None:
-    """Writes the page, which needs no other file: beside first, then renamed.
+    """Write a page that needs no other file: to a temporary file, which is then renamed.
 
     A section is its heading and its HTML; everything else is plain text. Below the foot stand date, version, command,
-    and the recordings that it was made of with the beginning of their SHA-256.
+    and the source recordings with the first digits of their SHA-256.
     """
     sections = list(sections)
     plots = any("Bokeh.embed" in html for _, html in sections)
@@ -83,39 +83,41 @@ def write(
         verdict=escape(verdict),
         sentence=escape(sentence),
         sections="\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections),
-        foot=f"{escape(foot)}<br>{escape(_made(sources))}",
+        foot=f"{escape(foot)}<br>{escape(_provenance(sources))}",
     )
     write_bytes(page.encode(), path)
 
 
-def _made(sources: Sequence[Path]) -> str:
+def _provenance(sources: Sequence[Path]) -> str:
+    """Sentence on date, version, command and source recordings."""
     hashes = (f"{path.name} {sha256_of(path)[:SHOWN_DIGITS]}" for path in sources)
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    parts = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
-    return "Made " + ", ".join([*parts, *hashes]) + "."
+    fields = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
+    return "Made " + ", ".join([*fields, *hashes]) + "."
 
 
 def picture(name: str, png: bytes) -> str:
-    """A PNG file within the page; its name is what is read where it cannot be seen."""
+    """HTML of a PNG file within the page, with its name as the alternative text."""
     return f'<img alt="{escape(name.replace("_", " "))}" src="data:image/png;base64,{b64encode(png).decode()}">\n'
 
 
-def figure(name: str, shown: Picture, caption: str = "") -> str:
-    """A plot to work with, or else a picture, with what it shows below it."""
-    drawn = interactive(shown.figure) or f"<div>{picture(name, shown.png)}</div>"
-    below = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    return f"<figure>{drawn}{below}</figure>\n"
+def figure(name: str, image: Picture, caption: str = "") -> str:
+    """HTML of an interactive plot, or else of a picture, with its caption below."""
+    plot = interactive(image.figure) or f"<div>{picture(name, image.png)}</div>"
+    figcaption = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f"<figure>{plot}{figcaption}</figure>\n"
 
 
 def listed(items: Iterable[str]) -> str:
+    """HTML of a list."""
     return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
 
 
 def table(head: Sequence[str], rows: Rows) -> str:
-    """The first column, and cells of words, may break; a cell that begins with a figure does not."""
-    said = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    """HTML of a table. The first column and cells of words may break, a cell that begins with a number does not."""
+    header = "".join(f"<th>{escape(cell)}</th>" for cell in head)
     body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{said}</tr></thead><tbody>{body}</tbody></table></div>'
+    return f'<div class="wide"><table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _cell(text: str) -> str:

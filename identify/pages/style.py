@@ -1,10 +1,12 @@
-"""The style that all figures of the pages share."""
+"""Pictures of figures in a common style."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from io import BytesIO
+from pathlib import Path
 from typing import Any
 
-from identify.pages.picture import Picture
+from rig.files import write_bytes
 
 BLUE, RED, GREY, GREEN, INK = "#1f5fa8", "#c8402f", "#8a8a8a", "#2c8a57", "#444444"
 _STYLE = {
@@ -20,8 +22,22 @@ _STYLE = {
 }
 
 
+@dataclass(frozen=True)
+class Picture:
+    """PNG file and the matplotlib figure that it shows; a notebook displays it."""
+
+    png: bytes = field(repr=False)
+    figure: Any = field(repr=False, compare=False, default=None)
+
+    def save(self, path: str | Path) -> None:
+        write_bytes(self.png, Path(path))
+
+    def _repr_png_(self) -> bytes:
+        return self.png
+
+
 def picture(draw: Callable[[Any], object], width_in: float = 7.2, height_in: float = 4.2) -> Picture:
-    """A new figure in the style of all, drawn by a function."""
+    """Picture of a new figure in the common style, drawn by a function."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -40,8 +56,8 @@ def picture(draw: Callable[[Any], object], width_in: float = 7.2, height_in: flo
 
 
 def _plain_decades(axis: Any) -> None:
-    """Plain numbers along a logarithmic axis; between the powers of ten only where it spans few."""
+    """Label a logarithmic axis with plain numbers, between the powers of ten only where it spans few."""
     low, high = sorted(axis.get_view_interval())
-    few = high < 20 * low
+    narrow = high < 20 * low
     axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(lambda value, _: f"{value:g}" if few and f"{value:e}"[0] in "25" else "")
+    axis.set_minor_formatter(lambda value, _: f"{value:g}" if narrow and f"{value:e}"[0] in "25" else "")

@@ -1,4 +1,4 @@
-"""Curves as data: csv, mat or parquet, one file a table."""
+"""Tables of curves as files: csv, mat or parquet, one file per table."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,14 +10,14 @@ from rig.extras import needs_extra
 from rig.files import atomic_write
 
 Table = dict[str, Float[np.ndarray, " rows"]]
-"""Columns of one length by their names, which end in the unit; an empty unit is not written."""
+"""Columns of equal length by their names, which end in the unit unless it is one."""
 
 
 def save_tables(tables: Mapping[str, Table], folder: Path, form: str) -> None:
-    """A file for each, by its name, in a folder that is there; raises RigError if one cannot be written."""
+    """Write each table to a file of its name in an existing folder; raises RigError if one cannot be written."""
     for name, table in tables.items():
-        with atomic_write(folder / f"{name}.{form}") as part:
-            WRITERS[form](table, part)
+        with atomic_write(folder / f"{name}.{form}") as partial_path:
+            WRITERS[form](table, partial_path)
 
 
 def _write_csv(table: Table, path: Path) -> None:
@@ -29,7 +29,7 @@ def _write_csv(table: Table, path: Path) -> None:
 
 
 def _write_mat(table: Table, path: Path) -> None:
-    """A matrix `values` and a cell array `names`: names of contacts are no names of variables."""
+    """Write a matrix `values` and a cell array `names`, as names of contacts are no valid names of variables."""
     from scipy.io import savemat
 
     values = np.stack([*table.values()], axis=1)

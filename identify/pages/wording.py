@@ -1,15 +1,15 @@
-"""Numbers as they are written on the pages, in the pictures and on the screen."""
+"""Numbers as text, for the pages, the figures and the screen."""
 
 import math
 
 from rig.model.quantities import printed_unit
 
 COVERED = 1.96
-"""Standard errors on either side of a value that hold 95 % of a normal distribution."""
+"""Half-width of the 95 % interval of a normal distribution in standard errors."""
 
 
 def number(value: float, digits: int = 4) -> str:
-    """The value to so many significant digits; with a power of ten where it is very large or very small."""
+    """Value to some significant digits, with a power of ten where it is very large or very small."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
     rounded = float(f"{value:.{digits - 1}e}")
@@ -20,7 +20,7 @@ def number(value: float, digits: int = 4) -> str:
 
 
 def percent(share: float) -> str:
-    """A share of one in percent, without claiming that anything is certain."""
+    """Share of one in percent, never rounded to 0 % or 100 %."""
     if 0 < share < 0.001:
         return "< 0.1 %"
     if 0.999 < share < 1:
@@ -29,7 +29,7 @@ def percent(share: float) -> str:
 
 
 def interval(value: float, standard_error: float, unit: str) -> str:
-    """value ± 1.96 standard errors, to two digits of the latter; the unit "1" is not written."""
+    """Value ± 1.96 standard errors, to two digits of these; the unit "1" is not written."""
     half = COVERED * standard_error
     named = "" if unit == "1" else f" {printed_unit(unit)}"
     if not math.isfinite(half) or half <= 0:

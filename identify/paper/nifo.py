@@ -1,4 +1,4 @@
-"""NIFO: the contact force as a further input, per frequency (equations 4, 5 and 23 to 28 of the paper)."""
+"""NIFO: regression with the contact force as a further input, at each frequency (paper, equations 4, 5, 23 to 28)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,8 +19,8 @@ Form = Literal["weak", "paper"]
 class Nifo:
     """Result of NIFO in one modal equation.
 
-    frf is q over the modal force (s^2), stiffness the complex contact stiffness of each visible contact; contacts are
-    the indices of the visible contacts. stiffness_error is the standard error of the spectral means.
+    frf is q over the modal force (s^2); stiffness_n_per_m is the complex contact stiffness of each contact that takes
+    part, and contacts are their indices. stiffness_error_n_per_m is the standard error of the spectral means.
     """
 
     equation: ModalEquation
@@ -34,16 +34,16 @@ class Nifo:
 
     @property
     def mean_n_per_m(self) -> Float[np.ndarray, " contacts"]:
-        """The spectral mean of the real part."""
+        """Spectral mean of the real part."""
         return self.stiffness_n_per_m.real.mean(axis=1)
 
     @property
     def deviation_n_per_m(self) -> Float[np.ndarray, " contacts"]:
-        """The rms over frequency of the deviation from the spectral mean."""
+        """Rms over frequency of the deviation from the spectral mean."""
         return np.sqrt(np.mean(np.abs(self.stiffness_n_per_m - self.mean_n_per_m[:, None]) ** 2, axis=1))
 
     def true_frf(self) -> Complex[np.ndarray, " lines"]:
-        """The FRF that the rig's description believes in."""
+        """FRF of the mode as the rig's description has it."""
         return receptance(self.equation.frequency_hz, self.equation.damping_ratio, self.frequency_hz)
 
 
@@ -56,53 +56,56 @@ def nifo(
 ) -> Nifo:
     """Regression of the modal coordinate on the modal force and the penetrations, line by line over the blocks.
 
-    The paper's form is Q = H (phi_F F - sum_j phi_j k_j P_j) with spectra under the window w; it leaks, as
-    the window's derivatives do not commute with the equation of motion. The weak form keeps them: with Q' and Q'' the
-    spectra of q under w' and w'' ::
+    The paper's form is Q = H (phi_F F - sum_j phi_j k_j P_j) with spectra under the window w; it leaks, as the window
+    does not commute with the derivatives in the equation of motion. The weak form keeps the window's derivatives: with
+    Q' and Q'' the spectra of q under w' and w'' ::
 
         Q = H (phi_F F - Q'' + 2 i omega Q' - sum_j phi_j k_j P_j) + 2 zeta omega_0 H Q'
 
     which is exact for any motion, since w and w' vanish at a block's ends.
 
-    Contacts that the equation does not see, or that never close, take no part. Raises RigError if the blocks are fewer
-    than the unknowns.
+    Contacts that are not visible in the equation, or that never close, take no part. Raises RigError if there are not
+    more blocks than unknowns.
     """
-    seen = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
-    unknowns = 1 + len(seen) + (form == "weak")
+    active = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
+    unknowns = 1 + len(active) + (form == "weak")
     if len(blocks.starts) <= unknowns:
         raise RigError(
             f"{len(blocks.starts)} blocks for {unknowns} unknowns a line; use shorter blocks or record longer"
         )
     response = equation.displacement
     inputs = [[Term(force_n, factor=equation.shape_at_force)]]
-    inputs += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in seen]
+    inputs += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
     if form == "weak":
         inputs[0].append(Term(response, derivative=2, factor=-1.0))
         inputs.append([Term(response, derivative=1)])
     rate = 2j * 2 * np.pi * blocks.frequency_hz
 
-    def spectra(chosen: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
-        found = blocks.together([*inputs, [Term(response)]], [blocks.starts[k] for k in chosen])
+    def channel_spectra(chosen: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
+        spectra = blocks.spectra_of_sums([*inputs, [Term(response)]], [blocks.starts[k] for k in chosen])
         if form == "weak":
-            found[0] += rate * found[-2]
-        return found
+            spectra[0] += rate * spectra[-2]
+        return spectra
 
-    weights, inverse = line_by_line(spectra, len(blocks.starts))
+    weights, inverse = line_by_line(channel_spectra, len(blocks.starts))
     frf = weights[:, 0]
-    stiffness = -weights[:, 1 : 1 + len(seen)] / frf[:, None]
+    stiffness = -weights[:, 1 : 1 + len(active)] / frf[:, None]
 
-    def of_the_mean(
-        changes: Complex[np.ndarray, "some blocks unknowns"], some: slice
+    def mean_stiffness_influence(
+        changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
     ) -> Float[np.ndarray, "blocks contacts"]:
-        ours, alone = changes[:, :, 1 : 1 + len(seen)], changes[:, :, :1]
-        return -((ours + stiffness[some, None] * alone) / frf[some, None, None]).real.sum(axis=0) / frf.size
+        """Changes of the spectral means of the stiffness k = -w / H by those of the weights w and of the FRF H."""
+        weight_changes, frf_changes = changes[:, :, 1 : 1 + len(active)], changes[:, :, :1]
+        stiffness_changes = -((weight_changes + stiffness[chunk, None] * frf_changes) / frf[chunk, None, None])
+        return stiffness_changes.real.sum(axis=0) / frf.size
 
     variance = variance_of_sum(
-        lambda chosen: influences(spectra, chosen, weights, inverse, of_the_mean), len(blocks.starts)
+        lambda chosen: influences(channel_spectra, chosen, weights, inverse, mean_stiffness_influence),
+        len(blocks.starts),
     )
     return Nifo(
         equation=equation,
-        contacts=seen,
+        contacts=active,
         frequency_hz=blocks.frequency_hz,
         frf=frf,
         stiffness_n_per_m=stiffness.T,
@@ -113,7 +116,7 @@ def nifo(
 
 
 def fitted_mode(result: Nifo) -> tuple[float, float]:
-    """Natural frequency (Hz) and damping ratio of the FRF: 1/H = omega_0^2 - omega^2 + 2 i zeta omega_0 omega.
+    """Natural frequency (Hz) and damping ratio fitted to the FRF: 1/H = omega_0^2 - omega^2 + 2 i zeta omega_0 omega.
 
     Linear least squares of H (omega_0^2 + i omega g) = 1 + omega^2 H, so that resonance and noise weigh as in H.
     """

@@ -1,4 +1,4 @@
-"""The restoring force surface, and the clearances from it and from the histogram of the relative displacement."""
+"""Clearances by the restoring force surface, and by the histogram of the relative displacement."""
 
 from dataclasses import dataclass
 
@@ -11,15 +11,16 @@ from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import penetration_m
 
-"""Into how many parts a record is cut for standard errors."""
-LEAST_CONTACT = 2e-3
-"""A contact that is closed for a smaller share of the time tells nothing about its clearance."""
+LEAST_CONTACT_SHARE = 2e-3
+"""Share of the time for which a contact must be closed to determine its clearance."""
 
 
 @dataclass(frozen=True)
 class Stops:
-    """The two stops of a contact, and the clearance: half their distance, or that of the one that is touched; standard
-    errors beside, that of half the distance last."""
+    """Clearances of a contact to its lower and upper stop, with standard errors; half_error_m is that of their mean.
+
+    clearance_m is their mean, or the clearance of the only stop that is touched.
+    """
 
     lower_m: float
     upper_m: float
@@ -42,12 +43,10 @@ class Stops:
 
 @dataclass(frozen=True)
 class Surface:
-    """A modal equation's restoring force over the relative displacements, as measured and as fitted.
-
-    Every `factor`-th sample of the record.
+    """Restoring force of a modal equation, measured and fitted, at every `factor`-th sample of the record.
 
     measured = shape_at_force F - q'' (N / sqrt(kg)); fitted = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
-    contact_share is what each contact adds to the fitted force.
+    contact_share is the part of each contact in the fitted force.
     """
 
     equation: ModalEquation
@@ -60,7 +59,7 @@ class Surface:
 
 
 def restoring_force(equation: ModalEquation, force_n: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-    """Restoring force r = shape_at_force F - q'': what mass and exciting force leave."""
+    """Restoring force r = shape_at_force F - q'' of a modal equation, N / sqrt(kg)."""
     return equation.shape_at_force * force_n - equation.acceleration
 
 
@@ -71,67 +70,70 @@ def fit_surface(
     factor: int,
     start: tuple[Stops | None, ...],
 ) -> Surface:
-    """Least squares of the restoring force on q', q and a dead zone per visible contact that has a start.
+    """Least squares of the restoring force on q', q and a dead zone for each visible contact with starting stops.
 
-    The stops enter nonlinearly and are found by Gauss-Newton around the linear regression; standard errors allow for
-    residuals that are correlated within a sixteenth of the record (a sandwich estimate). Both sides are low-passed
-    alike and decimated by `factor`, which keeps out frequencies at which the modal transformation no longer holds.
+    The stops are nonlinear parameters, found by nonlinear least squares around the linear regression; their standard
+    errors are sandwich estimates, which allow for residuals correlated within a sixteenth of the record. Both sides are
+    low-passed alike and decimated by `factor`, as the modal transformation fails at high frequencies.
     """
-    known = [(j, s) for j, (s, visible) in enumerate(zip(start, equation.visible, strict=True)) if visible and s]
-    seen = [j for j, _ in known]
+    started = [(j, s) for j, (s, visible) in enumerate(zip(start, equation.visible, strict=True)) if visible and s]
+    indices = [j for j, _ in started]
     measured = decimated(restoring_force(equation, force_n), factor)
     linear = decimated(np.stack([equation.velocity, equation.displacement]), factor)
 
     def columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
         zones = [
             equation.shape_at_contacts[j] * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), factor)
-            for i, j in enumerate(seen)
+            for i, j in enumerate(indices)
         ]
         return np.stack([*linear, *zones], axis=1)
 
     def remainder(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
         return measured - _projection(columns(stops), measured)[0]
 
-    largest = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in seen]).ravel()
+    largest = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in indices]).ravel()
     scale = np.maximum(largest, 1e-12)
-    first = np.array([x for _, s in known for x in (s.lower_m, s.upper_m)])
+    start_m = np.array([x for _, s in started for x in (s.lower_m, s.upper_m)])
     solution = least_squares(
-        lambda s: remainder(s * scale), np.clip(first / scale, 0.0, 0.98), bounds=(0, 1), xtol=1e-9, ftol=1e-12
+        lambda s: remainder(s * scale), np.clip(start_m / scale, 0.0, 0.98), bounds=(0, 1), xtol=1e-9, ftol=1e-12
     )
     stops = solution.x * scale
     fitted, weights = _projection(columns(stops), measured)
     covariance = _sandwich(np.concatenate([columns(stops), solution.jac / scale], axis=1), measured - fitted)
-    found: list[Stops | None] = [None] * len(eta_m)
+    fitted_stops: list[Stops | None] = [None] * len(eta_m)
     share = np.zeros((len(eta_m), measured.size))
     stiffness = np.full(len(eta_m), np.nan)
-    first_stop = len(linear) + len(seen)
-    for i, j in enumerate(seen):
-        pair = covariance[first_stop + 2 * i : first_stop + 2 * i + 2, first_stop + 2 * i : first_stop + 2 * i + 2]
+    first_stop = len(linear) + len(indices)
+    for i, j in enumerate(indices):
+        of_stops = slice(first_stop + 2 * i, first_stop + 2 * i + 2)
+        stop_covariance = covariance[of_stops, of_stops]
         stiffness[j] = weights[2 + i]
         share[j] = weights[2 + i] * columns(stops)[:, 2 + i]
         closed = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
-        if closed >= LEAST_CONTACT:
-            of_lower, of_upper, of_half = np.sqrt([pair[0, 0], pair[1, 1], pair.sum() / 4]).tolist()
-            lower, upper = stops[2 * i : 2 * i + 2].tolist()
-            found[j] = Stops(lower, upper, of_lower, of_upper, of_half, known[i][1].touched)
-    return Surface(equation, factor, measured, fitted, share, tuple(found), stiffness)
+        if closed >= LEAST_CONTACT_SHARE:
+            variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
+            lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
+            lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
+            touched = started[i][1].touched
+            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, touched)
+    return Surface(equation, factor, measured, fitted, share, tuple(fitted_stops), stiffness)
 
 
 def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
-    """The stops at which the density of the relative displacement bends: maximum likelihood of
+    """Stops by maximum likelihood of the density of the relative displacement,
 
         log p = const - a eta - b eta^2 / 2 - kappa dz(eta; lower, upper)^2 / 2
 
-    (a Gaussian within the gap, a narrower one beyond a stop). Standard errors from sixteen parts of the record.
+    a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record.
     """
     edges = np.linspace(eta_m.min(), eta_m.max(), 401)
     middles = (edges[:-1] + edges[1:]) / 2
     scale = float(np.std(eta_m))
 
     def fit(
-        part: Float[np.ndarray, " samples"], starts: list[Float[np.ndarray, " parameters"]]
+        sample: Float[np.ndarray, " samples"], starts: list[Float[np.ndarray, " parameters"]]
     ) -> Float[np.ndarray, " parameters"]:
-        counts = np.histogram(part, edges)[0] / part.size
+        counts = np.histogram(sample, edges)[0] / sample.size
 
         def cost(p: Float[np.ndarray, " parameters"]) -> float:
             lower, upper = np.abs(p[3:]) * scale
@@ -144,26 +146,27 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
             top = exponent.max()
             return float(-(counts @ exponent) + top + np.log(np.exp(exponent - top).sum()))
 
-        tries = [
+        attempts = [
             minimize(cost, s, method="Nelder-Mead", options={"maxiter": 4000, "xatol": 1e-5, "fatol": 1e-10})
             for s in starts
         ]
-        return np.asarray(min(tries, key=lambda t: t.fun).x)
+        return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / scale
     best = fit(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
-    parts = np.array([np.abs(fit(p, [best])[3:]) for p in np.array_split(eta_m, PARTS)]) * scale
+    part_stops_m = np.array([np.abs(fit(p, [best])[3:]) for p in np.array_split(eta_m, PARTS)]) * scale
     lower, upper = np.abs(best[3:]) * scale
-    of_lower, of_upper, of_half = (
-        float(np.std(x, ddof=1) / np.sqrt(PARTS)) for x in (parts[:, 0], parts[:, 1], parts.mean(axis=1))
+    lower_error_m, upper_error_m, half_error_m = (
+        float(np.std(x, ddof=1) / np.sqrt(PARTS))
+        for x in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
-    return Stops(float(lower), float(upper), of_lower, of_upper, of_half)
+    return Stops(float(lower), float(upper), lower_error_m, upper_error_m, half_error_m)
 
 
 def _projection(
     columns: Float[np.ndarray, "samples columns"], target: Float[np.ndarray, " samples"]
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " columns"]]:
-    """Least squares by the normal equations of scaled columns: the projection and the weights."""
+    """Projection of the target on the columns, and their weights, by normal equations of scaled columns."""
     scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     scale[scale == 0] = 1.0
     normal = (columns.T @ columns) / np.outer(scale, scale)
@@ -174,7 +177,7 @@ def _projection(
 def _sandwich(
     jacobian: Float[np.ndarray, "samples parameters"], residual: Float[np.ndarray, " samples"]
 ) -> Float[np.ndarray, "parameters parameters"]:
-    """Covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
+    """Sandwich covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
     scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
     scale[scale == 0] = 1.0
     scaled = jacobian / scale

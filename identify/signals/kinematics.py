@@ -1,4 +1,4 @@
-"""Displacement, velocity and acceleration at each station from what was measured there."""
+"""Displacement, velocity and acceleration at each station from the signals of its sensors."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 
-from identify.signals.beginning import QUIET_S, at_rest_until, led_in
+from identify.signals.beginning import QUIET_S, excitation_start, lead_in
 from rig.errors import RigError
 from rig.model.description import Sensor, Station, contact_stations
 from rig.model.quantities import QUANTITIES
@@ -16,29 +16,29 @@ from rig.model.sensing import PASSBAND
 from rig.recording import Recording
 
 TAPER_S = 0.5
-PASSED = 0.05
-"""Of the corner of a sensor's high-pass: what is lower is lost."""
+"""Length of the taper at a record's end, s."""
+PASSED_SHARE = 0.05
+"""Lowest frequency of a sensor that can be restored, over the corner of its high-pass."""
 CORNER_HZ = 0.5
-"""Below this an integrated acceleration is drift; it is cut off smoothly between half of it and itself."""
+"""Integrated accelerations are drift below; they are cut off smoothly between half this frequency and itself."""
 
 if TYPE_CHECKING:
     Use = str
 else:
     Use = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
-"""Sensors of the motion; the bending that strain gauges show is not used."""
+"""Quantity of the sensors in use, or all of motion; the bending that strain gauges show is not used."""
 ByStation = dict[Station, dict[int, Sensor]]
-"""At each station the sensor of each derivative that is measured there; the last of several alike."""
+"""Sensor of each measured derivative at each station; the last one of several alike."""
 
 
 @dataclass(frozen=True)
 class Kinematics:
-    """Motion of every station on one clock, from the first sample on; the record's end is left out.
+    """Motion of every station on one clock, from the first sample on, without the record's end.
 
-    sensors tells which sensor gave the acceleration of each station, and displaced_by which gave its displacement.
-    trusted_hz is the band in which every row is right. zero_known says whether a constant displacement is seen.
-    lost is the slow part of the acceleration that an integrated displacement at a contact lacks; zero elsewhere.
-    excited_from is the first sample at which the force has begun; 0 of a record without a quiet start. start_s is the
-    time of the first sample in the record.
+    sensors are those of each station's acceleration, displaced_by those of its displacement. Every row is right within
+    trusted_hz. zero_known is False if a constant displacement cannot be seen. lost_m_per_s2 is the slow part of the
+    acceleration that an integrated displacement at a contact lacks, zero elsewhere. excited_from is the first sample
+    with a force, 0 without a quiet start. start_s is the time of the first sample in the record.
     """
 
     stations: tuple[Station, ...]
@@ -63,8 +63,8 @@ class Kinematics:
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
         """Exciting force of a rig that has one, N."""
-        (only,) = self.forces_n
-        return np.asarray(only)
+        (force_n,) = self.forces_n
+        return np.asarray(force_n)
 
     @property
     def samples(self) -> int:
@@ -72,39 +72,39 @@ class Kinematics:
 
     @property
     def quiet_samples(self) -> int:
-        """Count of samples at the start that tell the noise; 0 where they are too few."""
+        """Number of samples at the start that show the noise; 0 if they are too few."""
         before = self.excited_from - round(0.05 * self.sample_rate_hz)
         return before if before > QUIET_S * self.sample_rate_hz else 0
 
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
 
-    def part(self, now: slice) -> "Kinematics":
-        """Some of the samples."""
+    def segment(self, samples: slice) -> "Kinematics":
+        """Kinematics of a slice of the samples."""
         return replace(
             self,
-            forces_n=self.forces_n[:, now],
-            displacement_m=self.displacement_m[:, now],
-            velocity_m_per_s=self.velocity_m_per_s[:, now],
-            acceleration_m_per_s2=self.acceleration_m_per_s2[:, now],
-            lost_m_per_s2=self.lost_m_per_s2[:, now],
-            excited_from=max(0, self.excited_from - (now.start or 0)),
-            start_s=self.start_s + (now.start or 0) / self.sample_rate_hz,
+            forces_n=self.forces_n[:, samples],
+            displacement_m=self.displacement_m[:, samples],
+            velocity_m_per_s=self.velocity_m_per_s[:, samples],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[:, samples],
+            lost_m_per_s2=self.lost_m_per_s2[:, samples],
+            excited_from=max(0, self.excited_from - (samples.start or 0)),
+            start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
         )
 
     @property
     def without_rows(self) -> "Kinematics":
-        """Kinematics without any station's motion, which takes much memory."""
+        """Kinematics without the motion of any station, which takes much memory."""
         none = np.empty((0, self.samples))
         return replace(self, displacement_m=none, velocity_m_per_s=none, acceleration_m_per_s2=none, lost_m_per_s2=none)
 
 
 @dataclass(frozen=True)
 class _PaddedTransform:
-    """Transform of a record: its samples times `ending`, silence behind them, `length` samples in all.
+    """Fourier transform of a record: its samples times `ending`, zeros after them, `length` samples in all.
 
-    The silence keeps the record's end, which integration falsifies, from wrapping round to its start. usable is how
-    many samples of the motion are right; lead is how many before the first are made up for a derivative.
+    The zeros keep the record's end, which integration falsifies, from wrapping round to its start. usable is the number
+    of right samples of the motion, lead that of made-up samples before the first for differentiation.
     """
 
     corner_hz: float
@@ -118,15 +118,15 @@ class _PaddedTransform:
     def spectrum(
         self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead: int
     ) -> Complex[np.ndarray, " lines"]:
-        """Spectrum of the motion behind a sensor's signal: its chain taken out, where it lets anything pass.
+        """Spectrum of the motion behind a sensor's signal: its chain divided out, where it lets anything pass.
 
-        So many samples of a lead-in stand before the first sample, at the end of what the transform takes.
+        `lead` samples of a lead-in stand before the first sample, at the end of the transform's input.
         """
         padded = np.zeros(self.length)
         padded[: delivered.size] = delivered * self.ending
         if lead:
-            padded[-lead:] = led_in(padded[: delivered.size], lead)
-        passes = self.omega >= PASSED * 2 * np.pi * sensor.high_pass_hz
+            padded[-lead:] = lead_in(padded[: delivered.size], lead)
+        passes = self.omega >= PASSED_SHARE * 2 * np.pi * sensor.high_pass_hz
         response = sensor.response(self.omega)
         return np.divide(rfft(padded), response, out=np.zeros(self.omega.size, dtype=complex), where=passes)
 
@@ -136,7 +136,7 @@ class _PaddedTransform:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Displacement, velocity and acceleration of every station; what integration lost; channels they come from."""
+    """Displacement, velocity and acceleration of every station; the part lost by integration; the channels in use."""
 
     derivatives: tuple[Float[np.ndarray, "_ usable"], ...]
     lost_m_per_s2: Float[np.ndarray, "stations usable"]
@@ -148,14 +148,14 @@ def kinematics(
 ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
-    In the frequency domain, with the end of the record tapered off: each sensor's gain and delay are divided out, and
-    what was not measured is had by multiplication with powers of i omega. Integration is cut off smoothly below the
-    corner. Each motion comes from the sensor that measured it, else from the nearest one that needs no integration.
-    `use` takes the sensors of one quantity only. A segment of a longer record is tapered off at its start too, and is
-    wrong there. Where a record does not begin at rest, its point reflection leads it in before it is differentiated.
-    Derivatives below the least order are left out: they take memory.
+    In the frequency domain, with the record's end tapered: each sensor's gain and delay are divided out, and missing
+    derivatives follow by powers of i omega. Integration is cut off smoothly below the corner. Each derivative comes
+    from the sensor that measured it, else from the nearest one that needs no integration. `use` restricts the sensors
+    to one quantity. A segment of a longer record is tapered at its start too, and is wrong there. A record that does
+    not begin at rest is led in by its point reflection before it is differentiated. Derivatives below `least_order` are
+    left out, as they take memory.
 
-    Raises RigError if no such sensor is there, or the record is too short for its ends to be left out.
+    Raises RigError if there is no such sensor, or the record is too short for its ends to be left out.
     """
     sensors = _motion_sensors(recording, use)
     stations = _by_station(sensors)
@@ -183,16 +183,20 @@ def kinematics(
 
 
 def _motion_sensors(recording: Recording, use: Use) -> list[Sensor]:
-    """Raises RigError if there are none."""
+    """Sensors of motion of the quantity in use.
+
+    Raises RigError if there are none.
+    """
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
     if not sensors:
-        wanted = "sensors of motion" if use == "auto" else f"{use} sensors"
-        instead = "; measure accelerations, velocities or displacements" if use == "auto" else ""
-        raise RigError(f"the recording has no {wanted}; it has {', '.join(sorted(recording.signals))}{instead}")
+        required = "sensors of motion" if use == "auto" else f"{use} sensors"
+        advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
+        raise RigError(f"the recording has no {required}; it has {', '.join(sorted(recording.signals))}{advice}")
     return sensors
 
 
 def _by_station(sensors: list[Sensor]) -> ByStation:
+    """Sensors by station and order of the derivative."""
     stations: ByStation = {}
     for sensor in sensors:
         stations.setdefault(sensor.station, {})[sensor.measures.order] = sensor
@@ -200,7 +204,10 @@ def _by_station(sensors: list[Sensor]) -> ByStation:
 
 
 def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _PaddedTransform:
-    """Raises RigError if the record is too short."""
+    """Padded transform of the record.
+
+    Raises RigError if the record is too short.
+    """
     rate, samples = recording.rig.sample_rate_hz, recording.samples
     left_out_s = TAPER_S + (2 / corner_hz if integrates else 0.1)
     usable = samples - round(left_out_s * rate)
@@ -213,7 +220,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         ending = ending * ending[::-1]
     length = next_fast_len(samples + round(2 * left_out_s * rate), real=True)
-    excited_from = at_rest_until(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
+    excited_from = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
     return _PaddedTransform(
         corner_hz=corner_hz,
         ending=ending,
@@ -226,6 +233,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
 
 
 def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
+    """Motion of every station in time, from the orders `least_order` to 2."""
     omega, corner_hz = transform.omega, transform.corner_hz
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)
@@ -239,20 +247,20 @@ def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransfo
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
             sensor = _nearest(by_order, order)
-            lacking = order - sensor.measures.order
-            lead = transform.lead if lacking > 0 else 0  # of an integral nothing may come before the record
+            differentiations = order - sensor.measures.order
+            lead = transform.lead if differentiations > 0 else 0  # nothing may precede the record in an integral
             if (sensor.name, lead) not in spectra:
                 spectra[sensor.name, lead] = transform.spectrum(sensor, recording.values_of(sensor), lead)
-            moved = spectra[sensor.name, lead] * powers(lacking)
-            derivatives[order][row] = transform.usable_samples(moved)
+            spectrum = spectra[sensor.name, lead] * powers(differentiations)
+            derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
-        if station in at_contacts and 0 not in by_order:  # moved is the acceleration
-            lost[row] = transform.usable_samples(moved * below_corner)
+        if station in at_contacts and 0 not in by_order:  # the spectrum is the acceleration's
+            lost[row] = transform.usable_samples(spectrum * below_corner)
     return _Motion(derivatives, lost, tuple(channels))
 
 
 def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:
-    """The sensor of this derivative, else one that needs differentiating, else one that needs integrating."""
+    """Sensor of this derivative, else one that needs differentiation, else one that needs integration."""
 
     def cost(sensor: Sensor) -> int:
         lacking = order - sensor.measures.order
@@ -262,7 +270,7 @@ def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:
 
 
 def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
-    """(i omega)^power; a negative power integrates: zero below half the corner and whole from the corner on."""
+    """(i omega)^power; a negative power integrates, with a high-pass from half the corner to the corner."""
     if power >= 0:
         return np.asarray((1j * omega) ** power)
     safe = np.where(omega > 0, omega, 1.0)
@@ -270,11 +278,12 @@ def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float)
 
 
 def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
+    """Smooth high-pass: zero below half the corner, one above it."""
     return np.sin(np.pi / 2 * np.clip(2 * omega / (2 * np.pi * corner_hz) - 1, 0, 1)) ** 2
 
 
 def taper(samples: int, fall: int) -> Float[np.ndarray, " samples"]:
-    """One, falling smoothly to zero over the last `fall` samples."""
+    """Weights of one that fall smoothly to zero over the last `fall` samples."""
     weights = np.ones(samples)
     weights[samples - fall :] = 0.5 * (1 + np.cos(np.pi * (np.arange(fall) + 1) / fall))
     return weights

@@ -1,8 +1,8 @@
 """Contact laws evaluated on band-limited signals without aliasing: interpolate, evaluate, low-pass, decimate.
 
-A law with a kink makes a force whose spectrum falls as 1/f^2, one with a damper that sets in at contact as 1/f. Sampled
-at the rate of a recording it folds back into the band of the motion. The signals themselves are smooth: they are
-interpolated band-limited to `LAW_RATE_HZ`, and what the law makes of them is low-passed before samples are left out.
+The force of a law with a kink has a spectrum that falls as 1/f^2, with a damper that sets in at contact as 1/f. Sampled
+at the rate of a recording, it folds back into the band of the motion. The signals themselves are smooth: they are
+interpolated to LAW_RATE_HZ without new frequencies, and the law's results are low-passed before they are decimated.
 """
 
 from collections.abc import Callable
@@ -15,52 +15,60 @@ from scipy.fft import irfft, rfft
 from identify.signals.spectra import decimated, oversampled
 from rig.model.contact_laws import penetration_m
 
-LAW_RATE_HZ, FINEST = 16384.0, 8
-"""Laws are evaluated at the multiple of a recording's rate that is nearest to this; at most at so many times its rate,
-as slow recordings are of slow motion.
+LAW_RATE_HZ, MAX_OVERSAMPLING = 16384.0, 8
+"""Laws are evaluated at the multiple of a recording's rate nearest to LAW_RATE_HZ, or at most at MAX_OVERSAMPLING times
+its rate, as slow recordings are of slow motion.
 
-Against 131 kHz, on the reference rig of 4096 Hz with contact damping: clearance within 0.0003 %, stiffness within
+Errors against 131 kHz on the reference rig of 4096 Hz with contact damping: clearance within 0.0003 %, stiffness within
 0.0025 %; at 8192 Hz 0.0008 and 0.006 %, at 4096 Hz 0.0026 and 0.023 %. On that of 512 Hz 0.0001 and 0.0002 %."""
-KEPT, MARGIN = 5120, 256
-"""Samples of a block; on either side the signals, and further in what the law makes of them, rise from zero."""
-LENGTH = KEPT + 4 * MARGIN
-VALUES_AT_ONCE = 1 << 16
-"""So many values of one signal at the finer rate."""
+BLOCK_SAMPLES, MARGIN_SAMPLES = 5120, 256
+"""Samples of a block, and of each of two margins on either side: the signals rise from zero in the outer ones, the
+law's results in the inner ones."""
+PADDED_SAMPLES = BLOCK_SAMPLES + 4 * MARGIN_SAMPLES
+BATCH_VALUES = 1 << 16
+"""Values of one signal at the finer rate in memory at once."""
 
 Law = Callable[..., Float[np.ndarray, "*results blocks fine"]]
 
 
 def oversampling(sample_rate_hz: float) -> int:
-    """Oversampling factor of a signal on which a law is evaluated."""
-    return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), FINEST)
+    """Factor of the rate at which a law is evaluated, over a recording's."""
+    return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), MAX_OVERSAMPLING)
 
 
 def evaluated(
     law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, factor: int = 1
 ) -> Float[np.ndarray, "*results fewer"]:
-    """law(*signals), of a law without memory, low-passed to every `factor`-th sample.
+    """law(*signals), for a law without memory, low-passed to every `factor`-th sample.
 
-    A law may give several results in front. It is evaluated block by block, so that memory does not grow with the finer
-    rate. Each block is resampled by the Fourier transform under tapers that are one where it is kept, so that it need
-    not be periodic.
+    A law may return several results along leading axes. It is evaluated block by block, which bounds the memory. Each
+    block is resampled by Fourier transforms under tapers that are one inside the block, so that it need not be
+    periodic.
     """
     times, samples = oversampling(sample_rate_hz), signals.shape[1]
     if times == 1:
         return decimated(law(*signals), factor)
-    count = -(-samples // KEPT)
-    padded = np.pad(signals, [(0, 0), (2 * MARGIN, count * KEPT + 2 * MARGIN - samples)], mode="edge")
-    blocks = sliding_window_view(padded, LENGTH, axis=1)[:, ::KEPT]
-    whole, inner = _taper(LENGTH, 0, MARGIN), _taper(LENGTH * times, MARGIN * times, MARGIN * times)
+    count = -(-samples // BLOCK_SAMPLES)
+    padded = np.pad(
+        signals, [(0, 0), (2 * MARGIN_SAMPLES, count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples)], mode="edge"
+    )
+    blocks = sliding_window_view(padded, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
+    signal_taper, result_taper = (
+        _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES),
+        _taper(PADDED_SAMPLES * times, MARGIN_SAMPLES * times, MARGIN_SAMPLES * times),
+    )
     results = []
-    for first in range(0, count, batch := max(1, VALUES_AT_ONCE // (LENGTH * times))):
-        fine = law(*_finer(blocks[:, first : first + batch] * whole, times))
-        results.append(_coarser(fine * inner, times)[..., 2 * MARGIN : 2 * MARGIN + KEPT])
+    for first in range(0, count, batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * times))):
+        fine = law(*_finer(blocks[:, first : first + batch] * signal_taper, times))
+        results.append(
+            _coarser(fine * result_taper, times)[..., 2 * MARGIN_SAMPLES : 2 * MARGIN_SAMPLES + BLOCK_SAMPLES]
+        )
     rows = np.concatenate(results, axis=-2)
     return decimated(rows.reshape(*rows.shape[:-2], -1)[..., :samples], factor)
 
 
 def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -> Float[np.ndarray, " fine"]:
-    """A whole signal at the finer rate, for a law with a memory; `low_passed` takes what that makes of it."""
+    """Signal at the finer rate, for a law with memory; `low_passed` takes its results back."""
     return oversampled(signal, oversampling(sample_rate_hz))
 
 
@@ -72,24 +80,25 @@ def low_passed(fine: Float[np.ndarray, " fine"], sample_rate_hz: float, factor: 
 def penetration(
     eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float, sample_rate_hz: float
 ) -> Float[np.ndarray, " samples"]:
-    """The dead zone of a band-limited relative displacement."""
+    """Dead zone of a band-limited relative displacement."""
     return evaluated(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
 
 
 def _finer(blocks: Float[np.ndarray, "rows blocks length"], times: int) -> Float[np.ndarray, "rows blocks fine"]:
+    """Blocks at `times` their rate."""
     lines = rfft(blocks) * times
     lines[..., -1] /= 2  # half the rate stands for both signs
-    return np.asarray(irfft(lines, LENGTH * times))
+    return np.asarray(irfft(lines, PADDED_SAMPLES * times))
 
 
 def _coarser(fine: Float[np.ndarray, "*results fine"], times: int) -> Float[np.ndarray, "*results length"]:
     """Rows at 1 / times the rate."""
-    lines = rfft(fine)[..., : LENGTH // 2 + 1] / times
+    lines = rfft(fine)[..., : PADDED_SAMPLES // 2 + 1] / times
     lines[..., -1] *= 2
-    return np.asarray(irfft(lines, LENGTH))
+    return np.asarray(irfft(lines, PADDED_SAMPLES))
 
 
-def _taper(length: int, begin: int, rise: int) -> Float[np.ndarray, " length"]:
-    """Zero, from `begin` on rising to one over so many samples, and back."""
-    up = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - begin) / rise, 0, 1)) ** 2
-    return np.asarray(up * up[::-1])
+def _taper(length: int, start: int, rise: int) -> Float[np.ndarray, " length"]:
+    """Taper that is zero up to `start`, rises to one over `rise` samples, and falls likewise at the end."""
+    rising = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - start) / rise, 0, 1)) ** 2
+    return np.asarray(rising * rising[::-1])

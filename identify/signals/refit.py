@@ -1,4 +1,4 @@
-"""The one loop of refits: an estimate, its weights and its linearisation renewed by each other until they stand."""
+"""Refits of an estimate, with its weights and its linearisation, until it no longer changes."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -7,7 +7,7 @@ Estimate = TypeVar("Estimate")
 
 
 def never(_before: Estimate, _after: Estimate) -> bool:
-    """The criterion of a fixed number of refits."""
+    """Criterion of a fixed number of refits."""
     return False
 
 
@@ -19,10 +19,10 @@ def refit_until_settled(
     rounds: int,
     at_least: int = 0,
 ) -> Estimate:
-    """The fixed point x of x_(k+1) = refit(x_k), to the tolerance of `settled(x_k, x_(k+1))`.
+    """Fixed point x of x_(k+1) = refit(x_k), to the tolerance of `settled(x_k, x_(k+1))`.
 
-    At most `rounds` refits are made, and `at_least` so many whatever `settled` says. To keep only what improves, let
-    `refit` return the estimate it was given where the new one is no better: no change is a settled one.
+    At most `rounds` refits are made, and `at_least` so many whatever `settled` says. To keep only improvements, let
+    `refit` return the estimate that it was given if the new one is no better: no change counts as settled.
     """
     for count in range(1, rounds + 1):
         before, estimate = estimate, refit(estimate)

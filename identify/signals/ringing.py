@@ -1,4 +1,4 @@
-"""The modes of a free decay: frequencies and damping ratios, by subspaces."""
+"""Modes of a free decay, their frequencies and damping ratios, by a subspace method."""
 
 from dataclasses import dataclass
 
@@ -6,14 +6,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import resample_poly
 
-ROWS = 40
-"""Samples that follow each other in a column of the Hankel matrix."""
-OVERSAMPLED = 2.5
-"""The rate at which modes are looked for, over the highest frequency."""
-SHARE = 1e-5
-"""A mode with less of the signals' energy is none."""
-DAMPED = 0.3
-"""Largest damping ratio of a mode."""
+MAX_LAGS = 40
+"""Consecutive samples in a column of the Hankel matrix."""
+RATE_BY_HIGHEST_HZ = 2.5
+"""Sampling rate of the decimated signals, over the highest frequency."""
+MIN_ENERGY_SHARE = 1e-5
+"""Smallest share of the signals' energy of a mode."""
+MAX_DAMPING_RATIO = 0.3
 
 
 @dataclass(frozen=True)
@@ -26,35 +25,35 @@ class RingingMode:
 
 
 def modes_of_decay(
-    signals: Float[np.ndarray, "channels samples"], sample_rate_hz: float, highest_hz: float, most: int
+    signals: Float[np.ndarray, "channels samples"], sample_rate_hz: float, highest_hz: float, max_modes: int
 ) -> list[RingingMode]:
-    """The modes of a decay up to a frequency, at most so many, in the order of their frequencies.
+    """Modes of a decay up to a frequency, at most `max_modes`, in the order of their frequencies.
 
-    By the subspace of the Hankel matrix, whose shift by a sample has the eigenvalues exp(p / rate) with the poles
-    p = -zeta omega +- i omega sqrt(1 - zeta^2); amplitudes by least squares.
+    The subspace of the Hankel matrix is shifted by one sample by a matrix with the eigenvalues exp(p / rate), where
+    p = -zeta omega +- i omega sqrt(1 - zeta^2) are the poles; amplitudes follow by least squares.
     """
-    factor = max(1, int(sample_rate_hz / (OVERSAMPLED * highest_hz)))
+    factor = max(1, int(sample_rate_hz / (RATE_BY_HIGHEST_HZ * highest_hz)))
     rows = resample_poly(signals - signals.mean(axis=1, keepdims=True), 1, factor, axis=1) if factor > 1 else signals
     rate = sample_rate_hz / factor
-    deep = min(ROWS, rows.shape[1] // 3)
-    if deep < 2 or not np.any(rows):
+    lags = min(MAX_LAGS, rows.shape[1] // 3)
+    if lags < 2 or not np.any(rows):
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(rows, rows.shape[1] - deep + 1, axis=1)
-    hankel = windows.transpose(1, 0, 2).reshape(deep * len(rows), -1)
-    directions = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * most]
+    windows = np.lib.stride_tricks.sliding_window_view(rows, rows.shape[1] - lags + 1, axis=1)
+    hankel = windows.transpose(1, 0, 2).reshape(lags * len(rows), -1)
+    directions = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * max_modes]
     shift = np.linalg.lstsq(directions[: -len(rows)], directions[len(rows) :], rcond=None)[0]
-    turns = np.linalg.eigvals(shift)
-    poles = np.log(turns[np.abs(turns) > 1e-9].astype(complex)) * rate
+    eigenvalues = np.linalg.eigvals(shift)
+    poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * rate
     poles = poles[poles.imag > 0]
     time_s = np.arange(rows.shape[1]) / rate
-    courses = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
-    basis = np.concatenate([courses.real, courses.imag])
+    decays = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
+    basis = np.concatenate([decays.real, decays.imag])
     amplitudes = np.linalg.lstsq(basis.T, rows.T, rcond=1e-9)[0]
-    found = []
+    modes = []
     for k, pole in enumerate(poles):
-        own = basis[[k, k + len(poles)]].T @ amplitudes[[k, k + len(poles)]]
-        damping, share = float(-pole.real / abs(pole)), float(np.sum(own**2) / np.sum(rows**2))
+        response = basis[[k, k + len(poles)]].T @ amplitudes[[k, k + len(poles)]]
+        damping, share = float(-pole.real / abs(pole)), float(np.sum(response**2) / np.sum(rows**2))
         hz = float(abs(pole) / (2 * np.pi))
-        if 0 < damping < DAMPED and hz < highest_hz and share > SHARE:
-            found.append(RingingMode(hz, damping, share))
-    return sorted(found, key=lambda mode: mode.frequency_hz)
+        if 0 < damping < MAX_DAMPING_RATIO and hz < highest_hz and share > MIN_ENERGY_SHARE:
+            modes.append(RingingMode(hz, damping, share))
+    return sorted(modes, key=lambda mode: mode.frequency_hz)

@@ -1,4 +1,4 @@
-"""Blocks, windows and their spectra, and other sampling rates."""
+"""Blocks of a record, windows and their spectra; other sampling rates; the band of the force."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,9 @@ from scipy.signal import resample
 from rig.errors import RigError
 
 POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
-RAMP = 512
+"""Exponent p of the window sin^p, by its name."""
+RAMP_SAMPLES = 512
+"""Samples over which a resampled signal is led to zero at its ends."""
 
 
 class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -53,7 +55,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Blocks of a record: their starts, their length in samples, and the spectral lines looked at."""
+    """Blocks of a record: their first samples, their length in samples, and the spectral lines in use."""
 
     starts: tuple[int, ...]
     length: int
@@ -72,30 +74,30 @@ class Blocks:
     def spectra(
         self, signal: Float[np.ndarray, " samples"], derivative: int = 0
     ) -> Complex[np.ndarray, "blocks lines"]:
-        """The Fourier transforms of the blocks under the window, or under its first or second time derivative."""
-        return self.together([[Term(signal, derivative)]], self.starts)[0]
+        """Fourier transforms of the blocks under the window, or under its first or second time derivative."""
+        return self.spectra_of_sums([[Term(signal, derivative)]], self.starts)[0]
 
-    def together(
+    def spectra_of_sums(
         self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
     ) -> Complex[np.ndarray, "channels blocks lines"]:
-        """The Fourier transforms of several channels, each a sum of terms, of the blocks that start there."""
+        """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
         windows = window(self.window, self.length, self.sample_rate_hz)
         weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
         rows = np.empty((len(channels), self.length))
-        found = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
+        spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
         for block, start in enumerate(starts):
-            now = slice(start, start + self.length)
+            samples = slice(start, start + self.length)
             for channel, terms in enumerate(channels):
-                first, *others = zip(weights[channel], terms, strict=True)
-                np.multiply(first[0], first[1].signal[now], out=rows[channel])
-                for weight, term in others:
-                    rows[channel] += weight * term.signal[now]
-            found[:, block] = rfft(rows, axis=1)[:, self.lines]
-        return found
+                first, *further = zip(weights[channel], terms, strict=True)
+                np.multiply(first[0], first[1].signal[samples], out=rows[channel])
+                for weight, term in further:
+                    rows[channel] += weight * term.signal[samples]
+            spectra[:, block] = rfft(rows, axis=1)[:, self.lines]
+        return spectra
 
 
 def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: tuple[float, float]) -> Blocks:
-    """Blocks that cover `samples` samples, and the lines in the band.
+    """Blocks that cover `samples` samples, with the lines in the band.
 
     Raises RigError if a block is longer than the record or the band holds no line.
     """
@@ -144,49 +146,52 @@ def oversampled(signals: Float[np.ndarray, "*rows samples"], times: int) -> Floa
     """Band-limited signals at `times` their rate."""
     ramps = _ramped(signals, 1)
     fine = resample(ramps, times * ramps.shape[-1], axis=-1)
-    return np.asarray(fine[..., times * RAMP : times * (RAMP + signals.shape[-1])])
+    return np.asarray(fine[..., times * RAMP_SAMPLES : times * (RAMP_SAMPLES + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
-    """Every factor-th sample after an ideal low-pass at half the new rate; a record's ends are smoothed over."""
+    """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
     if factor == 1:
         return signals
     ramps = _ramped(signals, factor)
     length = ramps.shape[-1] // factor
     phases = np.moveaxis(ramps.reshape(*ramps.shape[:-1], length, factor), -1, -2)
-    lines = np.einsum("pk,...pk->...k", _turns(length, factor), rfft(phases))
+    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), rfft(phases))
     if length % 2 == 0:
         lines[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
-    first, fewer = RAMP, -(-signals.shape[-1] // factor)
+    first, fewer = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
     return np.asarray(irfft(lines / factor, length)[..., first : first + fewer])
 
 
 @lru_cache(maxsize=4)
-def _turns(length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
-    """The low lines of a transform of length * factor samples are those of every factor-th sample from each first one
-    on, turned by its lateness and added: no other line is computed, and all transforms are short."""
-    late = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
-    return np.asarray(np.exp(-2j * np.pi * late / (length * factor)))
+def _phase_factors(length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
+    """Phase factors exp(-2 pi i j k / (length factor)) of subsequence j at line k.
+
+    With them the low lines of a transform of length * factor samples are sums of the transforms of every factor-th
+    sample, each from another first one on: no other line is computed, and all transforms are short.
+    """
+    delays = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
+    return np.asarray(np.exp(-2j * np.pi * delays / (length * factor)))
 
 
 def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
-    """Led to zero at both ends, as the Fourier transform wraps round, to a length that it likes."""
-    samples, rise = signals.shape[-1], RAMP * factor
-    length = factor * next_fast_len(-(-samples // factor) + 2 * RAMP, real=True)
+    """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
+    samples, rise = signals.shape[-1], RAMP_SAMPLES * factor
+    length = factor * next_fast_len(-(-samples // factor) + 2 * RAMP_SAMPLES, real=True)
     fall = length - samples - rise
-    found = np.empty((*signals.shape[:-1], length))
-    found[..., :rise] = signals[..., :1] * (np.arange(rise) / rise)
-    found[..., rise : rise + samples] = signals
-    found[..., rise + samples :] = signals[..., -1:] * (np.arange(fall)[::-1] / fall)
-    return found
+    ramped = np.empty((*signals.shape[:-1], length))
+    ramped[..., :rise] = signals[..., :1] * (np.arange(rise) / rise)
+    ramped[..., rise : rise + samples] = signals
+    ramped[..., rise + samples :] = signals[..., -1:] * (np.arange(fall)[::-1] / fall)
+    return ramped
 
 
 def force_band(
     force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: float, share: float = 1e-3
 ) -> tuple[float, float]:
-    """The band that holds all but `share` of the force's power at either end, Hz; of several forces, of each.
+    """Band that holds all but `share` of the force's power at either end, Hz; the union of the bands of several forces.
 
-    Raises RigError if no force is other than zero, or one is constant.
+    Raises RigError if no force differs from zero, or one is constant.
     """
     rows = np.atleast_2d(force_n)
     acting = [row for row in rows if np.any(row)] or rows[:1]
@@ -195,6 +200,7 @@ def force_band(
 
 
 def _band_of(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float) -> tuple[float, float]:
+    """Band of one force, Hz."""
     power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
     if not power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")

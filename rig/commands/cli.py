@@ -51,7 +51,7 @@ def _group(version: Version = False) -> None:
 
 
 def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str:
-    """Every setting with its default, for the help."""
+    """Help text: every setting with its default."""
     return "\n\n".join(f"{title} {name}: {_defaults(kind)}" for name, kind in kinds.items())
 
 
@@ -60,7 +60,7 @@ def _defaults(kind: type[msgspec.Struct]) -> str:
 
 
 def _sentence(kind: type) -> str:
-    """The first of its docstring."""
+    """First paragraph of a class's docstring."""
     return " ".join((getdoc(kind) or "").partition("\n\n")[0].split())
 
 
@@ -111,14 +111,14 @@ def record(
             raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
     if plant not in {None, *PLANTS}:
         raise typer.BadParameter(f"{plant!r} is none of {', '.join(PLANTS)}", param_hint="--plant")
-    chosen = {key: value for key, _, value in words}
-    chosen |= {} if duration is None else {"duration_s": str(duration)}
-    chosen |= {} if seed is None else {"seed": str(seed)}
-    machine = _machine(scenario, chosen)
+    values = {key: value for key, _, value in words}
+    values |= {} if duration is None else {"duration_s": str(duration)}
+    values |= {} if seed is None else {"seed": str(seed)}
+    machine = _machine(scenario, values)
     rig, force_n = machine.rig(), machine.force()
     plant = plant or plant_for(rig)
     try:
-        actual = reduce(lambda so_far, text: effect_named(text).applied_to(so_far), effect or [], rig)
+        actual = reduce(lambda modified, text: effect_named(text).applied_to(modified), effect or [], rig)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
@@ -149,14 +149,18 @@ def record(
 
 
 def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
-    """A reference rig by its name, or the rig in a file. Wrong words are typer's; a file that is no rig a RigError."""
-    own = Path(scenario).suffix == ".json"
-    if not own and scenario not in REFERENCES:
-        known = ", ".join(REFERENCES)
+    """Reference rig by its name, or the rig in a JSON file.
+
+    Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
+    """
+    is_file = Path(scenario).suffix == ".json"
+    if not is_file and scenario not in REFERENCES:
+        reference_names = ", ".join(REFERENCES)
         raise typer.BadParameter(
-            f"{scenario!r} is none of {known}, and no FILE.json{meant(scenario, REFERENCES)}", param_hint="RIG"
+            f"{scenario!r} is none of {reference_names}, and no FILE.json{meant(scenario, REFERENCES)}",
+            param_hint="RIG",
         )
-    rig = read_rig(Path(scenario)) if own else None
+    rig = read_rig(Path(scenario)) if is_file else None
     try:
         return reference(scenario, settings) if rig is None else own_rig(rig, settings)
     except RigError as error:
@@ -245,16 +249,18 @@ def view(
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
     check_source(file)
     target = out or file.with_suffix(".rrd")
-    beside = truth or truth_path(file)
-    refuse_existing(target, force, file, beside, *(one for one in (contact, gap) if one is not None))
+    truth_file = truth or truth_path(file)
+    refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
     recording = read(file)
-    known = read_truth(beside) if truth or beside.exists() else None
+    truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
     identified = NOTHING_IDENTIFIED
     if contact is not None:
         identified = read_identified(contact, recording.rig, recording.duration_s)
     diagnosed = None if gap is None else read_gap(gap, recording.rig, recording.duration_s)
     with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(recording, known, target, magnification, identified=identified, gap=diagnosed, progress=progress)
+        write_rrd(
+            recording, truth_recording, target, magnification, identified=identified, gap=diagnosed, progress=progress
+        )
     print(f"{target}: written", flush=True)
     if web:
         serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
@@ -299,15 +305,15 @@ def _summary(recording: Recording) -> dict[str, Any]:
 
 
 def _channel_table(group: str, signals: Signals) -> Table:
-    about = signals.channels
-    table = _table(f"Channels: {group}", "channel", "at", f"rms, {about.unit}")
-    for name, station, row in zip(about.names, about.stations, signals.values, strict=True):
+    channels = signals.channels
+    table = _table(f"Channels: {group}", "channel", "at", f"rms, {channels.unit}")
+    for name, station, row in zip(channels.names, channels.stations, signals.values, strict=True):
         table.add_row(name, "" if station is None else _place(station), f"{_rms(row):.4g}")
     return table
 
 
 def _table(title: str, *headings: str) -> Table:
-    """An empty table; a heading with a comma names a number and its unit, and stands right."""
+    """Empty table; the column of a heading with a comma, which names a unit, is aligned right."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_edge=False)
     for heading in headings:
         table.add_column(heading, justify="right" if "," in heading else "left")

@@ -36,13 +36,13 @@ def _group() -> None:
 
 
 def _command(name: str, kind: Kind) -> Callable[..., None]:
-    """The command of one kind of rig: an option for each of its fields, by the field's name."""
+    """Command that starts one kind of rig, with an option for each field of the kind."""
     helps = _helps(kind)
 
-    def command(out: Path, force: bool, as_json: bool, **words: str | None) -> None:
+    def command(out: Path, force: bool, as_json: bool, **texts: str | None) -> None:
         for path in (out / RIG_NAME, out / MAP_NAME):
             refuse_existing(path, force, new_folder=True)
-        start = _started(kind, helps, {k: v for k, v in words.items() if v is not None})
+        start = _started(kind, helps, {k: v for k, v in texts.items() if v is not None})
         with working(f"describing a rig of the kind {name}"):
             rig, notes = start.described()
         written = write_start(rig, start.map_text(rig), out)
@@ -61,27 +61,27 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
         Parameter(field.name, Parameter.KEYWORD_ONLY, default=None, annotation=_option(field, helps[field.name]))
         for field in _in_order(kind)
     ]
-    own = [
+    shared_options = [
         Parameter("out", Parameter.KEYWORD_ONLY, default=Path(), annotation=Out),
         Parameter("force", Parameter.KEYWORD_ONLY, default=False, annotation=Force),
         Parameter("as_json", Parameter.KEYWORD_ONLY, default=False, annotation=Json),
     ]
-    command.__signature__ = Signature([*options, *own])  # type: ignore[attr-defined]
-    command.__annotations__ = {p.name: p.annotation for p in (*options, *own)}
+    command.__signature__ = Signature([*options, *shared_options])  # type: ignore[attr-defined]
+    command.__annotations__ = {p.name: p.annotation for p in (*options, *shared_options)}
     return command
 
 
 def _in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
-    """Its own fields first, what every rig has last."""
+    """Fields of a kind in the order of the help: its own first, those of every rig last."""
     shared = [f.name for f in msgspec.structs.fields(StartWithStops)]
     return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared)
 
 
 def _helps(kind: Kind) -> dict[str, str]:
-    told = {}
+    help_texts = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        told[name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
-    return told
+        help_texts[name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
+    return help_texts
 
 
 def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
@@ -89,33 +89,36 @@ def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
     if field.required:
         text = f"{text} Needed."
     elif default not in (None, ()):
-        shown = ",".join(default) if isinstance(default, tuple) else default
-        text = f"{text} Default: {shown}."
+        default_text = ",".join(default) if isinstance(default, tuple) else default
+        text = f"{text} Default: {default_text}."
     metavars = {"Path": "FILE", "tuple[float": "NUMBER,...", "tuple[int": "NUMBER,...", "float": "NUMBER", "": "TEXT"}
-    metavar = next(shown for part, shown in metavars.items() if part in str(field.type))
+    metavar = next(name for type_text, name in metavars.items() if type_text in str(field.type))
     name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]
 
 
-def _started(kind: Kind, helps: Mapping[str, str], words: Mapping[str, str]) -> Start:
-    """The numbers, of which those missing are asked for on a terminal."""
-    values = {name: _value(kind, name, text) for name, text in words.items()}
+def _started(kind: Kind, helps: Mapping[str, str], texts: Mapping[str, str]) -> Start:
+    """Start from option texts; missing required fields are prompted for on a terminal.
+
+    Raises typer.BadParameter without a terminal.
+    """
+    values = {name: _value(kind, name, text) for name, text in texts.items()}
     missing = [f.name for f in _in_order(kind) if f.required and f.name not in values]
     if missing and not sys.stdin.isatty():
-        named = ", ".join(f"--{name.replace('_', '-')}" for name in missing)
-        raise typer.BadParameter(f"missing: {named}")
+        options = ", ".join(f"--{name.replace('_', '-')}" for name in missing)
+        raise typer.BadParameter(f"missing: {options}")
     for name in missing:
-        asked = f"{name}: {helps[name].rstrip('.')}"
-        values[name] = typer.prompt(asked, value_proc=partial(_value, kind, name))
+        question = f"{name}: {helps[name].rstrip('.')}"
+        values[name] = typer.prompt(question, value_proc=partial(_value, kind, name))
     return kind(**values)
 
 
 def _value(kind: Kind, name: str, text: str) -> Any:
-    """A field's value from its text; of a list, with commas."""
+    """Value of a field from its text (a list: separated by commas); raises typer.BadParameter if it does not fit."""
     hint = get_type_hints(kind)[name]
-    given = text.split(",") if "tuple" in str(hint) else text
+    raw = text.split(",") if "tuple" in str(hint) else text
     try:
-        return msgspec.convert(given, hint, strict=False, dec_hook=lambda of, value: of(value))
+        return msgspec.convert(raw, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
     except msgspec.ValidationError as error:
         raise typer.BadParameter(f"{text!r} does not fit: {error}", param_hint=f"--{name.replace('_', '-')}") from error
 

@@ -1,4 +1,4 @@
-"""Conventions of every command: one way to fail, one to show progress, one to keep what is there."""
+"""Conventions of every command: how it fails, shows progress, and protects existing files."""
 
 import os
 import signal
@@ -24,11 +24,11 @@ INTERRUPTED = 130
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
 
 
-def _say_version(asked: bool) -> bool:
-    if asked:
+def _say_version(requested: bool) -> bool:
+    if requested:
         print("rig-identify", version("rig-identify"))
         raise typer.Exit
-    return asked
+    return requested
 
 
 Version = Annotated[
@@ -38,13 +38,13 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")
 
 
 class StoppedError(Exception):
-    """Ctrl-C where there is more to say than that: its text says what is left."""
+    """Interruption by Ctrl-C with a message that says what was kept."""
 
 
 def run(app: typer.Typer, name: str) -> None:
-    """Runs a command and exits: 0 done, 1 the input cannot be used (one line on standard error), 2 wrong words.
+    """Run a command and exit: 0 done, 1 unusable input (one line on standard error), 2 wrong usage, 130 interrupted.
 
-    130 is an interruption: Ctrl-C, a request to end, a terminal that is closed.
+    Ctrl-C, a termination request and a closed terminal are interruptions.
     """
     _prepare(name)
     try:
@@ -68,15 +68,18 @@ def run(app: typer.Typer, name: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(1)
     except OSError as error:
-        where = "standard output" if error.filename is None else error.filename
-        status, sentence = 1, one_line(f"{where}: cannot be read or written ({error.strerror}); choose another place")
+        place = "standard output" if error.filename is None else error.filename
+        status, sentence = 1, one_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
     print(f"{name}: {sentence}", file=sys.stderr)
     sys.exit(status)
 
 
 def _prepare(name: str) -> None:
-    """Standard output takes every sign or is refused if closed; all ways to end a command are one; numpy is silent."""
+    """Prepare the process: escape unencodable output, turn SIGTERM and SIGHUP into interruptions, silence warnings.
+
+    Exits if standard output is closed.
+    """
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     if sys.stdout is None:
@@ -92,25 +95,25 @@ def _prepare(name: str) -> None:
 
 
 def _interrupt(*_: object) -> None:
-    """Interrupt as Ctrl-C does, also where that is ignored, as in a command that a shell runs in the background."""
+    """Interrupt as Ctrl-C does, even where SIGINT is ignored, as in a background command of a shell."""
     if signal.getsignal(signal.SIGINT) in (signal.SIG_IGN, signal.SIG_DFL):
         raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
 
 
 def say(text: str) -> None:
-    """Prints a line on standard output; what it quotes of files cannot command the terminal."""
+    """Print a line on standard output, with control characters escaped."""
     print(text if is_plain(text) else one_line(text))
 
 
 def literal_console() -> Console:
-    """Console for tables on standard output, with names as they are: no markup, no emoji, no colours."""
+    """Console for tables on standard output that prints names literally: no markup, emoji or highlighting."""
     return Console(markup=False, emoji=False, highlight=False)
 
 
 @contextmanager
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
-    """A bar with the time left on standard error; call what it gives with the fraction done. Silent when piped."""
+    """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
@@ -120,22 +123,20 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
 
 @contextmanager
 def working(description: str) -> Iterator[None]:
-    """A sign of life on standard error where nobody knows how long it takes. Silent when piped."""
+    """Spinner on standard error for work of unknown duration. Silent when piped."""
     console = Console(stderr=True)
     with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
         yield
 
 
 def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:
-    """Raises RigError if the path exists and overwriting was not asked for.
-
-    And always if it cannot be written, or is one of the sources by whatever name; see `check_target`.
-    """
+    """Raise RigError if the path exists and `force` is false, or if `check_target` refuses it."""
     check_target(path, *sources, new_folder=new_folder)
-    part = part_of(path)
+    part_path = part_of(path)
     if path.exists() and not force:
         raise RigError(f"{path}: exists already; give another name, or --force to overwrite it")
-    if path.suffix == ".mcap" and part.exists() and not force:
+    if path.suffix == ".mcap" and part_path.exists() and not force:
         raise RigError(
-            f"{part}: is being written or was cut off; save it by `rig recover` under another name, or give --force"
+            f"{part_path}: is being written or was cut off; save it by `rig recover` under another name, or give "
+            "--force"
         )

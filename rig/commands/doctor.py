@@ -26,20 +26,20 @@ PURPOSES = {
 
 
 def doctor() -> int:
-    """Prints what is found; 1 if something has to be mended, else 0."""
+    """Print the report; return 1 if there is a name conflict to resolve, else 0."""
     print(f"{NAME} {version(NAME)}, Python {sys.version.split()[0]}")
     for extra, purpose in PURPOSES.items():
         missing = [package for package in packages_of(extra) if installed(package) is None]
         state = f"{', '.join(missing)} missing: pip install '{NAME}[{extra}]'" if missing else "installed"
         print(f"  {extra:9} {purpose}: {state}")
-    found = [*taken_packages(), *taken_commands()]
-    for sentence in found:
+    complaints = [*taken_packages(), *taken_commands()]
+    for sentence in complaints:
         print(sentence)
-    return int(bool(found))
+    return int(bool(complaints))
 
 
 def packages_of(extra: str) -> list[str]:
-    """The packages that an extra brings, from the metadata of the installation."""
+    """Packages that an extra installs, from the metadata of the installation."""
     ending = re.compile(rf"extra == ['\"]{extra}['\"]")
     return [re.split(r"[\s<>=!~;\[(]", line)[0] for line in requires(NAME) or () if ending.search(line)]
 
@@ -52,16 +52,16 @@ def installed(package: str) -> str | None:
 
 
 def taken_packages() -> Iterator[str]:
-    """One sentence for each of the project's packages that another distribution has, too."""
-    owners = packages_distributions()
+    """Sentence for each of the project's packages that another distribution provides too."""
+    packages = packages_distributions()
     for name in COMMANDS:
-        others = sorted(set(owners.get(name, ())) - {NAME})
+        owners = sorted(set(packages.get(name, ())) - {NAME})
         spec = find_spec(name)
         place = Path((spec and spec.origin) or ".").parent
-        if others:
+        if owners:
             yield (
-                f"the Python package {name} is also that of {', '.join(others)} (pre-commit needs one called "
-                f"identify): keep what needs it in an environment of its own; here pip uninstall {' '.join(others)}, "
+                f"the Python package {name} is also that of {', '.join(owners)} (pre-commit needs one called "
+                f"identify): keep what needs it in an environment of its own; here pip uninstall {' '.join(owners)}, "
                 f"then pip install --force-reinstall --no-deps {NAME}"
             )
         elif not (place / "commands" / "cli.py").is_file():
@@ -69,14 +69,14 @@ def taken_packages() -> Iterator[str]:
 
 
 def taken_commands() -> Iterator[str]:
-    """One sentence for each command that the shell finds elsewhere, or not at all."""
-    own = Path(sysconfig.get_path("scripts")).resolve()
+    """Sentence for each command that the shell finds elsewhere, or not at all."""
+    scripts = Path(sysconfig.get_path("scripts")).resolve()
     for name in COMMANDS:
-        found = shutil.which(name)
-        if found is None:
-            yield f"the command {name} is not on the PATH: activate the environment, or add {own}"
-        elif Path(found).parent.resolve() != own:
+        command_path = shutil.which(name)
+        if command_path is None:
+            yield f"the command {name} is not on the PATH: activate the environment, or add {scripts}"
+        elif Path(command_path).parent.resolve() != scripts:
             yield (
-                f"the command {name} is {found}, another program (ImageMagick has one called identify): put {own} "
-                f"first on the PATH, or say {NAME} {name}"
+                f"the command {name} is {command_path}, another program (ImageMagick has one called identify): put "
+                f"{scripts} first on the PATH, or say {NAME} {name}"
             )

@@ -1,4 +1,4 @@
-"""The first lines of every command: while their libraries load, Ctrl-C and a request to end are a sentence too.
+"""Entry points of the commands: while their libraries load, Ctrl-C and SIGTERM already end them with one sentence.
 
 `rig-identify rig ...` and `rig-identify identify ...` are the two commands under a name that no other program has.
 """
@@ -28,17 +28,17 @@ def identify() -> None:
 
 def both() -> None:
     """`rig-identify rig ...`, `rig-identify identify ...`, `rig-identify doctor`, `rig-identify --version`."""
-    asked = sys.argv[1] if len(sys.argv) > 1 else "--help"
-    if asked in COMMANDS:
+    command = sys.argv[1] if len(sys.argv) > 1 else "--help"
+    if command in COMMANDS:
         del sys.argv[1]
-        _start(asked)
-    elif asked == "doctor":
+        _start(command)
+    elif command == "doctor":
         _doctor()
-    elif asked == "--version":
+    elif command == "--version":
         print(NAME, version(NAME))
     else:
         print(f"Usage: {NAME} rig ... | identify ... | doctor | --version (rig and identify say more by --help)")
-        sys.exit(0 if asked == "--help" else 2)
+        sys.exit(0 if command == "--help" else 2)
 
 
 def _start(name: str) -> None:
@@ -64,7 +64,7 @@ def _start(name: str) -> None:
 
 
 def _check_date(name: str) -> None:
-    """Exits with a sentence if numpy, which reads SOURCE_DATE_EPOCH wherever scipy is imported, could not."""
+    """Exit with a sentence if SOURCE_DATE_EPOCH, which numpy parses when scipy is imported, is no valid date."""
     date = os.environ.get("SOURCE_DATE_EPOCH", "0")
     if not (date.isascii() and date.isdigit() and int(date[:20]) < LAST_DATE_S):
         sys.exit(f"{name}: SOURCE_DATE_EPOCH is {date[:100]!r}; set it to whole seconds since 1970, or unset it")

@@ -17,19 +17,19 @@ def effect_named(text: str) -> Effect:
 
     Raises RigError for an unknown name or parameter and for a value that does not fit.
     """
-    name, _, words = text.partition(":")
-    known = effects()
-    if name not in known:
-        raise RigError(f"no effect {name!r}{meant(name, known)}; there are {', '.join(known)}")
-    kind, given = known[name], {}
-    for word in words.split(",") if words else []:
-        parameter, equals, value = word.partition("=")
+    name, _, assignments = text.partition(":")
+    kinds = effects()
+    if name not in kinds:
+        raise RigError(f"no effect {name!r}{meant(name, kinds)}; there are {', '.join(kinds)}")
+    kind, values = kinds[name], {}
+    for assignment in assignments.split(",") if assignments else []:
+        parameter, equals, value = assignment.partition("=")
         if not equals:
-            raise RigError(f"effect {name}: {word!r} is not PARAMETER=VALUE")
+            raise RigError(f"effect {name}: {assignment!r} is not PARAMETER=VALUE")
         if parameter not in kind.__struct_fields__:
             raise RigError(f"effect {name} has no parameter {parameter!r}; it has {', '.join(kind.__struct_fields__)}")
-        given[parameter] = value
+        values[parameter] = value
     try:
-        return msgspec.convert(given, kind, strict=False)
+        return msgspec.convert(values, kind, strict=False)
     except msgspec.ValidationError as error:
         raise RigError(f"effect {name}: {error}") from error

@@ -25,16 +25,16 @@ class ShakingBase(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice what the exciting force gives the lightest body, at the frequencies that a record tells."""
-        most = 2 * scale.force_rms_n / min(scale.at({"body": b.name}).mass_kg() for b in scale.rig.bodies)
-        return cls.ranged(acceleration_rms_m_per_s2=(0.0, most), low_hz=scale.band_hz, high_hz=scale.band_hz)
+        highest = 2 * scale.force_rms_n / min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        return cls.ranged(acceleration_rms_m_per_s2=(0.0, highest), low_hz=scale.band_hz, high_hz=scale.band_hz)
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        least_kg = min(scale.at({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        lightest_kg = min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
         low_hz, high_hz = scale.band_hz
         middle_hz = (low_hz * high_hz) ** 0.5
         return cls(
-            acceleration_rms_m_per_s2=0.1 * scale.force_rms_n / least_kg,
+            acceleration_rms_m_per_s2=0.1 * scale.force_rms_n / lightest_kg,
             low_hz=0.8 * middle_hz,
             high_hz=1.2 * middle_hz,
         )

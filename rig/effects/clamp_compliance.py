@@ -29,5 +29,5 @@ class ClampCompliance(Effect, frozen=True):
             Clamp(body=b.name, rotational_n_m_per_rad=b.bending_stiffness_n_m2 / b.length_m / self.compliance)
             for b in beams
         )
-        kept = tuple(c for c in rig.clamps if c.body not in {b.name for b in beams})
-        return replace(rig, clamps=kept + clamps)
+        other_clamps = tuple(c for c in rig.clamps if c.body not in {b.name for b in beams})
+        return replace(rig, clamps=other_clamps + clamps)

@@ -19,5 +19,5 @@ class CommonGain(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         if len(rig.sensors) < 2:  # of one it is its gain
-            raise self.nowhere(rig, "second sensor")
+            raise self.missing_place(rig, "second sensor")
         return replace(rig, sensors=tuple(replace(s, gain=s.gain * self.factor) for s in rig.sensors))

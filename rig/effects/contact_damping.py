@@ -22,8 +22,8 @@ class ContactDamping(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the contact's stiffness and the lighter body's mass."""
-        most = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
-        return cls.ranged(damping_n_s_per_m=(0.0, most))
+        critical = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
+        return cls.ranged(damping_n_s_per_m=(0.0, critical))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

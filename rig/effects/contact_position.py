@@ -29,20 +29,20 @@ class ContactPosition(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         self.beams_of(rig, None)
-        return replace(rig, contacts=tuple(self._moved(rig, c) for c in rig.contacts))
+        return replace(rig, contacts=tuple(self._shifted_contact(rig, c) for c in rig.contacts))
 
-    def _moved(self, rig: Rig, contact: Contact) -> Contact:
+    def _shifted_contact(self, rig: Rig, contact: Contact) -> Contact:
         """A contact at one beam's end stays there and moves along the other; between the ends it stays on `at`."""
         if contact.against is None:
             return contact
-        at, against = contact.at, contact.against
+        station, against = contact.at, contact.against
         if against.position_m in (0.0, rig.body(against.body).length_m):
-            return replace(contact, at=self._along(rig, at, -self.shift_m))
-        return replace(contact, against=self._along(rig, against, self.shift_m))
+            return replace(contact, at=self._shifted_station(rig, station, -self.shift_m))
+        return replace(contact, against=self._shifted_station(rig, against, self.shift_m))
 
-    def _along(self, rig: Rig, station: Station, shift_m: float) -> Station:
+    def _shifted_station(self, rig: Rig, station: Station, shift_m: float) -> Station:
         if station.body not in [beam.name for beam in rig.beams]:
-            raise self.nowhere(
+            raise self.missing_place(
                 rig, f"beam at {station.position_m} m of {station.body!r} that a contact could move along"
             )
         return Station(station.body, station.position_m + shift_m)

@@ -22,7 +22,7 @@ class GroundDamper(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the body's stiffness at its softest point and its mass."""
-        return cls.along(scale, damping_n_s_per_m=(0.0, _critical_n_s_per_m(scale)))
+        return cls.ranged_along_body(scale, damping_n_s_per_m=(0.0, _critical_n_s_per_m(scale)))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

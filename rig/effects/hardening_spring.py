@@ -26,10 +26,14 @@ class HardeningSpring(Effect, frozen=True):
 
         Downwards, of a body that is held, only as far as its stiffness there at such a displacement stays positive.
         """
-        moved_m = scale.displacement_m(np.median)
-        most = scale.force_rms_n / moved_m**3
-        least = min(most, scale.stiffness_n_per_m(np.median) / (3 * moved_m**2)) if scale.held() else most
-        return cls.along(scale, cubic_n_per_m3=(-least, most))
+        displacement_m = scale.displacement_m(np.median)
+        highest = scale.force_rms_n / displacement_m**3
+        lowest = (
+            min(highest, scale.stiffness_n_per_m(np.median) / (3 * displacement_m**2))
+            if scale.is_supported()
+            else highest
+        )
+        return cls.ranged_along_body(scale, cubic_n_per_m3=(-lowest, highest))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -10,8 +10,8 @@ from rig.model.description import PointSpring, Rig
 from rig.model.modes import modes_of
 from rig.model.parameters import Parameter, ParameterSet
 
-STABLE = 0.9
-"""A body keeps at least the rest of its stiffness."""
+MAX_MISSING_SHARE = 0.9
+"""Largest share of a body's stiffness that may be missing."""
 
 
 class LinearSpring(Effect, frozen=True):
@@ -31,22 +31,24 @@ class LinearSpring(Effect, frozen=True):
         What takes more than there is at a place makes no rig. Of a body that floats, from nothing up to the exciting
         force over how far it moves.
         """
-        own = _own_n_per_m(scale)
-        least = -STABLE * scale.stiffness_n_per_m(np.median) if scale.held() else 0.0
-        return cls.along(scale, stiffness_n_per_m=(least, 5 * own if scale.held() else own))
+        scale_n_per_m = _stiffness_scale_n_per_m(scale)
+        lowest = -MAX_MISSING_SHARE * scale.stiffness_n_per_m(np.median) if scale.is_supported() else 0.0
+        return cls.ranged_along_body(
+            scale, stiffness_n_per_m=(lowest, 5 * scale_n_per_m if scale.is_supported() else scale_n_per_m)
+        )
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        return cls.placed(scale, stiffness_n_per_m=0.05 * _own_n_per_m(scale))
+        return cls.placed(scale, stiffness_n_per_m=0.05 * _stiffness_scale_n_per_m(scale))
 
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
         spring = PointSpring(station=station, stiffness_n_per_m=self.stiffness_n_per_m)
-        found = replace(rig, springs=(*rig.springs, spring))
+        sprung = replace(rig, springs=(*rig.springs, spring))
         if self.stiffness_n_per_m < 0:
-            modes_of(found, found.body(station.body))  # refuses what is more than holds the body
-        return found
+            modes_of(sprung, sprung.body(station.body))  # refuses what is more than holds the body
+        return sprung
 
 
-def _own_n_per_m(scale: Scale) -> float:
-    return scale.stiffness_n_per_m() if scale.held() else scale.force_rms_n / scale.displacement_m()
+def _stiffness_scale_n_per_m(scale: Scale) -> float:
+    return scale.stiffness_n_per_m() if scale.is_supported() else scale.force_rms_n / scale.displacement_m()

@@ -24,8 +24,8 @@ class OneStop(Effect, frozen=True):
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Either side, of every contact and of all."""
-        found = super().placements(rig, sensors)
-        return [{**place, "side": side} for place in found for side in ("upper", "lower")]
+        places = super().placements(rig, sensors)
+        return [{**place, "side": side} for place in places for side in ("upper", "lower")]
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(rig, self.contact, DeadZone, self._changed)

@@ -27,7 +27,9 @@ class HarmonicForce(Effect, frozen=True):
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force, at the frequencies that a record tells."""
         most_n = 2 * scale.force_rms_n
-        return cls.along(scale, cosine_n=(-most_n, most_n), sine_n=(-most_n, most_n), frequency_hz=scale.band_hz)
+        return cls.ranged_along_body(
+            scale, cosine_n=(-most_n, most_n), sine_n=(-most_n, most_n), frequency_hz=scale.band_hz
+        )
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

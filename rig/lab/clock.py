@@ -1,4 +1,4 @@
-"""Is a measured record evenly sampled, and at which rate: refused if not, or resampled if its owner says so."""
+"""Sampling times of a measured record: uneven or differing rates are refused, or resampled on request."""
 
 import math
 from dataclasses import dataclass
@@ -10,24 +10,24 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 
-JITTER = 0.01
-"""The largest departure of a time stamp from an even grid, in sampling intervals."""
-GAP = 1.5
-"""From this many intervals on, two time stamps have a gap between them."""
-BRIDGED = 4.5
-"""The longest gap that is interpolated over, in intervals."""
+MAX_JITTER = 0.01
+"""Largest deviation of a time stamp from an even grid, in sampling intervals."""
+MIN_GAP = 1.5
+"""Least gap between two time stamps, in intervals."""
+MAX_BRIDGED = 4.5
+"""Longest gap that is interpolated, in intervals."""
 RATE_TOLERANCE = 1e-4
 MAX_DECIMATION = 1000
-"""Over so many times the rig's rate a record is not resampled: its time is rather in another unit."""
+"""Largest ratio of the record's rate to the rig's; beyond, its time is probably in another unit."""
 PIECE, OVERLAP = 2**18, 64
-"""Samples of all channels that a spline leads at once, and knots beyond, of which nothing is felt (0.27^64)."""
+"""Samples of all channels per spline, and extra knots at its ends, whose influence decays as 0.27^64."""
 
 
 @dataclass(frozen=True)
 class SampleTimes:
-    """Times of a record's samples; stamps_s is None where they are known to be even.
+    """Times of a record's samples; stamps_s is None if they are known to be even.
 
-    fault says in words what is wrong with the stamps, if anything.
+    fault describes an irregularity of the stamps in words; empty if there is none.
     """
 
     samples: int
@@ -43,13 +43,13 @@ class SampleTimes:
 
     @classmethod
     def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "SampleTimes":
-        """Raises RigError for stamps that do not increase, and for long gaps."""
+        """Times by stamps; raises RigError if they do not increase or have a long gap."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             rate_hz, fault = _rate_and_fault(stamps_s)
         return cls(stamps_s.size, rate_hz, stamps_s, fault)
 
     def stamps(self, first: int, last: int) -> Float[np.ndarray, " some"]:
-        """Stamps from one sample up to before another, s."""
+        """Time stamps of the samples first to last - 1, s."""
         if self.stamps_s is None:
             return np.arange(first, last) / self.rate_hz
         return self.stamps_s[first:last]
@@ -58,9 +58,9 @@ class SampleTimes:
 def even(
     values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float, resample: bool
 ) -> tuple[Float[np.ndarray, "channels evenly"], tuple[str, ...]]:
-    """The samples at the times k / rate_hz after the first, and what was done to get them.
+    """Samples at the times k / rate_hz after the first, and the processing steps in words.
 
-    Uneven time stamps are led by a cubic spline to an even grid of nearly their own rate (its error is at most
+    Uneven time stamps are interpolated by a cubic spline to an even grid of nearly their own rate (its error is at most
     5/384 (omega interval)^4 of the amplitude at the frequency omega); another rate is then reached by a linear-phase
     filter, flat within 1e-3 to 0.37 of the new rate and down by 80 dB at 0.63 of it. Both only if `resample` is true.
     Raises RigError, without the name of the file, if the stamps are uneven or at another rate and it is not, and
@@ -85,34 +85,34 @@ def even(
             "set resample = true in the map"
         )
     ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if differs else Fraction(1)
-    own_hz = rate_hz / float(ratio)
-    done: tuple[str, ...] = ()
-    if fault or abs(own_hz / measured_hz - 1) > RATE_TOLERANCE:
-        values = _on_grid(values, clock, own_hz)
-        done = (f"resampled to an even {own_hz:.9g} Hz by a cubic spline, since {fault or 'the rate is uneven'}",)
+    grid_hz = rate_hz / float(ratio)
+    steps: tuple[str, ...] = ()
+    if fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
+        values = _on_grid(values, clock, grid_hz)
+        steps = (f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {fault or 'the rate is uneven'}",)
     if ratio != 1:
         values = np.stack([_filtered(row, ratio) for row in values])
-        done = (*done, f"resampled from {own_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
-    return values, done
+        steps = (*steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
+    return values, steps
 
 
 def _on_grid(
     values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
-    """Resample by cubic splines piece by piece, whose knots overlap."""
+    """Resample to an even grid by cubic splines, piece by piece with overlapping knots."""
     (start_s,), (end_s,) = clock.stamps(0, 1), clock.stamps(clock.samples - 1, clock.samples)
     grid = np.empty((len(values), int((end_s - start_s) * rate_hz * (1 + 1e-12)) + 1))
     length = max(PIECE // len(values), OVERLAP)
-    begin = 0
+    start = 0
     for first in range(0, clock.samples - 1, length):
         last = min(first + length, clock.samples - 1)
         low, high = max(first - OVERLAP, 0), min(last + OVERLAP, clock.samples)
         knots_s = clock.stamps(low, high)
         final = last == clock.samples - 1
-        end = grid.shape[1] if final else math.ceil((knots_s[last - low] - start_s) * rate_hz)
-        times_s = start_s + np.arange(begin, end) / rate_hz
-        grid[:, begin:end] = scipy.interpolate.CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
-        begin = end
+        stop = grid.shape[1] if final else math.ceil((knots_s[last - low] - start_s) * rate_hz)
+        times_s = start_s + np.arange(start, stop) / rate_hz
+        grid[:, start:stop] = scipy.interpolate.CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
+        start = stop
     return grid
 
 
@@ -124,7 +124,7 @@ def _filtered(row: Float[np.ndarray, " samples"], ratio: Fraction) -> Float[np.n
 
 
 def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
-    """The sampling rate of time stamps, and what is wrong with them in words, if anything."""
+    """Sampling rate of time stamps (Hz), and their irregularity in words; empty if they are even."""
     if time_s.size < 2:
         raise RigError("it holds fewer than two samples; export more")
     steps_s = np.diff(time_s)
@@ -133,10 +133,10 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         raise RigError(f"its time does not increase after {time_s[first]:.6f} s (sample {first}); sort or mend it")
     interval_s = float(np.median(steps_s))
     duration_s = float(time_s[-1] - time_s[0])
-    gaps = np.flatnonzero(steps_s > GAP * interval_s)
+    gaps = np.flatnonzero(steps_s > MIN_GAP * interval_s)
     if gaps.size:
         widest = int(np.argmax(steps_s))
-        if steps_s[widest] > BRIDGED * interval_s:
+        if steps_s[widest] > MAX_BRIDGED * interval_s:
             raise RigError(
                 f"its time stamps have a gap of {steps_s[widest]:.6g} s after {time_s[widest]:.6f} s; cut the record "
                 "there and import the longer part"
@@ -147,13 +147,13 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         ), f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
     del steps_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
-    strays = time_s - time_s[0]
-    strays *= rate_hz
-    strays -= np.arange(time_s.size)
-    np.abs(strays, out=strays)
-    worst = int(np.argmax(strays))
-    if strays[worst] > JITTER:
+    deviations = time_s - time_s[0]
+    deviations *= rate_hz
+    deviations -= np.arange(time_s.size)
+    np.abs(deviations, out=deviations)
+    worst = int(np.argmax(deviations))
+    if deviations[worst] > MAX_JITTER:
         return rate_hz, (
-            f"its time stamps are uneven, by {strays[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
+            f"its time stamps are uneven, by {deviations[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
         )
     return rate_hz, ""

@@ -1,4 +1,4 @@
-"""The channels of a file of measured data: listed by name, and read where they are asked for."""
+"""Channels of a file of measured data: listed by name, and decoded only if requested."""
 
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Column:
-    """Its name and samples; unit and sample rate are None where the file does not say them."""
+    """A channel; unit and sample rate are None where the file does not state them."""
 
     name: str
     values: Float[np.ndarray, " samples"]
@@ -19,9 +19,9 @@ class Column:
 
 @dataclass(frozen=True)
 class ColumnBlock:
-    """Columns of equal length that a file keeps together; `read` decodes those at the given places among the names.
+    """Columns of equal length that a file stores together; `read` decodes those with the given indices.
 
-    working_bytes is what `read` takes of memory beside the columns themselves.
+    working_bytes is the memory that `read` needs besides the columns themselves.
     """
 
     names: tuple[str, ...]
@@ -32,24 +32,22 @@ class ColumnBlock:
 
 @dataclass(frozen=True)
 class Refused:
-    """Refusal of what a file lists by this name and is not read, such as a link to another file, and the sentence that
-    says so.
-    """
+    """Content that is listed under a name but not read, such as a link to another file, with the reason."""
 
     name: str
     sentence: str
 
 
 Blocks = Generator[ColumnBlock | Refused, None, None]
-"""What a file lists, one after the other; a block is read before the next one is asked for."""
+"""Content of a file in order; a block is read before the next one is requested."""
 
 
 class UnreadableError(ValueError):
-    """A fault of a file, in words that stand between "cannot be read as .mat (" and ")"."""
+    """Fault of a file, in words that fit between "cannot be read as .mat (" and ")"."""
 
 
 def decoded(raw: bytes) -> str:
-    """A text whose encoding the file does not say: UTF-8, or else Latin-1."""
+    """Text of unknown encoding: UTF-8, or else Latin-1."""
     try:
         return raw.decode()
     except UnicodeDecodeError:

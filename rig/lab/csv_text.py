@@ -1,4 +1,4 @@
-"""Columns of a CSV file in two passes: the first counts lines and cells, the second converts what is asked for."""
+"""Columns of a CSV file in two passes: the first counts lines and cells, the second converts the requested ones."""
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
@@ -13,16 +13,16 @@ import numpy as np
 from rig.errors import RigError
 from rig.lab.column import Blocks, Column, ColumnBlock, UnreadableError
 
-MAX_LINE = 1_000_000
-"""Characters of a line that is taken apart here."""
-LINES = 8192
-"""So many are converted at once."""
+MAX_LINE_LENGTH = 1_000_000
+"""Longest line, characters."""
+LINES_AT_ONCE = 8192
+"""Lines converted at once."""
 UNFIT_ENCODINGS = {"idna", "punycode", "undefined", "unicode_escape", "raw_unicode_escape"}
-"""What Python calls encodings and no measured data is in; time of the first two grows with the square of the size."""
+"""Python codecs that no measured data uses; the first two take quadratic time."""
 
 
 class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Form of a CSV file: one line of names stands between the lines that are skipped."""
+    """Format of a CSV file: a line of names between lines that are skipped."""
 
     encoding: str = "utf-8-sig"
     delimiter: str = ","
@@ -31,21 +31,21 @@ class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     lines_after_names: int = 0
 
     def __post_init__(self) -> None:
-        given = f"delimiter is {self.delimiter!r} and decimal {self.decimal!r}"
+        description = f"delimiter is {self.delimiter!r} and decimal {self.decimal!r}"
         if len(self.delimiter) != 1 or len(self.decimal) != 1 or self.delimiter == self.decimal:
-            raise RigError(f"{given}; give two different characters")
+            raise RigError(f"{description}; give two different characters")
         if self.delimiter.isalnum() or self.delimiter in '+-"\r\n\0' or self.decimal not in ".,":
-            raise RigError(f"{given}; give a delimiter that stands in no number, and the decimal . or ,")
+            raise RigError(f"{description}; give a delimiter that stands in no number, and the decimal . or ,")
         if min(self.lines_before_names, self.lines_after_names) < 0:
             raise RigError("a number of lines in [csv] is negative; give zero or more")
 
 
 @dataclass(frozen=True)
 class _Body:
-    """The lines of samples: cells of the first one, and how many lines there are.
+    """Shape of the lines of samples: cells of the first one (width), and the number of lines.
 
-    first_line_of has every number of cells and the line that has it first; empty_at_end last cells, which are empty in
-    all lines, do not count.
+    first_line_of maps every number of cells to the first line with that number; empty_at_end trailing cells, which are
+    empty in all lines, do not count.
     """
 
     width: int
@@ -55,7 +55,7 @@ class _Body:
 
 
 def csv_blocks(path: Path, form: TextForm) -> Blocks:
-    """One block of all columns that have names and values.
+    """Single block of all columns with names and values.
 
     Raises RigError if the file is not text in the encoding, or its lines do not have equally many cells.
     """
@@ -73,12 +73,12 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
             raise RigError(
                 f"{path}: the number of columns changed from {width} to {cells} in line {line}; check delimiter"
             )
-    shown = tuple(names[:used]) if named else tuple(f"column {k}" for k in range(1, used + 1))
-    yield ColumnBlock(shown, body.samples, partial(_columns, path, form, skipped, shown, body.samples))
+    column_names = tuple(names[:used]) if named else tuple(f"column {k}" for k in range(1, used + 1))
+    yield ColumnBlock(column_names, body.samples, partial(_columns, path, form, skipped, column_names, body.samples))
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:
-    """Raises RigError where the text is in another encoding, or there is none of that name."""
+    """Lines of a text; raises RigError if it is not in the encoding, or there is no such encoding."""
     unknown = RigError(f"{path}: there is no encoding {encoding!r}; give e.g. utf-8 or latin-1")
     if encoding.lower().replace("-", "_") in UNFIT_ENCODINGS:
         raise unknown
@@ -98,7 +98,7 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
 
 
 def _samples(path: Path, form: TextForm, skipped: int) -> Iterator[tuple[int, str]]:
-    """The lines that hold anything, behind those that are skipped, with their numbers from 1."""
+    """Lines that are not blank, after the skipped ones, with their numbers from 1."""
     for number, line in enumerate(islice(_lines(path, form.encoding), skipped, None), start=skipped + 1):
         if not line.isspace():
             yield number, line.rstrip("\n")
@@ -125,28 +125,28 @@ def _counted(path: Path, form: TextForm, skipped: int) -> _Body:
 
 
 def _columns(
-    path: Path, form: TextForm, skipped: int, names: Sequence[str], samples: int, chosen: Sequence[int]
+    path: Path, form: TextForm, skipped: int, names: Sequence[str], samples: int, places: Sequence[int]
 ) -> list[Column]:
-    values = np.empty((len(chosen), samples))
-    begin = 0
-    body = _samples(path, form, skipped)
-    while lines := list(islice(body, LINES)):
+    values = np.empty((len(places), samples))
+    start = 0
+    lines_left = _samples(path, form, skipped)
+    while lines := list(islice(lines_left, LINES_AT_ONCE)):
         if form.decimal != ".":
-            _check_decimal(path, form, names, chosen, lines)
+            _check_decimal(path, form, names, places, lines)
         plain = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
         try:
-            rows = np.loadtxt(plain, delimiter=form.delimiter, ndmin=2, comments=None, quotechar='"', usecols=chosen)
+            rows = np.loadtxt(plain, delimiter=form.delimiter, ndmin=2, comments=None, quotechar='"', usecols=places)
         except ValueError as error:
-            raise _no_number(path, form, names, chosen, lines) from error
-        values[:, begin : begin + len(rows)] = rows.T
-        begin += len(rows)
-    return [Column(names[k], row) for k, row in zip(chosen, values, strict=True)]
+            raise _no_number(path, form, names, places, lines) from error
+        values[:, start : start + len(rows)] = rows.T
+        start += len(rows)
+    return [Column(names[k], row) for k, row in zip(places, values, strict=True)]
 
 
 def _check_decimal(
     path: Path, form: TextForm, names: Sequence[str], chosen: Sequence[int], lines: Sequence[tuple[int, str]]
 ) -> None:
-    """Raise RigError at a point in a number whose decimal is another: 1.500 is 1500 to some and 1.5 to others."""
+    """Raise RigError at a point in a number if the decimal separator is a comma: 1.500 may be 1500 or 1.5."""
     for number, line in lines:
         if "." in line:
             cells = _cells(line, form.delimiter)
@@ -173,18 +173,18 @@ def _no_number(
 
 
 def _cells(line: str, delimiter: str) -> list[str]:
-    if len(line) > MAX_LINE:
-        raise UnreadableError(f"a line has more than {MAX_LINE} characters")
+    if len(line) > MAX_LINE_LENGTH:
+        raise UnreadableError(f"a line has more than {MAX_LINE_LENGTH} characters")
     return next(csv.reader([line], delimiter=delimiter))
 
 
 def _empty_at_end(line: str, delimiter: str) -> int:
-    """The number of last cells that are empty."""
+    """Number of empty cells at the end of a line."""
     return line.count(delimiter, len(line.rstrip(" \t" + delimiter)))
 
 
 def _used_columns(path: Path, names: list[str], width: int, empty: int) -> int:
-    """Count of columns with a name and values; only last ones may lack either."""
+    """Number of leading columns with a name and values; raises RigError if any but trailing columns lack either."""
     named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
     if width > len(names) or named > width + empty or not named:
         raise RigError(f"{path}: {named} names for {width} columns; check the line of names")

@@ -1,9 +1,10 @@
-"""A recording's samples in the files that other programs read, and the map by which `rig import` reads them again."""
+"""Export of a recording to the files of other programs, and the map by which `rig import` reads them again."""
 
 import csv
 import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ from jaxtyping import Float
 
 from rig.extras import needs_extra
 from rig.files import atomic_write, write_bytes
-from rig.lab.containers import write_hdf5, write_mdf
 from rig.lab.mode_shapes import mode_shapes, nodes_of
 from rig.model.description import Station, to_json
 from rig.model.quantities import QUANTITIES
@@ -20,10 +20,10 @@ from rig.recording.channels import Channels
 
 _UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
-TIME = "time_s"
-LONGEST_UFF_NAME = 80
-TOGETHER = 16384
-"""Lines of a table that are written at once."""
+TIME_COLUMN = "time_s"
+MAX_UFF_NAME = 80
+LINES_AT_ONCE = 16384
+"""Lines of a table written at once."""
 
 
 def export(
@@ -33,13 +33,13 @@ def export(
     map_path: Path | None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Writes every channel in SI, and with `map_path` also the map and rig.json beside it.
+    """Write every channel in SI, and with `map_path` also the map and rig.json beside it.
 
     CSV holds 17 digits, all others the doubles themselves, so nothing is lost. Raises RigError if a file
     cannot be written.
     """
-    with atomic_write(out) as part:
-        WRITERS[form](recording, part, progress)
+    with atomic_write(out) as part_path:
+        WRITERS[form](recording, part_path, progress)
     if map_path is not None:
         groups = {name: signals.channels for name, signals in recording.signals.items()}
         write_bytes(map_of(groups, form).encode(), map_path)
@@ -56,16 +56,16 @@ def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarra
 def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
     rows = list(_rows(recording))
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow([TIME, *(name for _, _, name, _ in rows)])
+        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *(name for _, _, name, _ in rows)])
         time_s = recording.signals["force"].time_s
         table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
-        for first in range(0, len(table), TOGETHER):
-            np.savetxt(stream, table[first : first + TOGETHER], fmt="%.17g", delimiter=",")
+        for first in range(0, len(table), LINES_AT_ONCE):
+            np.savetxt(stream, table[first : first + LINES_AT_ONCE], fmt="%.17g", delimiter=",")
             progress(first / len(table))
 
 
 def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
-    """Nodes and modes of the bodies, then every channel, which stands at a node."""
+    """Write UFF: nodes and modes of the bodies, then every channel with its node."""
     with needs_extra("lab", f"{path}: a UFF file"):
         import pyuff
 
@@ -119,11 +119,37 @@ def _write_mat(recording: Recording, path: Path, _: Callable[[float], None]) -> 
 
 
 def _write_hdf5(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
-    write_hdf5(recording, path)
+    """Write HDF5: a dataset per channel (channels/0001, ...) with attributes name, unit, sample_rate_hz and group."""
+    with needs_extra("lab", f"{path}: an HDF5 file"):
+        import h5py
+    number = 0
+    with h5py.File(path, "w", locking=False) as file:
+        for group, signals in recording.signals.items():
+            for name, row in zip(signals.channels.names, signals.values, strict=True):
+                number += 1
+                attributes = file.create_dataset(f"channels/{number:04d}", data=row).attrs
+                attributes["name"], attributes["unit"], attributes["group"] = name, signals.channels.unit, group
+                attributes["sample_rate_hz"] = signals.channels.sample_rate_hz
 
 
 def _write_mdf(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
-    write_mdf(recording, path)
+    """Write MDF 4.10, with all channels in one group over one time.
+
+    MDF is not read: on damaged files its reader (asammdf 8.8) ends the process with a segmentation fault.
+    """
+    with needs_extra("mdf", f"{path}: an MDF file"):
+        from asammdf import MDF, Signal
+    time_s = recording.signals["force"].time_s
+    channels = [
+        Signal(samples=row, timestamps=time_s, name=name, unit=signals.channels.unit)
+        for signals in recording.signals.values()
+        for name, row in zip(signals.channels.names, signals.values, strict=True)
+    ]
+    buffer = BytesIO()
+    with MDF(version="4.10") as file:
+        file.append(channels)
+        file.save(buffer)
+    path.write_bytes(buffer.getvalue())
 
 
 Writer = Callable[[Recording, Path, Callable[[float], None]], None]
@@ -137,15 +163,17 @@ WRITERS: dict[str, Writer] = {
 
 
 def map_of(groups: Mapping[str, Channels], form: str) -> str:
-    """The map of a file of these channels, as exported; JSON's strings are TOML's.
+    """Import map, in TOML, of an exported file with these channels; JSON strings are valid TOML strings.
 
-    A column whose name the file may not keep as it is, or has twice, is told by its number.
+    A column is named by its number if the format may change its name, or if the name occurs twice.
     """
     lines = [f"rig = {json.dumps(RIG_NAME)}"]
-    times = Counter([TIME, *(name.strip() for channels in groups.values() for name in channels.names)])
+    times = Counter([TIME_COLUMN, *(name.strip() for channels in groups.values() for name in channels.names)])
     if form == "csv":
         lines.append(
-            'time = { column = 1, unit = "s" }' if times[TIME] > 1 else f'time = {{ column = "{TIME}", unit = "s" }}'
+            'time = { column = 1, unit = "s" }'
+            if times[TIME_COLUMN] > 1
+            else f'time = {{ column = "{TIME_COLUMN}", unit = "s" }}'
         )
     else:
         lines.append(f"sample_rate_hz = {groups['force'].sample_rate_hz!r}")
@@ -157,7 +185,7 @@ def map_of(groups: Mapping[str, Channels], form: str) -> str:
             column: str | int = place
             if form == "mat":
                 column = group if len(channels.names) == 1 else f"{group}[{number}]"
-            elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= LONGEST_UFF_NAME:
+            elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME:
                 column = name
             entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(channels.unit)} }}"
             if group == "force":

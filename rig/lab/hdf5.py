@@ -20,25 +20,25 @@ from rig.extras import needs_extra
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
 
-NAMES, UNITS, RATES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
-"""Attributes of a dataset that say these; a dataset without a name is called by its path."""
-SINGLE = ((), (1,))
-"""Shapes of an attribute that has one value."""
-TOGETHER_BYTES = 32_000_000
-"""Of a matrix, so much is read at once."""
+NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
+"""Attributes for the name, the unit and the rate of a dataset; one without a name is called by its path."""
+SINGLE_VALUE_SHAPES = ((), (1,))
+"""Shapes of an attribute with a single value."""
+READ_BYTES = 32_000_000
+"""Bytes of a matrix read at once."""
 DEFLATE, LZF = 1, 32000
 PLAIN_FILTERS = {2, 3}
-"""Shuffling and check sums, which do not change the size."""
-LARGEST_RATIO = {DEFLATE: 1032, LZF: 90}
-"""To which a byte can swell (zlib: 258 bytes by two bits; LZF: 264 bytes by three)."""
+"""Filters that do not change the size: shuffling and checksums."""
+MAX_EXPANSION = {DEFLATE: 1032, LZF: 90}
+"""Largest expansion on decompression (zlib: 258 bytes from two bits; LZF: 264 bytes from three)."""
 UNPACKED_BYTES = 100_000_000
-"""What a chunk may become without being looked into first."""
+"""Size up to which a chunk is decompressed without a check of its content."""
 PIECE_BYTES = 1 << 20
 
 
 @contextmanager
-def opened(path: Path, purpose: str) -> Iterator[Any]:
-    """The file and what h5py needs installed; raises UnreadableError if it is no HDF5 file."""
+def open_hdf5(path: Path, purpose: str) -> Iterator[Any]:
+    """Open HDF5 file; raises UnreadableError if it is none, RigError if h5py is not installed."""
     with needs_extra("lab", f"{path}: {purpose}"):
         import h5py
 
@@ -49,16 +49,16 @@ def opened(path: Path, purpose: str) -> Iterator[Any]:
 
 
 def hdf5_blocks(path: Path) -> Blocks:
-    """A block a dataset: of a matrix every row, or column if there are fewer, as NAME[1], NAME[2], ..."""
-    with opened(path, "an HDF5 file") as file:
+    """Block per dataset; the rows of a matrix, or its columns if those are fewer, are NAME[1], NAME[2], ..."""
+    with open_hdf5(path, "an HDF5 file") as file:
         yield from _of_group(path, file, "", set(), 0)
 
 
-def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int) -> Iterator[ColumnBlock | Refused]:
+def _of_group(path: Path, group: Any, prefix: str, visited: set[int], depth: int) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
-    for name, item in members(group, outer, depth):
-        full = f"{outer}{name}"
+    for name, item in members(group, prefix, depth):
+        full = f"{prefix}{name}"
         if isinstance(item, Refused):
             yield item
         elif not is_new(item, visited):
@@ -66,28 +66,28 @@ def _of_group(path: Path, group: Any, outer: str, visited: set[int], depth: int)
         elif isinstance(item, h5py.Group):
             yield from _of_group(path, item, f"{full}/", visited, depth + 1)
         elif isinstance(item, h5py.Dataset):
-            yield from blocks_of(path, item, attribute(item, NAMES) or full)
+            yield from blocks_of(path, item, attribute(item, NAME_ATTRIBUTES) or full)
 
 
-def members(group: Any, outer: str, depth: int) -> Iterator[tuple[str, Any]]:
-    """Name and object of every member, in the order of their names; of a link to another file what is said of it.
+def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
+    """Name and object of every member, sorted by name; a link to another file is a Refused.
 
-    Soft links, which are second names, are left out. Raises UnreadableError where groups are nested too deep.
+    Soft links, which are aliases, are left out. Raises UnreadableError where groups are nested too deep.
     """
     import h5py
 
-    if len(outer) > MAX_NAME or depth > MAX_DEPTH:
+    if len(prefix) > MAX_NAME or depth > MAX_DEPTH:
         raise UnreadableError(f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters")
     for name in sorted(group):
         kind = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
         if kind == h5py.h5l.TYPE_EXTERNAL:
-            yield name, Refused(f"{outer}{name}", _elsewhere(f"{outer}{name}", "is a link to another file"))
+            yield name, Refused(f"{prefix}{name}", _elsewhere(f"{prefix}{name}", "is a link to another file"))
         elif kind == h5py.h5l.TYPE_HARD:
             yield name, group[name]
 
 
 def is_new(item: Any, visited: set[int]) -> bool:
-    """True if an object is met for the first time, by whatever name; raises UnreadableError if there are too many."""
+    """True if an object is visited for the first time, under any name; raises UnreadableError if there are too many."""
     import h5py
 
     address = h5py.h5o.get_info(item.id).addr
@@ -100,9 +100,9 @@ def is_new(item: Any, visited: set[int]) -> bool:
 
 
 def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
-    """The block of a dataset, if it is one of real numbers; what is said of one whose numbers are in another file.
+    """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
-    A virtual dataset may not even be asked for its shape: that can open the other file.
+    That is checked first: reading the shape of a virtual dataset can open the other file.
     """
     if sentence := kept_elsewhere(dataset, name):
         yield Refused(name, sentence)
@@ -119,12 +119,12 @@ def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Ref
         raise UnreadableError(f"its dataset {name!r} has {count} columns")
     names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
     chunk_bytes = math.prod(dataset.chunks or ()) * kind.itemsize
-    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, TOGETHER_BYTES)
+    working_bytes = 2 * chunk_bytes + min(dataset.nbytes, READ_BYTES)
     yield ColumnBlock(names, shape[axis], partial(_columns, path, dataset, axis, names), working_bytes)
 
 
 def kept_elsewhere(dataset: Any, name: str) -> str:
-    """A sentence if a dataset is not in this file, but in others; empty if it is."""
+    """Sentence that refuses a dataset whose numbers are in other files; empty if they are in this one."""
     import h5py
 
     properties = dataset.id.get_create_plist()
@@ -135,16 +135,16 @@ def kept_elsewhere(dataset: Any, name: str) -> str:
     return ""
 
 
-def _elsewhere(name: str, where: str) -> str:
-    return f"{name!r} {where}, which is not opened; store its numbers in this one"
+def _elsewhere(name: str, reason: str) -> str:
+    return f"{name!r} {reason}, which is not opened; store its numbers in this one"
 
 
 def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: Sequence[int]) -> list[Column]:
     check_stored(path, dataset, names[chosen[0]])
-    for name in (*UNITS, *RATES):
-        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE:
+    for name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
+        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE_VALUE_SHAPES:
             raise UnreadableError(f"its dataset {names[0]!r} has an attribute {name!r} of other than one value")
-    unit, rate = attribute(dataset, UNITS), attribute(dataset, RATES)
+    unit, rate = attribute(dataset, UNIT_ATTRIBUTES), attribute(dataset, RATE_ATTRIBUTES)
     try:
         rate_hz = None if rate is None else float(rate)
     except ValueError:
@@ -154,17 +154,17 @@ def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: 
 
 
 def _rows(dataset: Any, axis: int, chosen: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
-    """Channels of a matrix: all of it, part by part in whole chunks, or where one is too large, channel by channel."""
+    """Channels of a matrix, read in spans of whole chunks, or channel by channel if a chunk is too large."""
     samples = dataset.shape[axis]
     values = np.empty((len(chosen), samples))
     chunk = dataset.chunks[axis] if dataset.chunks else 1
-    step = TOGETHER_BYTES // (dataset.nbytes // samples) // chunk * chunk
+    step = READ_BYTES // (dataset.nbytes // samples) // chunk * chunk
     if dataset.ndim == 1:
         values[0] = dataset[()]
-    elif dataset.nbytes <= TOGETHER_BYTES or (step and len(chosen) > 1):
+    elif dataset.nbytes <= READ_BYTES or (step and len(chosen) > 1):
         for first in range(0, samples, step or samples):
-            part = slice(first, first + (step or samples))
-            values[:, part] = dataset[:, part][chosen] if axis else dataset[part].T[chosen]
+            span = slice(first, first + (step or samples))
+            values[:, span] = dataset[:, span][chosen] if axis else dataset[span].T[chosen]
     else:
         for row, k in zip(values, chosen, strict=True):
             row[:] = dataset[k] if axis else dataset[:, k]
@@ -172,61 +172,63 @@ def _rows(dataset: Any, axis: int, chosen: Sequence[int]) -> Float[np.ndarray, "
 
 
 def check_stored(path: Path, dataset: Any, name: str) -> None:
-    """Raise RigError if samples were never written, or are stored by filters that are unknown or let them swell."""
+    """Raise RigError if samples were never written, have unknown filters, or expand beyond their chunk."""
     import h5py
 
-    shown = f"{path}: {name!r}"
+    label = f"{path}: {name!r}"
     properties = dataset.id.get_create_plist()
     layout = properties.get_layout()
     if layout == h5py.h5d.CONTIGUOUS and not dataset.id.get_storage_size():
-        raise _unwritten(shown, dataset.size, dataset.size)
+        raise _unwritten(label, dataset.size, dataset.size)
     if layout != h5py.h5d.CHUNKED:
         return
     filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
-    swelling = [code for code, *_ in filters if code not in PLAIN_FILTERS]
-    if len(swelling) > 1 or not set(swelling) <= set(LARGEST_RATIO):
-        called = ", ".join(f"{code} {decoded(label)!r}" for code, _, _, label in filters)
-        raise RigError(f"{shown} is stored by the filters {called}, which are not read; store it by gzip or without")
+    compressions = [code for code, *_ in filters if code not in PLAIN_FILTERS]
+    if len(compressions) > 1 or not set(compressions) <= set(MAX_EXPANSION):
+        filter_names = ", ".join(f"{code} {decoded(label)!r}" for code, _, _, label in filters)
+        raise RigError(
+            f"{label} is stored by the filters {filter_names}, which are not read; store it by gzip or without"
+        )
     chunk_bytes = math.prod(dataset.chunks) * dataset.dtype.itemsize
-    suspicious: list[tuple[int, ...]] = []
-    held = 0
+    doubtful_offsets: list[tuple[int, ...]] = []
+    stored = 0
 
     def count(chunk: Any) -> None:
-        nonlocal held
+        nonlocal stored
         edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        held += math.prod(max(0, min(length, end - begin)) for length, end, begin in edges)
-        if swelling and chunk.size * LARGEST_RATIO[swelling[0]] > max(UNPACKED_BYTES, chunk_bytes):
-            suspicious.append(chunk.chunk_offset)
+        stored += math.prod(max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in edges)
+        if compressions and chunk.size * MAX_EXPANSION[compressions[0]] > max(UNPACKED_BYTES, chunk_bytes):
+            doubtful_offsets.append(chunk.chunk_offset)
 
     dataset.id.chunk_iter(count)
-    if held < dataset.size:
-        raise _unwritten(shown, dataset.size - held, dataset.size)
-    for offset in suspicious:
-        if swelling == [LZF] or not _is_whole(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
+    if stored < dataset.size:
+        raise _unwritten(label, dataset.size - stored, dataset.size)
+    for offset in doubtful_offsets:
+        if compressions == [LZF] or not _is_whole(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
             raise RigError(
-                f"{shown} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
+                f"{label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
             )
 
 
-def _unwritten(shown: str, count: int, size: int) -> RigError:
-    return RigError(f"{shown} has {count} of {size} samples that were never written; export it again")
+def _unwritten(label: str, count: int, size: int) -> RigError:
+    return RigError(f"{label} has {count} of {size} samples that were never written; export it again")
 
 
 def _is_whole(compressed: bytes, size: int) -> bool:
-    """True if a zlib stream holds no more than this many bytes."""
-    unpacking, count = zlib.decompressobj(), 0
+    """True if a zlib stream decompresses to at most `size` bytes."""
+    decompressor, count = zlib.decompressobj(), 0
     for first in range(0, len(compressed), PIECE_BYTES):
         piece = compressed[first : first + PIECE_BYTES]
         while piece and count <= size:
-            count += len(unpacking.decompress(piece, PIECE_BYTES))
-            piece = unpacking.unconsumed_tail
+            count += len(decompressor.decompress(piece, PIECE_BYTES))
+            piece = decompressor.unconsumed_tail
     return count <= size
 
 
 def attribute(item: Any, names: Sequence[str]) -> str | None:
-    """The first of these attributes as text, if it has one value."""
+    """First of these attributes that has a single value, as text; None if there is none."""
     for name in names:
-        if name in item.attrs and item.attrs.get_id(name).shape in SINGLE:
+        if name in item.attrs and item.attrs.get_id(name).shape in SINGLE_VALUE_SHAPES:
             value = np.ravel(np.asarray(item.attrs[name], dtype=object))[0]
             if isinstance(value, str):
                 value = value.encode("utf-8", "surrogateescape")

@@ -1,4 +1,4 @@
-"""Recordings of measured data, by a map that says what each column is."""
+"""Import of measured data as a recording, by a map from columns to sensors."""
 
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -19,11 +19,11 @@ from rig.lab.units import si_factor
 from rig.model.description import Rig, read_rig
 from rig.model.toml_file import read_toml
 from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
-from rig.recording.writer import AT_ONCE
+from rig.recording.writer import SAMPLES_AT_ONCE
 
 
 class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A column, by name or by number from 1, its unit (if the file does not say it) and a factor before the unit."""
+    """Column of a file, by name or number from 1, with its unit (if the file has none) and an extra factor."""
 
     column: str | int
     unit: str | None = None
@@ -35,10 +35,10 @@ class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The TOML file beside measured data. The rig is a path from the map's folder.
+    """Import map of measured data, a TOML file. rig is a path relative to the map's folder.
 
-    force is a list where several act at once, in the order of rig.json; "none" of a free decay, which has no column
-    of it.
+    force is a list if several act at once, in the order of rig.json, and "none" for a free decay without a force
+    column.
     """
 
     rig: str = RIG_NAME
@@ -63,21 +63,21 @@ class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
 
 def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
-    """Makes a recording of measured data and returns what was done, which is also in its provenance.
+    """Write a recording of measured data and return the processing steps, which are also in its provenance.
 
-    Every value becomes SI: value times scale times the unit. Raises RigError with one sentence if the map, the rig or
+    Values are converted to SI: value times scale times unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
     mapping, rig = _read_map(map_path, out)
-    wanted = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
-    table = read_table(source, mapping.csv, wanted)
-    changed = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
-    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: changed}
+    keys = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
+    table = read_table(source, mapping.csv, keys)
+    modified = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
+    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: modified}
     return _import(table, origin, str(source), mapping, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
-    """Import as `import_file`, of columns that are there already; source says what they are."""
+    """Import columns in memory, described by `source`, as `import_file` does."""
     return _import(Table.of(columns), {"source": source}, source, *_read_map(map_path, out), map_path, out)
 
 
@@ -90,30 +90,30 @@ def _import(
     map_path: Path,
     out: Path,
 ) -> tuple[str, ...]:
-    names, given = {s.name for s in rig.sensors}, set(mapping.sensors)
-    for wrong, what in ((given - names, "is no sensor of the rig"), (names - given, "is missing")):
-        if wrong:
-            raise RigError(f"{map_path}: sensor {min(wrong)!r} {what}; [sensors] needs {', '.join(sorted(names))}")
+    names, mapped = {s.name for s in rig.sensors}, set(mapping.sensors)
+    for differing, fault in ((mapped - names, "is no sensor of the rig"), (names - mapped, "is missing")):
+        if differing:
+            raise RigError(f"{map_path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(names))}")
     forces = mapping.forces
     if mapping.force != "none" and len(forces) != len(rig.forces):
         raise RigError(
             f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
         )
-    wanted = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
-    wanted |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
+    sources = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
+    sources |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
-        taken, factors = taken_columns(table, wanted)
+        columns, factors = source_columns(table, sources)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        clock = clock_of(table, list(taken.values()), mapping.time, mapping.sample_rate_hz)
-        rows = rows_in_si(taken, factors)
+        clock = clock_of(table, list(columns.values()), mapping.time, mapping.sample_rate_hz)
+        rows = rows_in_si(columns, factors)
         values, resampled = even(rows, clock, rig.sample_rate_hz, mapping.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
     steps = (
         f"{rows.shape[1]} samples of {len(rows)} columns read from {origin['source']}",
-        "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in taken.items()),
+        "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in columns.items()),
         *(() if forces else ("no force was measured: its channel is zero",)),
         *resampled,
     )
@@ -123,24 +123,26 @@ def _import(
         "map": map_path.name,
     }
     unforced = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
-    _write(out, rig, unforced | dict(zip(taken, values, strict=True)), with_history(provenance, *steps))
+    _write(out, rig, unforced | dict(zip(columns, values, strict=True)), with_history(provenance, *steps))
     return steps
 
 
-def taken_columns(table: Table, wanted: Mapping[str, tuple[str, Source]]) -> tuple[dict[str, Column], dict[str, float]]:
-    """Columns by the name of each source, with the factor from their numbers to the SI unit of the quantity.
+def source_columns(
+    table: Table, sources: Mapping[str, tuple[str, Source]]
+) -> tuple[dict[str, Column], dict[str, float]]:
+    """Columns by source name, with the factors from their numbers to the SI unit of the quantity.
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
-    taken = {name: table.column(entry.column) for name, (_, entry) in wanted.items()}
-    _check_taken(taken)
-    return taken, {name: _factor(quantity, entry, taken[name]) for name, (quantity, entry) in wanted.items()}
+    columns = {name: table.column(entry.column) for name, (_, entry) in sources.items()}
+    _check_columns(columns)
+    return columns, {name: _factor(quantity, entry, columns[name]) for name, (quantity, entry) in sources.items()}
 
 
-def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
-    """A row a column; raises RigError if a number becomes too large."""
-    rows = np.empty((len(taken), next(iter(taken.values())).values.size))
-    for row, (name, column) in zip(rows, taken.items(), strict=True):
+def rows_in_si(columns: Mapping[str, Column], factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
+    """Columns in SI as rows; raises RigError if a number overflows."""
+    rows = np.empty((len(columns), next(iter(columns.values())).values.size))
+    for row, (name, column) in zip(rows, columns.items(), strict=True):
         with np.errstate(over="ignore"):
             np.multiply(factors[name], column.values, out=row)
         if not np.isfinite(row).all():
@@ -150,24 +152,24 @@ def rows_in_si(taken: Mapping[str, Column], factors: Mapping[str, float]) -> Flo
     return rows
 
 
-def clock_of(table: Table, taken: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> SampleTimes:
-    """Clock of the samples: by a column of time, or at the even rate that is given or that the file says."""
-    samples = taken[0].values.size
+def clock_of(table: Table, columns: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> SampleTimes:
+    """Sampling times by a column of time, or at the given rate or that of the file."""
+    samples = columns[0].values.size
     if time is not None:
         column = table.column(time.column)
         if column.values.size != samples or not np.isfinite(column.values).all():
             raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
         stamps_s = rows_in_si({"time": column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
         return SampleTimes.of_stamps(stamps_s)
-    rates = {c.sample_rate_hz for c in taken if c.sample_rate_hz is not None}
+    rates = {c.sample_rate_hz for c in columns if c.sample_rate_hz is not None}
     if wrong := [rate for rate in rates if not 0 < rate < np.inf]:
         raise RigError(f"it says that it is sampled at {wrong[0]} Hz; give its sampling rate or column of time")
     rate = sample_rate_hz or min(rates, default=None)
     if rate is None:
         raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")
-    for other in rates:
-        if abs(other / rate - 1) > RATE_TOLERANCE:
-            raise RigError(f"it has columns at {other:.6g} and at {rate:.6g} Hz; all need one rate")
+    for column_rate in rates:
+        if abs(column_rate / rate - 1) > RATE_TOLERANCE:
+            raise RigError(f"it has columns at {column_rate:.6g} and at {rate:.6g} Hz; all need one rate")
     return SampleTimes.of_rate(rate, samples)
 
 
@@ -176,9 +178,9 @@ def _write(
 ) -> None:
     groups = channel_groups(rig)
     with writing(out, rig, groups, provenance) as recording:
-        for first in range(0, next(iter(rows.values())).size, AT_ONCE):
-            part = slice(first, first + AT_ONCE)
-            recording.append_all({name: np.stack([rows[c][part] for c in g.names]) for name, g in groups.items()})
+        for first in range(0, next(iter(rows.values())).size, SAMPLES_AT_ONCE):
+            span = slice(first, first + SAMPLES_AT_ONCE)
+            recording.append_all({name: np.stack([rows[c][span] for c in g.names]) for name, g in groups.items()})
 
 
 def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
@@ -188,11 +190,11 @@ def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
     return mapping, read_rig(place)
 
 
-def _check_taken(taken: Mapping[str, Column]) -> None:
-    """Each column once, all of one length, every value finite."""
+def _check_columns(columns: Mapping[str, Column]) -> None:
+    """Raise RigError unless columns are distinct, of equal length and finite."""
     first_use: dict[int, str] = {}
-    first_name, reference = next(iter(taken.items()))
-    for name, column in taken.items():
+    first_name, reference = next(iter(columns.items()))
+    for name, column in columns.items():
         if first := first_use.get(id(column)):
             raise RigError(f"column {column.name!r} is given to both {first!r} and {name!r}; each needs its own")
         first_use[id(column)] = name
@@ -209,15 +211,15 @@ def _check_taken(taken: Mapping[str, Column]) -> None:
 
 
 def _factor(quantity: str, entry: Source, column: Column) -> float:
-    """Factor from a column's numbers to SI; a unit that both the file and the map say must be the same."""
+    """Factor from a column's numbers to SI; raises RigError if file and map state different units."""
     if entry.unit is None and column.unit is None:
         raise RigError(f"column {column.name!r} has no unit; add unit = ... in the map")
     factor = si_factor(quantity, entry.unit or column.unit or "")
     if entry.unit and column.unit:
         try:
-            said = si_factor(quantity, column.unit)
+            file_factor = si_factor(quantity, column.unit)
         except RigError:  # what programs put there is often no unit at all, such as "EU"
-            said = factor
-        if said != factor:
+            file_factor = factor
+        if file_factor != factor:
             raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {entry.unit!r} by the map")
     return factor * entry.scale

@@ -1,4 +1,4 @@
-"""The modes of a rig's bodies as datasets of a UFF file: units (164), nodes (15) and mode shapes (55)."""
+"""Modes of a rig's bodies as datasets of a UFF file: units (164), nodes (15) and mode shapes (55)."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -7,25 +7,25 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.model.description import Body, Rig, Station, stations_of
-from rig.model.modes import modes_of, modes_wanted
+from rig.model.modes import mode_count, modes_of
 
 MODES = 24
-"""Of a beam, as many as the plant `modal` takes."""
+"""Modes of a beam, as in a replay by the plant `modal`."""
 PLACES = 2 * MODES + 1
-SAME = 1e-4
-"""Of the length: places that are nearer are one node."""
+SAME_NODE = 1e-4
+"""Distance, relative to the length, below which two places are one node."""
 NODES_PER_BODY = 1000
-"""Node 2003 is the third of the second body."""
+"""Numbering: node 2003 is the third of the second body."""
 
 
 def nodes_of(rig: Rig) -> dict[Station, int]:
-    """The nodes: of a beam PLACES from end to end, of other bodies where their shapes are given, and all stations."""
+    """Node numbers: PLACES nodes from end to end of a beam, the places of a modal basis, and all stations."""
     numbers: dict[Station, int] = {}
-    known = (*stations_of(rig), *rig.forces)
+    stations = (*stations_of(rig), *rig.forces)
     for count, body in enumerate(rig.bodies, start=1):
-        places = {s.position_m for s in known if s.body == body.name}
-        apart_m = SAME * body.length_m
-        places |= {x for x in body.places(PLACES).tolist() if all(abs(x - other) > apart_m for other in places)}
+        places = {s.position_m for s in stations if s.body == body.name}
+        tolerance_m = SAME_NODE * body.length_m
+        places |= {x for x in body.places(PLACES).tolist() if all(abs(x - place) > tolerance_m for place in places)}
         first = NODES_PER_BODY * count + 1
         numbers |= {Station(body.name, place): first + k for k, place in enumerate(sorted(places))}
     return numbers
@@ -46,10 +46,10 @@ def mode_shapes(rig: Rig, nodes: Mapping[Station, int]) -> Iterator[dict[str, An
 
 
 def _of_body(rig: Rig, body: Body, nodes: Mapping[float, int]) -> Iterator[dict[str, Any]]:
-    modes, count = modes_of(rig, body), modes_wanted(body, MODES)
+    modes, count = modes_of(rig, body), mode_count(body, MODES)
     numbers, shapes = np.array([*nodes.values()]), modes.shapes(np.array([*nodes]), count)
-    told = zip(modes.frequencies_hz(count), modes.damping_ratios(count), shapes.T, strict=True)
-    for number, (frequency_hz, ratio, shape) in enumerate(told, start=1):
+    rows = zip(modes.frequencies_hz(count), modes.damping_ratios(count), shapes.T, strict=True)
+    for number, (frequency_hz, ratio, shape) in enumerate(rows, start=1):
         yield _dataset(f"{body.name} mode {number}", number, float(frequency_hz), float(ratio), numbers, shape)
 
 

@@ -15,7 +15,7 @@ QUANTITIES = {"force": "f", "displacement": "d", "velocity": "v", "acceleration"
 
 
 def to_sep005(recording: Recording) -> list[dict[str, Any]]:
-    """A dictionary a channel: data in SI, name, unit_str, fs in Hz, quantity and group."""
+    """Dictionary per channel: data in SI, name, unit_str, fs in Hz, quantity and group."""
     return [
         {
             "data": row,
@@ -33,13 +33,13 @@ def to_sep005(recording: Recording) -> list[dict[str, Any]]:
 def import_sep005(
     channels: Sequence[Mapping[str, Any]] | Mapping[str, Any], map_path: Path, out: Path
 ) -> tuple[str, ...]:
-    """Makes a recording of the channels by a map, as `import_file` does of a file, and returns what was done.
+    """Write a recording of SEP005 channels by a map, as `import_file` does, and return the processing steps.
 
     A channel is called by its name; the time stamps of one without fs are the column NAME time. Raises RigError with
     one sentence if a channel is none, or the map, the rig or the data cannot be used; nothing is written then.
     """
-    given = [channels] if isinstance(channels, Mapping) else list(channels)
-    columns = [column for number, channel in enumerate(given, start=1) for column in _columns(channel, number)]
+    channel_list = [channels] if isinstance(channels, Mapping) else list(channels)
+    columns = [column for number, channel in enumerate(channel_list, start=1) for column in _columns(channel, number)]
     return import_columns(columns, "SEP005 channels", map_path, out)
 
 
@@ -51,7 +51,7 @@ def _columns(channel: Mapping[str, Any], number: int) -> list[Column]:
     try:
         values = np.asarray(channel["data"], dtype=float).reshape(-1)
         stamps = None if rate else np.asarray(channel["time"], dtype=float).reshape(-1)
-        told = Column(name, values, unit, float(rate) if rate else None)
+        column = Column(name, values, unit, float(rate) if rate else None)
     except (TypeError, ValueError) as error:
         raise RigError(f"channel {name!r} of SEP005 is not of numbers ({error}); correct it") from error
-    return [told] if stamps is None else [Column(f"{name} time", stamps, "s"), told]
+    return [column] if stamps is None else [Column(f"{name} time", stamps, "s"), column]

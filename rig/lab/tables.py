@@ -16,14 +16,14 @@ from rig.lab.uff import uff_blocks
 from rig.limits import MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
 Key = str | int
-"""A column's name, or its number from 1."""
+"""Name of a column, or its number from 1."""
 WORKING_BYTES_PER_SAMPLE = 16
-"""While a recording is made, a sample is held twice as a double: in its column and among the rows in SI."""
+"""An imported sample is held twice as a double: in its column and in the rows in SI."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """The names of all columns of a file, and those columns that were asked for, by their place."""
+    """Names of all columns of a file, and the requested columns by index."""
 
     names: tuple[str, ...]
     columns: Mapping[int, Column]
@@ -33,22 +33,22 @@ class Table:
         return cls(tuple(c.name for c in columns), dict(enumerate(columns)))
 
     def column(self, key: Key) -> Column:
-        """The column meant; raises RigError if there is none, or more than one."""
+        """Column by name or number; raises RigError if there is none, or more than one."""
         if isinstance(key, int):
             if not 1 <= key <= len(self.names):
                 raise RigError(f"there is no column {key}; the file has 1 to {len(self.names)}")
             return self.columns[key - 1]
-        same = [place for place, name in enumerate(self.names) if name == key]
-        if len(same) > 1:
-            raise RigError(f"{len(same)} columns are named {key!r}; give the number of the one meant")
-        if not same:
-            shown = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
-            raise RigError(f"there is no column {key!r}; the file has {shown}")
-        return self.columns[same[0]]
+        matches = [place for place, name in enumerate(self.names) if name == key]
+        if len(matches) > 1:
+            raise RigError(f"{len(matches)} columns are named {key!r}; give the number of the one meant")
+        if not matches:
+            listed = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
+            raise RigError(f"there is no column {key!r}; the file has {listed}")
+        return self.columns[matches[0]]
 
 
 def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) -> Table:
-    """The columns of a file that are asked for (None: all), whose format is told by its suffix; no other is decoded.
+    """Requested columns (None: all) of a file, whose format follows from its suffix; no others are decoded.
 
     Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, holds no numbers,
     keeps a column that is asked for elsewhere, or would take more memory than `rig.limits` allows.
@@ -85,7 +85,7 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
     for block in blocks:
         first = len(names)
         if isinstance(block, Refused):
-            if _may_mean(block, first, keys):
+            if _may_select(block, first, keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
         names += block.names
@@ -94,15 +94,17 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
         chosen = [k for k, name in enumerate(block.names) if keys is None or name in keys or first + k + 1 in keys]
         if chosen:
             needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen)
-            more = len(columns) + len(chosen) - 1
-            content = f"{path}: column {block.names[chosen[-1]]!r}" + (f" with {more} more" if more else "")
+            other_columns = len(columns) + len(chosen) - 1
+            content = f"{path}: column {block.names[chosen[-1]]!r}" + (
+                f" with {other_columns} more" if other_columns else ""
+            )
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
             columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
     return Table(tuple(names), columns)
 
 
-def _may_mean(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
-    """True if a key is the name of what is refused, of a channel of it, or a number behind the columns before it."""
+def _may_select(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
+    """True if a key may select refused content: by its name, one of its channels, or a number beyond `columns`."""
     if keys is None:
         return True
     return any(key > columns if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys)

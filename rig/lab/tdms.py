@@ -1,4 +1,4 @@
-"""Channels of a TDMS file, read by npTDMS one by one, in a file that ends where its last segment does."""
+"""Channels of a TDMS file, read one by one with npTDMS after a check of its segments."""
 
 import logging
 import os
@@ -16,21 +16,21 @@ from rig.limits import check_decoded_size
 _HEAD_BYTES = 28
 _METADATA, _NEW_LIST, _BIG_ENDIAN = 1 << 1, 1 << 2, 1 << 6
 SEGMENT_BYTES, ENTRY_BYTES = 1000, 100
-"""What the reader keeps of a segment, and of each channel in a list of its own."""
+"""Memory that npTDMS keeps per segment, and per channel in a segment's own list."""
 MAX_VISITS = 10_000_000
-"""So often the reader may look at a channel of a segment."""
+"""Largest number of channel visits, summed over segments, of npTDMS."""
 
 
 class _WholeFile(BufferedReader):
-    """A file of which no more is asked for than it has left: a false length would take its memory first."""
+    """File whose reads are limited to the bytes left: a false length would otherwise allocate its memory."""
 
     def read(self, size: int | None = -1) -> bytes:
-        left = max(0, os.fstat(self.fileno()).st_size - self.tell())
-        return super().read(left if size is None or size < 0 else min(size, left))
+        remaining = max(0, os.fstat(self.fileno()).st_size - self.tell())
+        return super().read(remaining if size is None or size < 0 else min(size, remaining))
 
 
 def tdms_blocks(path: Path) -> Blocks:
-    """A block a channel of real numbers, GROUP/CHANNEL, with the unit and rate that its properties say.
+    """Block per channel of real numbers, GROUP/CHANNEL, with the unit and rate of its properties.
 
     Raises RigError if npTDMS is not installed, and RigError or UnreadableError if the file is cut off, or declares more
     than it has.
@@ -62,28 +62,30 @@ def _columns(channel: Any, name: str, _: object) -> list[Column]:
 
 
 def _check_segments(path: Path, stream: BufferedReader, file_bytes: int) -> None:
-    """Raise UnreadableError unless the file ends where its last segment does, RigError if their lists are too long.
+    """Raise UnreadableError unless the file ends with its last segment, RigError if the channel lists are too long.
 
     A segment that only adds to the list of channels of the one before keeps a list of its own: 32 bytes can take
     megabytes.
     """
-    at, segments, listed, kept, visited = 0, 0, 0, 0, 0
-    while at < file_bytes:
-        stream.seek(at)
+    offset, segments, channels_listed, entries, visits = 0, 0, 0, 0, 0
+    while offset < file_bytes:
+        stream.seek(offset)
         head = stream.read(_HEAD_BYTES + 4)
         if len(head) < _HEAD_BYTES or head[:4] != b"TDSm":
-            raise UnreadableError(f"it has no whole segment at byte {at}")
+            raise UnreadableError(f"it has no whole segment at byte {offset}")
         (kind,) = struct.unpack_from("<I", head, 4)
         order = ">" if kind & _BIG_ENDIAN else "<"
         (length,) = struct.unpack_from(f"{order}Q", head, 12)
         if kind & _METADATA and len(head) > _HEAD_BYTES:
-            (new,) = struct.unpack_from(f"{order}I", head, _HEAD_BYTES)
-            listed = new + (0 if kind & _NEW_LIST else listed)
-            kept += listed
-        segments, visited = segments + 1, visited + listed
-        at += _HEAD_BYTES + length
-    if at != file_bytes:
+            (list_length,) = struct.unpack_from(f"{order}I", head, _HEAD_BYTES)
+            channels_listed = list_length + (0 if kind & _NEW_LIST else channels_listed)
+            entries += channels_listed
+        segments, visits = segments + 1, visits + channels_listed
+        offset += _HEAD_BYTES + length
+    if offset != file_bytes:
         raise UnreadableError("it is cut off")
-    if visited > MAX_VISITS:
-        raise RigError(f"{path}: has {segments} segments of up to {listed} channels; defragment it, or export it again")
-    check_decoded_size(SEGMENT_BYTES * segments + ENTRY_BYTES * kept, file_bytes, f"{path}: its {segments} segments")
+    if visits > MAX_VISITS:
+        raise RigError(
+            f"{path}: has {segments} segments of up to {channels_listed} channels; defragment it, or export it again"
+        )
+    check_decoded_size(SEGMENT_BYTES * segments + ENTRY_BYTES * entries, file_bytes, f"{path}: its {segments} segments")

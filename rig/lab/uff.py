@@ -1,4 +1,4 @@
-"""Time histories of a UFF file (dataset 58), as text or binary, each read where it stands.
+"""Time histories of a UFF file (dataset 58), text or binary, each decoded in place.
 
 Layout: "Universal Dataset Number: 58" and "58b", SDRC; widths of columns are those of its FORTRAN formats.
 """
@@ -17,36 +17,36 @@ from jaxtyping import Float
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
 
 MARK = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
-"""The line that opens a dataset, and the one that closes it; it follows the numbers of a binary one without a break."""
+"""Line that opens or closes a dataset; it directly follows the numbers of a binary one."""
 LINE_OF_MARK = re.compile(rb"(?:\A|(?<=[\r\n]))" + MARK.pattern)
 LINE = re.compile(rb"([^\r\n]*)(?:\r\n|\r|\n|\Z)")
 TIME_RESPONSE, EVEN = 1, 1
 SINGLE, DOUBLE = 2, 4
-"""Types of real numbers; those of complex ones are 5 and 6."""
+"""Codes of real number types; those of complex ones are 5 and 6."""
 WIDTHS = {
     (SINGLE, True): (13,) * 6,
     (SINGLE, False): (13,) * 6,
     (DOUBLE, True): (20,) * 4,
     (DOUBLE, False): (13, 20) * 2,
 }
-"""Characters of the numbers of a line of text, by their type and whether they are ordinates at even abscissas alone."""
-LINES = 4096
-"""Of text, converted at once."""
+"""Widths (characters) of the numbers of a text line, by type and by whether the abscissas are even and left out."""
+LINES_AT_ONCE = 4096
+"""Lines of text converted at once."""
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Its type, whether it is binary, and where it begins (behind its mark) and ends (before the next)."""
+    """A dataset: its type, whether it is binary, and its offsets, behind the opening mark and at the closing one."""
 
     kind: int
     binary: bool
-    begin: int
-    end: int
+    start: int
+    stop: int
 
 
 @dataclass(frozen=True)
 class _History:
-    """A dataset 58: what its header says, and where its numbers begin and end."""
+    """Header of a dataset 58, and the offsets of its numbers."""
 
     name: str
     unit: str | None
@@ -55,9 +55,9 @@ class _History:
     even: bool
     interval_s: float
     order: str
-    """Of the bytes of a binary dataset, < or >; empty if it is text."""
-    begin: int
-    end: int
+    """Byte order of a binary dataset, < or >; empty for text."""
+    start: int
+    stop: int
 
     @property
     def numbers(self) -> int:
@@ -65,7 +65,7 @@ class _History:
 
 
 def uff_blocks(path: Path) -> Blocks:
-    """A block a time history; one at uneven abscissas has the column NAME time before it.
+    """Block per time history; one with uneven abscissas has the column NAME time before it.
 
     Raises UnreadableError if the file is cut off.
     """
@@ -77,61 +77,61 @@ def uff_blocks(path: Path) -> Blocks:
 
 
 def check_whole(path: Path) -> None:
-    """Raise UnreadableError if the last dataset does not end, or there is none."""
+    """Raise UnreadableError if the last dataset is incomplete, or there is none."""
     with path.open("rb") as stream:
         for _ in datasets_of(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)):
             pass
 
 
 def datasets_of(content: mmap.mmap) -> Iterator[Dataset]:
-    """Every dataset in turn; raises UnreadableError if the last one does not end, or there is none."""
+    """Datasets in order; raises UnreadableError if the last one is incomplete, or there is none."""
     mark = LINE_OF_MARK.search(content)
     if mark is None:
         raise UnreadableError("it has no dataset")
     while mark is not None:
-        begin = mark.end()
-        head = _line(content, begin)[0]
+        start = mark.end()
+        head = _line(content, start)[0]
         kind, binary = head[:6].strip(), head[6:7].lower() == b"b"
         if not kind.isdigit():
-            raise UnreadableError(f"its dataset at byte {begin} has no number, or is cut off")
-        closing = _closing(content, begin, head if binary else b"")
+            raise UnreadableError(f"its dataset at byte {start} has no number, or is cut off")
+        closing = _closing(content, start, head if binary else b"")
         if closing is None:
-            raise UnreadableError(f"its dataset at byte {begin} is cut off")
-        yield Dataset(int(kind), binary, begin, closing.start())
-        behind = closing.end()
-        mark = LINE_OF_MARK.search(content, behind)
-    if re.compile(rb"\S| \Z").search(content, behind):
-        raise UnreadableError(f"it is cut off at byte {behind}, behind its last whole dataset")
+            raise UnreadableError(f"its dataset at byte {start} is cut off")
+        yield Dataset(int(kind), binary, start, closing.start())
+        offset = closing.end()
+        mark = LINE_OF_MARK.search(content, offset)
+    if re.compile(rb"\S| \Z").search(content, offset):
+        raise UnreadableError(f"it is cut off at byte {offset}, behind its last whole dataset")
 
 
-def _closing(content: mmap.mmap, begin: int, binary_head: bytes) -> re.Match[bytes] | None:
-    """The mark that closes a dataset; of a binary one it stands behind as many bytes as its head says."""
+def _closing(content: mmap.mmap, start: int, binary_head: bytes) -> re.Match[bytes] | None:
+    """Mark that closes a dataset; the head of a binary one states how many bytes precede it."""
     if binary_head:
-        _, _, at = _header(content, begin)
+        _, _, offset = _header(content, start)
         size = _integer(binary_head, 31, 43)
         for between in range(3):  # some programs end the numbers by a line end
-            if size > 0 and (closing := MARK.match(content, at + size + between)):
+            if size > 0 and (closing := MARK.match(content, offset + size + between)):
                 return closing
-        return MARK.search(content, at)
-    return LINE_OF_MARK.search(content, begin)
+        return MARK.search(content, offset)
+    return LINE_OF_MARK.search(content, start)
 
 
-def _line(content: mmap.mmap, at: int) -> tuple[bytes, int]:
-    """A line and where the next begins."""
-    match = LINE.match(content, at)
+def _line(content: mmap.mmap, offset: int) -> tuple[bytes, int]:
+    """Line at an offset, and the offset of the next."""
+    match = LINE.match(content, offset)
     if match is None:
         raise UnreadableError("a dataset has no header")
     return match[1], match.end()
 
 
-def _header(content: mmap.mmap, at: int) -> tuple[bytes, list[str], int]:
-    """The line of the type, the eleven lines below it, and where the numbers begin."""
-    head, at = _line(content, at)
+def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
+    """Line of the type, the eleven lines below it, and the offset of the numbers."""
+    head, offset = _line(content, offset)
     lines = []
     for _ in range(11):
-        line, at = _line(content, at)
+        line, offset = _line(content, offset)
         lines.append(decoded(line[:200]))
-    return head, lines, at
+    return head, lines, offset
 
 
 def _integer(line: bytes | str, first: int, last: int) -> int:
@@ -142,7 +142,7 @@ def _integer(line: bytes | str, first: int, last: int) -> int:
 
 
 def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
-    head, lines, begin = _header(content, dataset.begin)
+    head, lines, start = _header(content, dataset.start)
     name, unit, kind = lines[0][:80].strip(), lines[8][46:67].strip(), _integer(lines[6], 0, 10)
     if _integer(lines[5], 0, 5) != TIME_RESPONSE or kind not in (SINGLE, DOUBLE):
         return Refused(name, f"dataset {name!r} is no time history; export time histories alone")
@@ -158,13 +158,13 @@ def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
         even=_integer(lines[6], 20, 30) == EVEN,
         interval_s=interval_s,
         order=("<" if _integer(head, 7, 13) == 1 else ">") if dataset.binary else "",
-        begin=begin,
-        end=dataset.end,
+        start=start,
+        stop=dataset.stop,
     )
     size = (4 if kind == SINGLE else 8) if dataset.binary else min(WIDTHS[kind, history.even])
-    room = (dataset.end - begin) // size
+    room = (dataset.stop - start) // size
     if history.points < 0 or (room != history.numbers if dataset.binary else room < history.numbers):
-        raise _other_length(name, room, history.even, history.points)
+        raise _wrong_length(name, room, history.even, history.points)
     names = (name,) if history.even else (f"{name} time", name)
     return ColumnBlock(
         names, history.points, partial(_columns, content, history), 0 if history.even else 16 * history.points
@@ -185,22 +185,22 @@ def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> li
 
 def _binary(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     kind = f"{history.order}f{4 if history.kind == SINGLE else 8}"
-    return np.frombuffer(content, kind, history.numbers, history.begin).astype(float)
+    return np.frombuffer(content, kind, history.numbers, history.start).astype(float)
 
 
 def _text(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     cuts = list(pairwise(accumulate(WIDTHS[history.kind, history.even], initial=0)))
     values, count = np.empty(history.numbers), 0
-    lines = (match[1] for match in LINE.finditer(content, history.begin, history.end))
-    while some := list(islice(lines, LINES)):
-        numbers = [float(cell) for line in some for first, last in cuts if (cell := line[first:last].strip())]
+    lines = (match[1] for match in LINE.finditer(content, history.start, history.stop))
+    while batch := list(islice(lines, LINES_AT_ONCE)):
+        numbers = [float(cell) for line in batch for first, last in cuts if (cell := line[first:last].strip())]
         if count + len(numbers) <= values.size:
             values[count : count + len(numbers)] = numbers
         count += len(numbers)
     if count != values.size:
-        raise _other_length(history.name, count, history.even, history.points)
+        raise _wrong_length(history.name, count, history.even, history.points)
     return values
 
 
-def _other_length(name: str, numbers: int, even: bool, points: int) -> UnreadableError:
+def _wrong_length(name: str, numbers: int, even: bool, points: int) -> UnreadableError:
     return UnreadableError(f"its dataset {name!r} holds {numbers if even else numbers // 2} of {points} samples")

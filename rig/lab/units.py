@@ -1,4 +1,4 @@
-"""The units in which a laboratory writes its numbers, and what makes them SI."""
+"""Units of laboratory data and their factors to SI."""
 
 from collections.abc import Mapping
 
@@ -11,21 +11,21 @@ FACTORS: dict[str, Mapping[str, float]] = {
     "force": {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": _POUND_FORCE},
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
 }
-"""By quantity: the unit's value in SI."""
+"""Value of each unit in SI, by quantity."""
 _SPELLINGS = {"\u00b5": "u", "\u03bc": "u", "\u00b2": "^2", "**2": "^2", "/s2": "/s^2", "/s/s": "/s^2", " ": ""}
 
 
 def si_factor(quantity: str, unit: str) -> float:
     """Factor from this unit to SI; raises RigError if the quantity has no such unit."""
-    known = FACTORS[quantity]
+    factors = FACTORS[quantity]
     plain = plainly(unit)
-    if plain not in known:
-        raise RigError(f"{unit!r} is no unit of {quantity}; give one of {', '.join(known)}")
-    return known[plain]
+    if plain not in factors:
+        raise RigError(f"{unit!r} is no unit of {quantity}; give one of {', '.join(factors)}")
+    return factors[plain]
 
 
 def plainly(unit: str) -> str:
-    """The unit in one spelling: m/s², m/s**2 and m/s2 are m/s^2, µm is um."""
+    """Unit in a canonical spelling: m/s², m/s**2 and m/s2 become m/s^2, µm becomes um."""
     for spelling, plain in _SPELLINGS.items():
         unit = unit.replace(spelling, plain)
     return unit

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from rig.errors import RigError
 
 MAX_MODES = 40
-LEAST, MOST = 1e-12, 1e15
-"""Of every property of a beam, in SI units."""
+MIN_PROPERTY, MAX_PROPERTY = 1e-12, 1e15
+"""Range of every property of a beam, in SI units."""
 
 
 class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="beam"):
@@ -37,8 +37,10 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def __post_init__(self) -> None:
         for field in ("length_m", "width_m", "thickness_m", "youngs_modulus_pa", "density_kg_per_m3"):
             value = getattr(self, field)
-            if not LEAST <= value <= MOST:  # beyond, their powers are lost in rounding
-                raise RigError(f"beam {self.name!r}: {field} is {value}; give a value from {LEAST:g} to {MOST:g}")
+            if not MIN_PROPERTY <= value <= MAX_PROPERTY:  # beyond, their powers are lost in rounding
+                raise RigError(
+                    f"beam {self.name!r}: {field} is {value}; give a value from {MIN_PROPERTY:g} to {MAX_PROPERTY:g}"
+                )
         if not (np.isfinite(self.damping_ratio) and self.damping_ratio >= 0):
             raise RigError(
                 f"beam {self.name!r}: damping_ratio is {self.damping_ratio}; give a finite value, zero or above"
@@ -54,7 +56,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def bending_stiffness_n_m2(self) -> float:
-        """E I for bending over the thickness."""
+        """E I for bending over the thickness, N m^2."""
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
@@ -80,7 +82,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return 2 if self.ends == "free-free" else 0
 
     def places(self, count: int) -> Float[np.ndarray, " places"]:
-        """Places, this many, evenly from end to end."""
+        """Positions (m), `count` of them, evenly spaced from end to end."""
         return np.linspace(0, self.length_m, count)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
@@ -89,7 +91,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return beta**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
 
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        """The same modal damping ratio for every elastic mode, none for rigid ones."""
+        """Modal damping ratios: the same for every elastic mode, zero for rigid ones."""
         return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Beam":
@@ -135,8 +137,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             + (-1.0) ** order * (1 + sigma) / 2 * np.exp(-argument)
             + sign * (waves[order] - sigma * waves[order - 1])
         )
-        found = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :modes]
-        return found / (self.length_m**order * np.sqrt(self.mass_kg))
+        derivatives = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :modes]
+        return derivatives / (self.length_m**order * np.sqrt(self.mass_kg))
 
     def _wavenumbers(self, modes: int) -> Float[np.ndarray, " modes"]:
         self._check_modes(modes)
@@ -148,13 +150,13 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 @lru_cache
-def _roots(ends: str) -> tuple[float, ...]:
+def _roots(end_condition: str) -> tuple[float, ...]:
     """Roots beta l of cos(b) cosh(b) = -1 (clamped-free) or +1 (free-free, after two zeros)."""
-    sign, first = (1.0, 0.5) if ends == "clamped-free" else (-1.0, 1.5)
+    sign, first = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
 
     def characteristic(beta: float) -> float:
         return float(np.cos(beta) + sign / np.cosh(beta))
 
     centres = (first + np.arange(MAX_MODES)) * np.pi
     elastic = [scipy.optimize.brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
-    return tuple(([] if ends == "clamped-free" else [0.0, 0.0]) + elastic)
+    return tuple(([] if end_condition == "clamped-free" else [0.0, 0.0]) + elastic)

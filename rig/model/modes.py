@@ -1,4 +1,4 @@
-"""Modes of a body with what is attached to it: point masses, springs, a clamp that gives."""
+"""Modes of a body with its attachments: point masses, springs, a compliant clamp."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -16,12 +16,12 @@ from rig.model.oscillator import Oscillator
 from rig.model.structure import Structure
 
 ELEMENTS = 80
-"""Of a beam with attachments: its sixteenth mode comes within 0.02 % of Bernoulli-Euler theory."""
+"""Elements of a beam with attachments: its sixteenth mode is within 0.02 % of Bernoulli-Euler theory."""
 
 
 @runtime_checkable
 class Modes(Protocol):
-    """Modes of a body as a plant needs them; every `Body` is such itself."""
+    """Modes of a body as a plant needs them; every `Body` implements this protocol."""
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]: ...
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]: ...
@@ -56,7 +56,7 @@ class FiniteElementModes:
 
 @dataclass(frozen=True)
 class CoupledModes:
-    """Modes of a structure with attachments, as combinations of its own; each keeps the damping ratio of its number."""
+    """Modes of a structure with attachments, as combinations of its own; mode k keeps the damping ratio of mode k."""
 
     structure: Structure
     natural_hz: Float[np.ndarray, " all"]
@@ -79,20 +79,19 @@ class CoupledModes:
 
 
 Meshed = Beam | Oscillator
-"""The bodies whose mass and stiffness are known, not their modes alone."""
+"""Bodies whose mass and stiffness are known, not only their modes."""
 
 
-def modes_wanted(body: Body, modes: int) -> int:
-    """Count of a body's modes where `modes` are wanted: a beam takes all of them, others no more than they have."""
+def mode_count(body: Body, modes: int) -> int:
+    """Number of modes taken of a body: `modes` of a beam, of other bodies at most as many as they have."""
     return modes if isinstance(body, Beam) else min(modes, body.max_modes)
 
 
 def modes_of(rig: Rig, body: Body) -> Modes:
-    """The body's modes in this rig: its own if nothing is attached, else, of a beam, those of 80 Hermite elements.
+    """Modes of a body in this rig: its own if nothing is attached, else with its masses, linear springs and clamp.
 
-    Of a structure with attachments, its own modes coupled by them: exact but for what its basis leaves out.
-
-    Cubic springs are no part of it. Each mode keeps the damping ratio of the bare body's mode of that number.
+    A beam with attachments has 80 Hermite elements; a structure's modes are coupled by the attachments, exact except
+    for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
     masses = [m for m in rig.masses if m.station.body == body.name]
     springs = [s for s in rig.springs if s.station.body == body.name]
@@ -109,17 +108,17 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     held = held_coordinates(rig, body)
     _check_stable(rig, body, stiffness[held:, held:])
     floating = _floating(body, nodes_m, stiffness)
-    natural_hz, free = _solved(body, stiffness[held:, held:], mass[held:, held:], floating)
+    natural_hz, free = _natural_modes(body, stiffness[held:, held:], mass[held:, held:], floating)
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
     return FiniteElementModes(body, nodes_m, natural_hz, vectors)
 
 
-def given_beside(body: Body, position_m: float) -> tuple[float, ...]:
-    """The places on either side at which a modal basis gives shapes; none where the shapes are known.
+def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
+    """Nearest places (m) on either side at which a modal basis gives shapes; empty where the shapes are known.
 
-    They are known at those places, of a body described by its mass and stiffness everywhere.
+    They are known at the places of the basis, and everywhere on a body that is described by mass and stiffness.
     """
-    if not isinstance(body, Structure) or body.gives(position_m):
+    if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
     places = body.positions_m
     after = int(np.searchsorted(places, position_m))
@@ -127,13 +126,13 @@ def given_beside(body: Body, position_m: float) -> tuple[float, ...]:
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
-    """Over the modes q of a basis, masses m and springs k, k_r at places with the shapes p and slopes s:
+    """Modes of a structure coupled by masses m and springs k, k_r at places with shapes p and slopes s:
 
     (1 + sum m p p') q'' + (omega^2 + sum k p p' + k_r s s') q = 0
     """
     count = body.max_modes
     mass = np.eye(count)
-    attached = np.zeros((count, count))
+    attached_stiffness = np.zeros((count, count))
     for point in rig.masses:
         if point.station.body == body.name:
             row = body.shapes(np.array([point.station.position_m]), count)[0]
@@ -142,75 +141,75 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
         if spring.station.body == body.name:
             place = np.array([spring.station.position_m])
             row, slope = (body.shapes(place, count, order)[0] for order in (0, 1))
-            attached += spring.stiffness_n_per_m * np.outer(row, row)
-            attached += spring.rotational_n_m_per_rad * np.outer(slope, slope)
+            attached_stiffness += spring.stiffness_n_per_m * np.outer(row, row)
+            attached_stiffness += spring.rotational_n_m_per_rad * np.outer(slope, slope)
     rigid = body.rigid_modes
-    floating = rigid - int(np.linalg.matrix_rank(attached[:rigid, :rigid])) if rigid else 0
-    stiffness = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached
+    floating = rigid - int(np.linalg.matrix_rank(attached_stiffness[:rigid, :rigid])) if rigid else 0
+    stiffness = np.diag((2 * np.pi * body.frequencies_hz(count)) ** 2) + attached_stiffness
     _check_stable(rig, body, stiffness)
-    return CoupledModes(body, *_solved(body, stiffness, mass, floating))
+    return CoupledModes(body, *_natural_modes(body, stiffness, mass, floating))
 
 
-def _solved(
+def _natural_modes(
     body: Body, stiffness: Float[np.ndarray, "n n"], mass: Float[np.ndarray, "n n"], floating: int
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "n modes"]]:
-    """Natural frequencies, Hz, and mode shapes, as many as the body has; the floating ones come first, at 0 Hz.
+    """Natural frequencies (Hz) and mass-normalised shapes of all modes; the first `floating` are set to 0 Hz.
 
-    Raises RigError if they are lost in rounding.
+    Raises RigError if rounding makes the eigenvalues meaningless.
     """
-    lost = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
+    message = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
     try:
         squares, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
-        raise RigError(lost) from error
+        raise RigError(message) from error
     squares[:floating] = 0.0  # rounding would give them a frequency
     if not (squares >= 0).all():
-        raise RigError(lost)
+        raise RigError(message)
     return np.sqrt(squares) / (2 * np.pi), vectors
 
 
 def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
-    """Raises RigError if springs of negative stiffness leave a body none in some direction."""
+    """Raise RigError if springs of negative stiffness make the stiffness matrix indefinite."""
     if any(s.stiffness_n_per_m < 0 for s in rig.springs if s.station.body == body.name):
-        least, most = np.linalg.eigvalsh(stiffness)[[0, -1]]
-        if least < -1e-14 * abs(most) or most <= 0:
+        lowest, highest = np.linalg.eigvalsh(stiffness)[[0, -1]]
+        if lowest < -1e-14 * abs(highest) or highest <= 0:
             raise RigError(
                 f"the springs of negative stiffness on {body.name!r} are more than what holds it; make them weaker"
             )
 
 
 def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
-    """A single mass with its point masses and linear springs; it keeps its damping ratio."""
+    """Oscillator with its point masses and linear springs added; it keeps its damping ratio."""
     mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses if m.station.body == body.name)
-    added = sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body.name)
-    _check_stable(rig, body, np.full((1, 1), body.stiffness_n_per_m + added))
-    frequency_hz = float(np.sqrt((body.stiffness_n_per_m + added) / mass_kg)) / (2 * np.pi)
+    added_n_per_m = sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body.name)
+    _check_stable(rig, body, np.full((1, 1), body.stiffness_n_per_m + added_n_per_m))
+    frequency_hz = float(np.sqrt((body.stiffness_n_per_m + added_n_per_m) / mass_kg)) / (2 * np.pi)
     return msgspec.structs.replace(body, mass_kg=mass_kg, frequency_hz=frequency_hz)
 
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
-    at_masses = [m for m in rig.masses if m.station.body == body.name]
+    masses = [m for m in rig.masses if m.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
     if isinstance(body, Structure):
-        own = body.translation()
-        carried = modes.vectors.T @ own if isinstance(modes, CoupledModes) else own
-        places = np.array([m.station.position_m for m in at_masses])
-        return carried[:count] + np.array([m.mass_kg for m in at_masses]) @ modes.shapes(places, count)
+        translation = body.translation()
+        modal_translation = modes.vectors.T @ translation if isinstance(modes, CoupledModes) else translation
+        places = np.array([m.station.position_m for m in masses])
+        return modal_translation[:count] + np.array([m.mass_kg for m in masses]) @ modes.shapes(places, count)
     points, weights = leggauss(400)
     positions_m = (points + 1) / 2 * body.length_m
-    places = np.concatenate([positions_m, [m.station.position_m for m in at_masses]])
-    masses_kg = np.concatenate([weights / 2 * body.mass_kg, [m.mass_kg for m in at_masses]])
+    places = np.concatenate([positions_m, [m.station.position_m for m in masses]])
+    masses_kg = np.concatenate([weights / 2 * body.mass_kg, [m.mass_kg for m in masses]])
     return masses_kg @ modes.shapes(places, count)
 
 
 def matrices(
     rig: Rig, body: Meshed, nodes_m: Float[np.ndarray, " nodes"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
-    """Mass and stiffness, with attachments, over (displacement, slope) of every node, none of them held.
+    """Mass and stiffness matrices with attachments, over the unconstrained (displacement, slope) of every node.
 
-    Of a single mass: over its displacement.
+    The only coordinate of a single mass is its displacement.
     """
     mass, stiffness = _bare(body, nodes_m)
     for point in rig.masses:
@@ -229,7 +228,7 @@ def matrices(
 
 
 def held_coordinates(rig: Rig, body: Body) -> int:
-    """Count of the leading (displacement, slope) that a body's clamp holds."""
+    """Number of leading coordinates (displacement, slope) that the clamp of a body fixes."""
     if not isinstance(body, Beam) or body.ends == "free-free":
         return 0
     return 1 if any(c.body == body.name for c in rig.clamps) else 2
@@ -264,14 +263,14 @@ def _bare(
     mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
     for i, h in enumerate(np.diff(nodes_m)):
         scale = np.diag([1, h, 1, h])
-        here = slice(2 * i, 2 * i + 4)
-        mass[here, here] += body.mass_per_length_kg_per_m * h / 420 * scale @ _MASS @ scale
-        stiffness[here, here] += body.bending_stiffness_n_m2 / h**3 * scale @ _STIFFNESS @ scale
+        coordinates = slice(2 * i, 2 * i + 4)
+        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _MASS @ scale
+        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _STIFFNESS @ scale
     return mass, stiffness
 
 
 def _floating(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
-    """Count of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
+    """Number of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
     if beam.ends != "free-free":
         return 0
     turning = (nodes_m - beam.length_m / 2) / beam.length_m

@@ -34,7 +34,7 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def half_thickness_m(self) -> None:
-        """Zero: a mass does not bend."""
+        """None: a mass does not bend."""
         return None
 
     @property
@@ -62,14 +62,14 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return 2 * self.damping_ratio * self.mass_kg * 2 * np.pi * self.frequency_hz
 
     def places(self, _count: int) -> Float[np.ndarray, " places"]:
-        """Places at which its shapes are known: its one place."""
+        """Positions at which its shapes are known: 0 m alone."""
         return np.zeros(1)
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._one(modes), self.frequency_hz)
+        return np.full(self._checked(modes), self.frequency_hz)
 
     def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._one(modes), self.damping_ratio)
+        return np.full(self._checked(modes), self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Oscillator":
         """Mass with the damping ratio times a factor."""
@@ -86,10 +86,10 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        """Shapes, or their derivative of this order along the body; a mass neither turns nor bends."""
-        return np.full((len(positions_m), self._one(modes)), (order == 0) / np.sqrt(self.mass_kg))
+        """Mode shape 1/sqrt(mass) at every position; its derivatives along the body are zero."""
+        return np.full((len(positions_m), self._checked(modes)), (order == 0) / np.sqrt(self.mass_kg))
 
-    def _one(self, modes: int) -> int:
+    def _checked(self, modes: int) -> int:
         if modes != 1:
             raise RigError(f"oscillator {self.name!r}: {modes} modes asked for; it has exactly one")
         return modes

@@ -1,4 +1,4 @@
-"""Parameters of a fit: their units, ranges and neutral values, and the order in which they stand in its vectors."""
+"""Parameters of a fit: units, ranges, neutral values and their order in vectors."""
 
 import dataclasses
 from collections.abc import Iterator, Mapping
@@ -12,10 +12,9 @@ Vector = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class Parameter:
-    """A number that can be fitted: its unit ("1" if it has none), its plausible range, and where it changes nothing.
+    """A fitted number: unit ("1" if it has none), plausible range, and neutral value, at which it has no effect.
 
-    neutral is None for a number that says where, when or at which frequency rather than how much. `of` names what the
-    parameter belongs to.
+    neutral is None for a place, a time or a frequency, which are no strengths. `of` names the owner of the parameter.
     """
 
     unit: str
@@ -54,24 +53,24 @@ class ParameterSet:
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
-        """The low ends of the ranges, and the high ones."""
+        """Lower and upper bounds."""
         return np.array([p.low for p in self.parameters]), np.array([p.high for p in self.parameters])
 
     @property
     def strengths(self) -> list[int]:
-        """Places of the strengths, which have a neutral value."""
+        """Indices of the strengths: parameters with a neutral value."""
         return [i for i, p in enumerate(self.parameters) if p.neutral is not None]
 
     def belonging_to(self, owner: str) -> "ParameterSet":
-        """The same, as parameters of the owner."""
+        """The same parameters with this owner."""
         return ParameterSet(tuple(dataclasses.replace(p, of=owner) for p in self.parameters))
 
     def places_of(self, owner: str) -> list[int]:
-        """Places of the owner's parameters."""
+        """Indices of the owner's parameters."""
         return [i for i, p in enumerate(self.parameters) if p.of == owner]
 
     def ranged(self, ranges: Mapping[str, tuple[float, float]]) -> "ParameterSet":
-        """Some of them, by name, with other ranges."""
+        """The same parameters with other ranges for some, by name."""
         return ParameterSet(
             tuple(
                 dataclasses.replace(p, low=ranges[p.name][0], high=ranges[p.name][1]) if p.name in ranges else p
@@ -79,11 +78,11 @@ class ParameterSet:
             )
         )
 
-    def without(self, name: str) -> "ParameterSet":
+    def excluding(self, name: str) -> "ParameterSet":
         return ParameterSet(tuple(p for p in self.parameters if p.name != name))
 
     def vector(self, numbers: Mapping[str, float]) -> Vector:
-        """Numbers by name in the order of the parameters; zero for what is not among them."""
+        """Vector of numbers given by name; zero for missing ones."""
         return np.array([numbers.get(name, 0.0) for name in self.names])
 
     def named(self, values: Vector) -> dict[str, float]:

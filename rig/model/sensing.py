@@ -16,7 +16,7 @@ def quantities_of(rig: Rig) -> tuple[QuantityName, ...]:
 
 
 def named_sensor(station: Station, quantity: QuantityName, noise_density: float = 0.0) -> Sensor:
-    """A sensor named by body, position and quantity. The noise is the accelerometers' alone, m/s^2/sqrt(Hz)."""
+    """Sensor named after body, position and quantity; noise_density (m/s^2/sqrt(Hz)) is for accelerometers only."""
     return Sensor(
         name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",
         station=station,

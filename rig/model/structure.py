@@ -12,9 +12,9 @@ from rig.errors import RigError
 
 SAME_PLACE_M = 1e-9
 LARGEST = 1e9
-"""Of frequencies (Hz) and shapes (1/sqrt(kg)): what is larger is no machine's, and would overflow."""
-NO_TRANSLATION = 1e-2
-"""Rigid modes that leave more than this share of a unit translation do not hold it."""
+"""Largest frequency (Hz) and shape value (1/sqrt(kg)); larger ones would overflow."""
+MAX_TRANSLATION_ERROR = 1e-2
+"""Largest error with which rigid-body modes may represent a unit translation."""
 
 
 class ShapeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -86,16 +86,16 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     @property
     def half_thickness_m(self) -> None:
-        """Its modes do not say."""
+        """None: the modes do not tell the thickness."""
         return None
 
     @property
     def kind(self) -> str:
-        known = f"modal basis, {self.max_modes} modes"
+        modes_text = f"modal basis, {self.max_modes} modes"
         try:
-            return f"{known}, {np.sum(self.translation() ** 2):.4g} kg"
+            return f"{modes_text}, {np.sum(self.translation() ** 2):.4g} kg"
         except RigError:
-            return known
+            return modes_text
 
     @property
     def mass_kg(self) -> float:
@@ -111,7 +111,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return self.natural_hz.count(0.0)
 
     def places(self, _count: int) -> Float[np.ndarray, " places"]:
-        """Places at which its shapes are given."""
+        """Positions at which the shapes are given, m."""
         return self.positions_m
 
     def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
@@ -130,8 +130,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
-        lighter = float(np.sqrt(factor))
-        rows = (msgspec.structs.replace(r, values=tuple(v / lighter for v in r.values)) for r in self.rows)
+        root = float(np.sqrt(factor))
+        rows = (msgspec.structs.replace(r, values=tuple(v / root for v in r.values)) for r in self.rows)
         return msgspec.structs.replace(self, rows=tuple(rows))
 
     def shapes(
@@ -144,45 +144,45 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """
         return self._interpolated(positions_m, order)[:, : self._checked(modes)]
 
-    def gives(self, position_m: float) -> bool:
-        """True if the shapes at this place are data."""
+    def has_shapes_at(self, position_m: float) -> bool:
+        """True if the modal basis gives shapes at this position."""
         return bool(np.min(np.abs(self.positions_m - position_m)) <= SAME_PLACE_M)
 
     def translation(self) -> Float[np.ndarray, " modes"]:
         """Modal coordinates g of a unit translation, in sqrt(kg): sum_i phi_i(x) g_i = 1; g.g is the mass.
 
-        Only rigid-body modes can tell it. Raises RigError where there are none, or their shapes do not add up to it.
+        They follow from the rigid-body modes. Raises RigError if there are none, or they do not contain a translation.
         """
         rigid = self.rigid_modes
-        found = np.zeros(self.max_modes)
+        coordinates = np.zeros(self.max_modes)
         shapes = np.array([row.values for row in self.rows])[:, :rigid]
-        one = np.ones(len(self.rows))
-        if 0 < rigid <= len(one):
-            found[:rigid] = np.linalg.lstsq(shapes, one, rcond=None)[0]
-        if np.max(np.abs(shapes @ found[:rigid] - one)) > NO_TRANSLATION:
+        unit = np.ones(len(self.rows))
+        if 0 < rigid <= len(unit):
+            coordinates[:rigid] = np.linalg.lstsq(shapes, unit, rcond=None)[0]
+        if np.max(np.abs(shapes @ coordinates[:rigid] - unit)) > MAX_TRANSLATION_ERROR:
             raise self._wrong(
                 "its modal basis does not say how its mass follows a moving base; only that of a free body does, "
                 "whose rigid-body modes (0 Hz) are given"
             )
-        return found
+        return coordinates
 
     def _interpolated(
         self, positions_m: Float[np.ndarray, " stations"], order: int
     ) -> Float[np.ndarray, "stations all"]:
-        wanted, given = np.asarray(positions_m, dtype=float), self.positions_m
+        positions, places = np.asarray(positions_m, dtype=float), self.positions_m
         values = np.array([row.values for row in self.rows])
-        if len(given) == 1:
-            return np.repeat(values if order == 0 else np.zeros_like(values), len(wanted), axis=0)
+        if len(places) == 1:
+            return np.repeat(values if order == 0 else np.zeros_like(values), len(positions), axis=0)
         spline = _spline(self.rows)
-        inside = np.clip(wanted, given[0], given[-1])
+        inside = np.clip(positions, places[0], places[-1])
         if order:
             return np.asarray(spline(inside, order))
-        found = np.asarray(spline(inside) + spline(inside, 1) * (wanted - inside)[:, None])
-        if wanted.size:
-            away = np.abs(wanted[:, None] - given[None, :])
-            exact = away.min(axis=1) <= SAME_PLACE_M
-            found[exact] = values[away.argmin(axis=1)[exact]]
-        return found
+        shapes = np.asarray(spline(inside) + spline(inside, 1) * (positions - inside)[:, None])
+        if positions.size:
+            distances = np.abs(positions[:, None] - places[None, :])
+            exact = distances.min(axis=1) <= SAME_PLACE_M
+            shapes[exact] = values[distances.argmin(axis=1)[exact]]
+        return shapes
 
     def _checked(self, modes: int) -> int:
         if not 1 <= modes <= self.max_modes:
@@ -201,7 +201,7 @@ def structure_of(
     positions_m: Float[np.ndarray, " places"],
     shapes: Float[np.ndarray, "places modes"],
 ) -> Structure:
-    """A structure from arrays, as a finite-element model or a modal analysis has them."""
+    """Structure from arrays of a finite-element model or a modal analysis."""
     return Structure(
         name=name,
         length_m=float(length_m),

@@ -1,4 +1,4 @@
-"""Tolerances of a rig's description, and their defaults: the one place where they are written."""
+"""Tolerances (standard deviations) of a rig's description, and their defaults."""
 
 from pathlib import Path
 
@@ -9,11 +9,11 @@ from rig.errors import RigError
 from rig.model.toml_file import read_toml
 
 
-def _check(what: str, given: msgspec.Struct) -> None:
-    for field in given.__struct_fields__:
-        value = getattr(given, field)
+def _check(label: str, tolerances: msgspec.Struct) -> None:
+    for field in tolerances.__struct_fields__:
+        value = getattr(tolerances, field)
         if isinstance(value, (int, float)) and not (np.isfinite(value) and value >= 0):
-            raise RigError(f"{what}: {field} is {value}; give a finite standard deviation, zero or above")
+            raise RigError(f"{label}: {field} is {value}; give a finite standard deviation, zero or above")
 
 
 class SensorTolerance(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -40,57 +40,61 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
 
     gain: float = 2e-3
-    """Of every sensor."""
+    """Gain of every sensor, relative."""
     position_m: float = 1e-3
-    """Of every sensor's station."""
+    """Position of every sensor."""
     delay_s: float = 1e-5
-    """Of every sensor against the force."""
+    """Delay of every sensor against the force."""
     high_pass_hz: float = 0.1
     """Corner of the first-order high-pass of an AC-coupled accelerometer that the description does not mention."""
     crosstalk: float = 2e-3
-    """Share of the signal of a channel beside it that every channel shows; where `identify gap` looks for effects."""
+    """Share of a neighbouring channel's signal in every channel; used by `identify gap`."""
     force_gain: float = 3e-3
     force_noise_density: float = 0.0
-    """One-sided, N/sqrt(Hz), where no quiet start of the record tells it."""
+    """One-sided, N/sqrt(Hz), for records without a quiet start that determines it."""
     mass: float = 3e-3
-    """Of every body."""
+    """Mass of every body, relative."""
     frequency: float = 2e-3
-    """Of all modes of a body together, and of each mode by itself."""
+    """Frequency, relative: common to all modes of a body, and of each mode."""
     damping: float = 0.3
-    """Likewise."""
+    """Damping ratio, relative; likewise."""
     clearance: float = 0.01
     stiffness: float = 0.01
     contact_damping_s: float = 1e-5
     """Damping of a contact over its stiffness."""
     unmodelled: float = 5e-4
-    """Share of each acceleration that no model of this kind explains: the prior scale; the record tells the rest."""
+    """Prior scale of the unexplained share of each acceleration; the record determines its value."""
     unmodelled_contact: float = 2e-3
-    """Share of each contact force that no law of this kind explains: likewise."""
+    """Prior scale of the unexplained share of each contact force; likewise."""
     highest_hz: float | None = None
-    """Up to where the modes are believed; None: all that the sensors tell."""
+    """Frequency up to which the modes are valid; None: the whole band of the sensors."""
     sensors: dict[str, SensorTolerance] = {}
-    """By the sensor's name."""
+    """Tolerances of single sensors by name."""
     modes: dict[str, ModeTolerance] = {}
-    """By body and number: "barrel 3"."""
+    """Tolerances of single modes by body and number: "barrel 3"."""
 
     def __post_init__(self) -> None:
         _check("tolerances", self)
-        for name, one in (*self.sensors.items(), *self.modes.items()):
-            _check(f"tolerances of {name}", one)
+        for name, tolerance in (*self.sensors.items(), *self.modes.items()):
+            _check(f"tolerances of {name}", tolerance)
 
     def of_sensor(self, name: str) -> "Tolerances":
         """Tolerances with the sensor's own values in place of the common ones."""
-        return self._with(self.sensors.get(name))
+        return self._overridden(self.sensors.get(name))
 
     def of_mode(self, body: str, number: int) -> "Tolerances":
         """Tolerances with the mode's own values in place of the common ones; modes count from 1."""
-        return self._with(self.modes.get(f"{body} {number}"))
+        return self._overridden(self.modes.get(f"{body} {number}"))
 
-    def _with(self, own: msgspec.Struct | None) -> "Tolerances":
-        if own is None:
+    def _overridden(self, overrides: msgspec.Struct | None) -> "Tolerances":
+        if overrides is None:
             return self
-        given = {field: getattr(own, field) for field in own.__struct_fields__ if getattr(own, field) is not None}
-        return msgspec.structs.replace(self, **given)
+        values = {
+            field: getattr(overrides, field)
+            for field in overrides.__struct_fields__
+            if getattr(overrides, field) is not None
+        }
+        return msgspec.structs.replace(self, **values)
 
 
 LABORATORY = Tolerances()
@@ -108,7 +112,7 @@ EXACT = Tolerances(
     stiffness=0.0,
     contact_damping_s=0.0,
 )
-"""The description holds exactly: a simulation of the very rig."""
+"""For a simulation of exactly this rig."""
 NAMED = {"laboratory": LABORATORY, "exact": EXACT}
 
 

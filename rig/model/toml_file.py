@@ -1,4 +1,4 @@
-"""A TOML file that somebody wrote or sent: import maps and tolerances."""
+"""Reading an untrusted TOML file: import maps and tolerances."""
 
 import re
 import tomllib
@@ -15,11 +15,11 @@ T = TypeVar("T")
 MAX_TOML_BYTES = 1_000_000
 _PART = r"""(?:(?<![\w-])[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
-"""A dotted key of more than MAX_DEPTH parts, of which time and memory of the parser grow with the square."""
+"""A dotted key of more than MAX_DEPTH parts, whose parsing takes quadratic time and memory."""
 
 
 def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
-    """Content of a TOML file; raises RigError if it is none, is too large, or has a key of too many parts."""
+    """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key."""
     wrong = f"{path}: is no {called}"
     try:
         content = contents(path)

@@ -10,9 +10,9 @@ Against = Literal["displacement", "velocity", "velocity squared", "acceleration"
 
 
 class Value(msgspec.Struct, frozen=True):
-    """An estimate with its unit; at_limit says that it stands at an end of the range that was searched.
+    """An estimate with its unit; at_limit is true if it is at an end of the range that was searched.
 
-    instead says, of a number that the record does not tell, what it tells in its place: such a number is not shown.
+    instead is a sentence shown in place of a number that the record does not determine.
     """
 
     value: float
@@ -34,7 +34,7 @@ class MeanForce(msgspec.Struct, frozen=True):
 
 
 class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
-    """A force, or a fault of a sensor, that no effect of the library is.
+    """An unmeasured force, or a sensor fault, that no effect of the library represents.
 
     A force acts at `position_m` of `body`, a pair of forces also, opposite, at `against_position_m` of `against_body`;
     a sensor's signal does not follow the motion; a distributed force is a stiffness that changes over the record, by
@@ -52,12 +52,12 @@ class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
     contact: str | None = None
     growth: dict[str, Value] = {}
     same_place: bool = True
-    """Whether the validation record alone shows it at the same place."""
+    """Whether the validation record alone localises it at the same place."""
     frequency_hz: float | None = None
     band_hz: tuple[float, float]
-    """Holds 90 % of its power."""
+    """Band that holds 90 % of its power."""
     rms_n: float
-    """Of a sensor m/s^2."""
+    """Rms of the force; for a sensor fault in m/s^2."""
     amplitude_n: float | None = None
     when: When = "always"
     before_excitation: float = 0.0
@@ -65,7 +65,7 @@ class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
     by_time: tuple[float, ...] = ()
     """Its rms in equal parts of the time from the beginning of the measured force on, N."""
     against: Against = "none"
-    """What of the motion at its place it follows by its law."""
+    """Quantity of the motion at its place on which its law depends."""
     law_name: str = ""
     law: str = ""
     """The force against the motion there: w in m, v in m/s; "" if no law was found."""
@@ -75,4 +75,4 @@ class UnmeasuredForce(msgspec.Struct, frozen=True, kw_only=True):
     over_motion: MeanForce | None = None
     spectrum_hz: tuple[float, ...] = ()
     spectrum: tuple[float, ...] = ()
-    """One-sided, N^2/Hz, of a sensor (m/s^2)^2/Hz."""
+    """One-sided power density, N^2/Hz; for a sensor fault (m/s^2)^2/Hz."""

@@ -1,4 +1,4 @@
-"""Recordings in MCAP: what a rig's sensors showed, with the rig's description; read whole, written as they come."""
+"""Recordings in MCAP: the signals of a rig's sensors with the rig's description, read as a whole or in segments."""
 
 from rig.recording.file import (
     RECORDED,

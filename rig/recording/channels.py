@@ -1,15 +1,16 @@
-"""The channels of a group, and how an MCAP file tells what they are: as the metadata of its MCAP channel."""
+"""The channels of a group: as metadata of an MCAP channel, and their agreement with rig.json."""
 
 import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 from rig.errors import RigError
 from rig.limits import unique_keys
-from rig.model.description import Station, check_name
+from rig.model.description import Rig, Station, check_name
 
-_JSON = ("names", "stations", "sample_rate_hz")
+_JSON_KEYS = ("names", "stations", "sample_rate_hz")
 
 
 @dataclass(frozen=True)
@@ -23,8 +24,8 @@ class Channels:
     sample_rate_hz: float
 
 
-def described(channels: Channels) -> dict[str, str]:
-    """A group as MCAP channel metadata (values are JSON)."""
+def to_metadata(channels: Channels) -> dict[str, str]:
+    """MCAP channel metadata of a group; lists and numbers as JSON."""
     places = [None if s is None else {"body": s.body, "position_m": s.position_m} for s in channels.stations]
     return {
         "quantity": channels.quantity,
@@ -35,8 +36,9 @@ def described(channels: Channels) -> dict[str, str]:
     }
 
 
-def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
-    if missing := [key for key in ("quantity", "unit", *_JSON) if key not in metadata]:
+def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
+    """Group described by MCAP channel metadata; raises RigError if they are incomplete or inconsistent."""
+    if missing := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
         raise RigError(f"the metadata of channel {topic} lack {missing[0]!r}; see rig/recording/README.md")
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
@@ -54,7 +56,48 @@ def understood(topic: str, metadata: Mapping[str, str]) -> Channels:
         raise RigError(f"the metadata of channel {topic} cannot be used: {error}") from error
     except (KeyError, TypeError, ValueError, OverflowError, RecursionError) as error:
         raise RigError(
-            f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON)} as JSON, as "
+            f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON_KEYS)} as JSON, as "
             "rig/recording/README.md says"
         ) from error
     return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
+
+
+def check_channels(path: Path, rig: Rig, groups: Mapping[str, Channels], expected: Mapping[str, Channels]) -> None:
+    """Raise RigError unless all groups have the rig's sampling rate and the expected ones hold its sensors in SI.
+
+    `expected` are the groups of a recording of this rig (`channel_groups`); other groups are only checked for the rate.
+    """
+    believed = {s.name: s for s in rig.sensors}
+    for name, channels in groups.items():
+        if channels.sample_rate_hz != rig.sample_rate_hz:
+            raise RigError(
+                f"{path}: group {name} is sampled at {channels.sample_rate_hz} Hz, "
+                f"rig.json says {rig.sample_rate_hz} Hz; make them agree"
+            )
+        if name not in expected:
+            continue
+        unit = expected[name].unit
+        if (channels.quantity, channels.unit) != (name, unit):
+            raise RigError(
+                f"{path}: group {name} holds {channels.quantity!r} in {channels.unit!r}; write {name} in {unit}"
+            )
+        if name == "force":
+            places = zip(channels.stations, rig.forces, strict=False)
+            if len(channels.names) != len(rig.forces) or any(
+                place not in (None, believed_place) for place, believed_place in places
+            ):
+                force_text = f"one at {rig.force_at}" if len(rig.forces) == 1 else f"{len(rig.forces)} at {rig.forces}"
+                raise RigError(
+                    f"{path}: group force has the channels {channels.names} at {channels.stations}, rig.json "
+                    f"{force_text}; make them agree"
+                )
+            continue
+        for channel, station in zip(channels.names, channels.stations, strict=True):
+            if channel not in believed or believed[channel].station != station:
+                raise RigError(
+                    f"{path}: channel {channel!r} of group {name} is no sensor of rig.json, or stands elsewhere "
+                    "there; make them agree"
+                )
+    for sensor in rig.sensors:
+        if sensor.quantity not in groups or sensor.name not in groups[sensor.quantity].names:
+            raise RigError(f"{path}: sensor {sensor.name!r} of rig.json has no channel; record it or take it out")

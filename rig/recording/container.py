@@ -1,4 +1,4 @@
-"""An MCAP file record by record, where no size is believed before it is checked and no byte before its checksum.
+"""Reading an MCAP file record by record, with every declared size and every checksum verified.
 
 mcap's own readers allocate what a record declares, decompress whatever comes, and skip the checksum of attachments.
 """
@@ -23,13 +23,13 @@ from zlib_ng.zlib_ng import crc32
 
 from rig.errors import RigError, TooLargeError
 from rig.files import check_source
-from rig.limits import Held
+from rig.limits import MemoryCounter
 
 MAX_BYTES = 64 * 1024 * 1024
 """The largest record, and the largest content of a chunk, that is read."""
 MAX_DESCRIPTION_BYTES = 4 * 1024 * 1024
 """The largest record that is no chunk, message or attachment."""
-CONTENT_COPIES, MESSAGE_BYTES, ENTRY_BYTES = 4, 400, 200
+COPIES_PER_BYTE, MESSAGE_BYTES, ENTRY_BYTES = 4, 400, 200
 """Memory counted for what the chunks of a file hold: so many times its bytes, and what each message and each entry of a
 map takes beside them where it is kept."""
 _PIECE_BYTES = 1024 * 1024  # a file is read in pieces of this size, which a processor's cache holds
@@ -49,13 +49,13 @@ _KINDS = {
 }
 Step = TypeVar("Step")
 DAMAGE = (McapError, ValueError, OverflowError, struct.error, EOFError, OSError, RuntimeError, zstandard.ZstdError)
-"""What reading a bad record may raise."""
+"""Exceptions that reading a bad record may raise."""
 
 
-def opened(path: Path) -> BufferedReader:
-    """The file, open behind its first eight bytes; raises RigError with a sentence if it is no MCAP file.
+def open_recording(path: Path) -> BufferedReader:
+    """MCAP file opened at its first record; raises RigError if it is no MCAP file.
 
-    It is read record by record and not mapped: a mapped file that is cut while it is read would end the process.
+    It is read record by record, not memory-mapped: truncating a mapped file while it is read would end the process.
     """
     check_source(path)
     try:
@@ -72,28 +72,28 @@ def opened(path: Path) -> BufferedReader:
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
 
-def whole(file: BufferedReader, wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
-    """Every record of a complete file that `opened` gave; raises one of DAMAGE where it is cut or damaged.
+def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = lambda _: True) -> Iterator[McapRecord]:
+    """Every record of a complete, opened file; raises one of DAMAGE where it is truncated or damaged.
 
-    The data of a message are there until the next record is asked for. The messages of channels that are not wanted
-    are counted, no more. A record that is refused for its size or name raises RigError, without the name of the file.
+    The data of a message are valid until the next record is requested. Messages of channels for which is_wanted is
+    false are only counted. A record with a forbidden size or name raises RigError, without the name of the file.
     """
-    crc, messages, unwanted, held = crc32(_MAGIC), 0, set[int](), held_of(file)
+    crc, messages, skipped, memory = crc32(_MAGIC), 0, set[int](), memory_counter_of(file)
     for opcode, content in _split(file):
-        for record in records(opcode, content[_HEAD.size :], held, unwanted):
+        for record in records(opcode, content[_HEAD.size :], memory, skipped):
             if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
             if isinstance(record, Statistics) and record.message_count != messages:
                 raise ValueError(f"{messages} messages where its statistics count {record.message_count}")
-            if isinstance(record, Channel) and not wanted(record):
-                unwanted.add(record.id)
+            if isinstance(record, Channel) and not is_wanted(record):
+                skipped.add(record.id)
             messages += record.messages if isinstance(record, Unread) else isinstance(record, Message)
             yield record
         crc = crc32(content, crc)
 
 
 def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
-    """Result of reading a file; where it is refused or damaged, one sentence that names it (RigError)."""
+    """Pass on the steps of reading a file; turn every error into a RigError that names the file."""
     try:
         yield from steps
     except RigError as error:
@@ -104,21 +104,18 @@ def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def reason_of(error: Exception) -> str:
-    """Why a record could not be read: in words of this module, or, where a library gave up, that it cannot be decoded.
-
-    Those of the system (no disk, no right) are its own.
-    """
+    """Reason why a record could not be read: that of the system or of this module, else that it cannot be decoded."""
     if isinstance(error, OSError):
         return error.strerror or "it cannot be read"
     return str(error) if type(error) in (ValueError, EOFError) else "a record cannot be decoded"
 
 
-def complete(file: BufferedReader) -> Iterator[McapRecord]:
-    """Every sound record of a file that `opened` gave, cut off or damaged as it may be; its data are as of `whole`.
+def read_sound(file: BufferedReader) -> Iterator[McapRecord]:
+    """Every undamaged record of an opened file that may be truncated or damaged; data as in `read_complete`.
 
-    A chunk without a checksum is not taken for sound. Raises TooLargeError where the file holds more than it may.
+    A chunk without a checksum is skipped. Raises TooLargeError where the content exceeds the bound of the file.
     """
-    held, top_level = held_of(file), _split(file)
+    memory, top_level = memory_counter_of(file), _split(file)
     while True:
         try:
             opcode, content = next(top_level)
@@ -127,7 +124,7 @@ def complete(file: BufferedReader) -> Iterator[McapRecord]:
         body = content[_HEAD.size :]
         try:
             if opcode != Opcode.CHUNK or _CHUNK.unpack_from(body)[3]:
-                yield from records(opcode, body, held)
+                yield from records(opcode, body, memory)
         except TooLargeError:
             raise
         except DAMAGE:
@@ -136,25 +133,27 @@ def complete(file: BufferedReader) -> Iterator[McapRecord]:
 
 @dataclass(frozen=True)
 class Unread:
-    """Messages that nobody wants."""
+    """Number of messages that were skipped."""
 
     messages: int
 
 
-def held_of(file: BufferedReader) -> Held:
-    """Memory held of an open file: nothing so far."""
-    return Held(os.fstat(file.fileno()).st_size, "what its chunks hold")
+def memory_counter_of(file: BufferedReader) -> MemoryCounter:
+    """Counter of the memory kept of an open file, at zero."""
+    return MemoryCounter(os.fstat(file.fileno()).st_size, "what its chunks hold")
 
 
-def records(opcode: int, body: memoryview, held: Held, unwanted: Container[int] = ()) -> Iterator[McapRecord | Unread]:
-    """The records that matter here in one top-level record; a chunk is decompressed within MAX_BYTES.
+def records(
+    opcode: int, body: memoryview, memory: MemoryCounter, skipped: Container[int] = ()
+) -> Iterator[McapRecord | Unread]:
+    """Relevant records in one top-level record; a chunk is decompressed to at most MAX_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
     if opcode == Opcode.CHUNK:
-        yield from _in_chunk(_decompressed(body, held), held, unwanted)
+        yield from _in_chunk(_decompressed(body, memory), memory, skipped)
     elif opcode == Opcode.MESSAGE:
-        yield _message(body, held)
+        yield _message(body, memory)
     elif opcode in _KINDS:
         if opcode != Opcode.ATTACHMENT and len(body) > MAX_DESCRIPTION_BYTES:
             raise RigError(f"a description declares {len(body)} bytes; write at most {MAX_DESCRIPTION_BYTES} bytes")
@@ -162,93 +161,94 @@ def records(opcode: int, body: memoryview, held: Held, unwanted: Container[int] 
         if isinstance(record, Attachment):
             _check_attachment(record, body)
         if isinstance(record, Channel | Metadata):
-            held.add(ENTRY_BYTES * (1 + len(record.metadata)))
+            memory.add(ENTRY_BYTES * (1 + len(record.metadata)))
         yield record
 
 
-def _in_chunk(data: memoryview, held: Held, unwanted: Container[int]) -> Iterator[McapRecord | Unread]:
-    after = 0
-    while after < len(data):
-        opcode, begin, after = _next(data, after)
-        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(data, begin)[0] in unwanted:
-            alike = _alike(data[begin - _HEAD.size :], _HEAD.size + after - begin)
-            after += (alike - 1) * (_HEAD.size + after - begin)
-            yield Unread(alike)
+def _in_chunk(data: memoryview, memory: MemoryCounter, skipped: Container[int]) -> Iterator[McapRecord | Unread]:
+    position = 0
+    while position < len(data):
+        opcode, start, position = _next(data, position)
+        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(data, start)[0] in skipped:
+            count = _run_length(data[start - _HEAD.size :], _HEAD.size + position - start)
+            position += (count - 1) * (_HEAD.size + position - start)
+            yield Unread(count)
         elif opcode == Opcode.MESSAGE:
-            yield _message(data[begin:after], held)
+            yield _message(data[start:position], memory)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield from records(opcode, data[begin:after], held)
+            yield from records(opcode, data[start:position], memory)
 
 
-def _alike(data: memoryview, length: int) -> int:
-    """Count of records of that kind, length and channel, all in their first eleven bytes, one behind the other.
-
-    No more than 64 are looked at.
-    """
+def _run_length(data: memoryview, length: int) -> int:
+    """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
     rows = min(len(data) // length, 64)
-    starts, ends = (np.ndarray((rows,), "<u8", data, offset=place, strides=(length,)) for place in (0, 3))
-    same = (starts == starts[0]) & (ends == ends[0])
-    return rows if same.all() else int(np.argmin(same))
+    heads, tails = (np.ndarray((rows,), "<u8", data, offset=place, strides=(length,)) for place in (0, 3))
+    matches = (heads == heads[0]) & (tails == tails[0])
+    return rows if matches.all() else int(np.argmin(matches))
 
 
-def _message(body: memoryview, held: Held) -> Message:
-    held.add(MESSAGE_BYTES)
+def _message(body: memoryview, memory: MemoryCounter) -> Message:
+    memory.add(MESSAGE_BYTES)
     channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
     return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
 
 
 def _split(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
-    """Every record's opcode and its bytes, head and body, up to the footer and the magic behind it.
+    """Opcode and bytes (head and body) of every record, up to the footer and the magic behind it.
 
-    The bytes are there until the next record is asked for.
+    The bytes are valid until the next record is requested.
     """
     window, opcode = _Window(file), 0
     while opcode != Opcode.FOOTER:
-        opcode, length = _head(window.shown(_HEAD.size), 0)
-        yield opcode, window.shown(_HEAD.size + length)
+        opcode, length = _head(window.peek(_HEAD.size), 0)
+        yield opcode, window.peek(_HEAD.size + length)
         window.move(_HEAD.size + length)
-    if window.shown(len(_MAGIC)) != _MAGIC or window.beyond(len(_MAGIC)):
+    if window.peek(len(_MAGIC)) != _MAGIC or window.beyond(len(_MAGIC)):
         raise EOFError("its end is missing")
 
 
 class _Window:
-    """A part of a file, in the same memory wherever it is moved: new memory costs more than the reading."""
+    """Sliding window on a file in one reused buffer: allocation costs more than the reading."""
 
     def __init__(self, file: BufferedReader) -> None:
-        self._file, self._held = file, memoryview(bytearray(_PIECE_BYTES))
-        self._at = self._end = 0
+        self._file, self._buffer = file, memoryview(bytearray(_PIECE_BYTES))
+        self._position = self._end = 0
 
-    def shown(self, count: int) -> memoryview:
-        """Bytes from the current position, this many; raises EOFError if the file ends before."""
-        if self._end - self._at < count:
-            rest = self._held[self._at : self._end]
-            held = self._held if count <= len(self._held) else memoryview(bytearray(count))
-            held[: len(rest)] = rest
-            self._held, self._at, self._end = held, 0, len(rest) + self._file.readinto(held[len(rest) :])
+    def peek(self, count: int) -> memoryview:
+        """The next `count` bytes, without moving; raises EOFError if the file ends before."""
+        if self._end - self._position < count:
+            remainder = self._buffer[self._position : self._end]
+            buffer = self._buffer if count <= len(self._buffer) else memoryview(bytearray(count))
+            buffer[: len(remainder)] = remainder
+            self._buffer, self._position, self._end = (
+                buffer,
+                0,
+                len(remainder) + self._file.readinto(buffer[len(remainder) :]),
+            )
         if self._end < count:
             raise EOFError(f"a record of {count} bytes ends after {self._end}" if self._end else "its end is missing")
-        return self._held[self._at : self._at + count]
+        return self._buffer[self._position : self._position + count]
 
     def move(self, count: int) -> None:
-        self._at += count
+        self._position += count
 
     def beyond(self, count: int) -> bool:
-        """True if there is anything behind this many bytes from the current position."""
-        return self._end - self._at > count or bool(self._file.read(1))
+        """True if the file goes on behind the next `count` bytes."""
+        return self._end - self._position > count or bool(self._file.read(1))
 
 
-def _next(content: memoryview, at: int) -> tuple[int, int, int]:
-    """The opcode of the record there, and where its body begins and ends."""
-    opcode, length = _head(content, at)
-    begin = at + _HEAD.size
-    if begin + length > len(content):
-        raise EOFError(f"a record of {length} bytes ends after {len(content) - begin}")
-    return opcode, begin, begin + length
+def _next(content: memoryview, offset: int) -> tuple[int, int, int]:
+    """Opcode of the record at an offset, and the start and end of its body."""
+    opcode, length = _head(content, offset)
+    start = offset + _HEAD.size
+    if start + length > len(content):
+        raise EOFError(f"a record of {length} bytes ends after {len(content) - start}")
+    return opcode, start, start + length
 
 
-def _head(content: memoryview, at: int) -> tuple[int, int]:
-    """The opcode of the record there and the length of its body, which is no more than MAX_BYTES."""
-    opcode, length = _HEAD.unpack_from(content, at)
+def _head(content: memoryview, offset: int) -> tuple[int, int]:
+    """Opcode of the record at an offset and the length of its body, at most MAX_BYTES (else RigError)."""
+    opcode, length = _HEAD.unpack_from(content, offset)
     if opcode == 0:
         raise ValueError("a record without a kind")
     if length > MAX_BYTES:
@@ -256,25 +256,25 @@ def _head(content: memoryview, at: int) -> tuple[int, int]:
     return opcode, length
 
 
-def _decompressed(body: memoryview, held: Held) -> memoryview:
-    """The records in a chunk, which are counted before their checksum is compared."""
-    _, _, size, crc, name = _CHUNK.unpack_from(body)
-    compression = bytes(body[_CHUNK.size : _CHUNK.size + name]).decode()
-    (length,) = _LENGTH.unpack_from(body, _CHUNK.size + name)
+def _decompressed(body: memoryview, memory: MemoryCounter) -> memoryview:
+    """Decompressed records of a chunk; their memory is counted before the checksum is compared."""
+    _, _, size, crc, name_length = _CHUNK.unpack_from(body)
+    compression = bytes(body[_CHUNK.size : _CHUNK.size + name_length]).decode()
+    (length,) = _LENGTH.unpack_from(body, _CHUNK.size + name_length)
     if size > MAX_BYTES:
         raise RigError(f"a chunk declares {size} bytes when decompressed; write at most {MAX_BYTES}")
-    packed = body[_CHUNK.size + name + _LENGTH.size :][:length]
-    if len(packed) < length:
-        raise EOFError(f"a chunk of {length} bytes ends after {len(packed)}")
+    compressed = body[_CHUNK.size + name_length + _LENGTH.size :][:length]
+    if len(compressed) < length:
+        raise EOFError(f"a chunk of {length} bytes ends after {len(compressed)}")
     if compression == "lz4":
-        data = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size))
+        data = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(compressed, max_length=size))
     elif compression == "zstd":
-        data = memoryview(zstandard.ZstdDecompressor().stream_reader(packed).read(size))
+        data = memoryview(zstandard.ZstdDecompressor().stream_reader(compressed).read(size))
     elif compression == "":
-        data = packed
+        data = compressed
     else:
         raise ValueError(f"unknown compression {compression!r}")
-    held.add(CONTENT_COPIES * len(data))
+    memory.add(COPIES_PER_BYTE * len(data))
     if len(data) != size or crc not in (0, crc32(data)):
         raise ValueError("the checksum of a chunk is wrong")
     return data

@@ -1,4 +1,7 @@
-"""A recording, and its MCAP file read: the only thing that passes between rig and identify. `writer` writes it."""
+"""Recordings in memory, and reading them from MCAP files: the interface between rig and identify.
+
+`rig.recording.writer` writes the files.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -16,16 +19,15 @@ from rig.errors import RigError
 from rig.model.description import UNITS, Rig, Sensor, Station, check_given, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
-from rig.recording.agreement import check_channels
 from rig.recording.assembly import Assembly
-from rig.recording.channels import Channels, understood
-from rig.recording.clock import Clock
+from rig.recording.channels import Channels, check_channels, from_metadata
 from rig.recording.foreign import PROVENANCE, RIG_NAME
+from rig.recording.messages import Block
 
 TRUTH = ".truth.mcap"
-"""How the name of a file ends that holds what only a simulator knows."""
+"""Suffix of a truth file, which holds what only a simulator knows."""
 RECORDED = "recorded"
-"""In the provenance: the date at which the record begins, in ISO 8601."""
+"""Key of the provenance: the date at which the record begins, in ISO 8601."""
 
 
 @dataclass(frozen=True)
@@ -63,25 +65,25 @@ class Channel:
 
 @dataclass(frozen=True)
 class Recording:
-    """A rig as its owner believes it to be, what its sensors delivered, and where the record comes from."""
+    """Nominal rig, signals of its sensors by group, and provenance of a record."""
 
     rig: Rig
     signals: Mapping[str, Signals]
     provenance: Mapping[str, str]
 
     def __getitem__(self, name: str) -> Channel:
-        """The channel of that name; raises RigError if there is none."""
-        known = {}
+        """Channel of that name; raises RigError if there is none."""
+        channels = {}
         for signals in self.signals.values():
-            about = signals.channels
-            for one, station, row in zip(about.names, about.stations, signals.values, strict=True):
-                known[one] = Channel(one, about.unit, station, signals.time_s, row)
-        if name not in known:
-            raise RigError(f"the recording has no channel {name!r}; it has {', '.join(known)}")
-        return known[name]
+            group = signals.channels
+            for channel_name, station, row in zip(group.names, group.stations, signals.values, strict=True):
+                channels[channel_name] = Channel(channel_name, group.unit, station, signals.time_s, row)
+        if name not in channels:
+            raise RigError(f"the recording has no channel {name!r}; it has {', '.join(channels)}")
+        return channels[name]
 
     def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
-        """Values that a sensor of the rig delivered."""
+        """Samples of a sensor of the rig."""
         signals = self.signals[sensor.quantity]
         return signals.values[signals.channels.names.index(sensor.name)]
 
@@ -95,7 +97,7 @@ class Recording:
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """The force; raises RigError if several act at once."""
+        """Samples of the only force, N; raises RigError if several act at once."""
         if len(self.forces_n) > 1:
             raise RigError(f"the recording has {len(self.forces_n)} forces at once, where one is taken; see forces_n")
         return self.forces_n[0]
@@ -106,7 +108,7 @@ class Recording:
 
     @property
     def start_s(self) -> float:
-        """Above zero in a segment of a longer record, which does not begin at rest."""
+        """Time of the first sample, s; above zero in a segment of a longer record, which does not begin at rest."""
         return self.signals["force"].start_s
 
     @property
@@ -119,10 +121,10 @@ class Recording:
 
 
 def recorded_at(provenance: Mapping[str, str]) -> datetime | None:
-    """The date at which a record begins, in UTC; None where it is not known."""
+    """Date at which a record begins, in UTC; None where it is unknown."""
     try:
-        began = datetime.fromisoformat(provenance[RECORDED])
-        return began.astimezone(UTC) if began.tzinfo else began.replace(tzinfo=UTC)
+        date = datetime.fromisoformat(provenance[RECORDED])
+        return date.astimezone(UTC) if date.tzinfo else date.replace(tzinfo=UTC)
     except (KeyError, ValueError, OverflowError):
         return None
 
@@ -132,7 +134,7 @@ def _forces(rig: Rig) -> Channels:
 
 
 def channel_groups(rig: Rig) -> dict[str, Channels]:
-    """The channels that a recording of this rig has."""
+    """Channels by group of a recording of this rig."""
     groups = {"force": _forces(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
@@ -147,20 +149,20 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
-    """The channels of the truth file: what only a simulator knows."""
+    """Channels by group of the truth file, which holds what only a simulator knows."""
     stations, contacts, rate = stations_of(rig), tuple(c.name for c in rig.contacts), rig.sample_rate_hz
     names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
-    nowhere = (None,) * len(contacts)
+    no_places = (None,) * len(contacts)
     return {
         "force": _forces(rig),
         "displacement": Channels("displacement", "m", names, stations, rate),
-        "relative_displacement": Channels("relative displacement", "m", contacts, nowhere, rate),
-        "contact_force": Channels("contact force", "N", contacts, nowhere, rate),
+        "relative_displacement": Channels("relative displacement", "m", contacts, no_places, rate),
+        "contact_force": Channels("contact force", "N", contacts, no_places, rate),
     }
 
 
 def read(path: Path) -> Recording:
-    """The recording in a file, all of it, checked.
+    """Whole recording in a file, checked.
 
     Raises RigError with one sentence if the file is no recording, is cut or damaged, has no rig.json or no force
     channel, has a gap in its samples, or holds values that are not finite.
@@ -174,14 +176,14 @@ def read(path: Path) -> Recording:
 
 
 def read_truth(path: Path) -> Recording:
-    """The truth file of a simulated recording: its groups are those of `truth_groups`. Not for identification."""
+    """Truth file of a simulated recording, with the groups of `truth_groups`. Not for identification."""
     return _loaded(path)
 
 
 def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
-    """The provenance with what was done to the record since, one numbered entry a step."""
-    done = sum(key.startswith("history ") for key in provenance)
-    return {**provenance, **{f"history {done + k}": step for k, step in enumerate(steps, start=1)}}
+    """Provenance with further processing steps, one numbered entry each."""
+    step_count = sum(key.startswith("history ") for key in provenance)
+    return {**provenance, **{f"history {step_count + k}": step for k, step in enumerate(steps, start=1)}}
 
 
 def truth_path(path: Path) -> Path:
@@ -189,13 +191,13 @@ def truth_path(path: Path) -> Path:
 
 
 def recordings_in(folder: Path) -> list[Path]:
-    """Recordings of a folder: its .mcap files without those of a simulator's truth."""
+    """Recordings in a folder: its .mcap files except truth files."""
     return [path for path in folder.glob("*.mcap") if not path.name.endswith(TRUTH)]
 
 
 @dataclass(frozen=True)
 class Contents:
-    """Content of a file's records beside the blocks of every group; of the attachments rig.json alone is kept."""
+    """Content of a file except the blocks of samples; of the attachments, only rig.json keeps its data."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
@@ -203,42 +205,42 @@ class Contents:
 
 
 def is_of_blocks(channel: ChannelRecord) -> bool:
-    parts = channel.topic.split("/")
-    return len(parts) == 4 and parts[1] == "rig" and parts[3] == "block"
+    topic = channel.topic.split("/")
+    return len(topic) == 4 and topic[1] == "rig" and topic[3] == "block"
 
 
-def gathering(records: Iterable[McapRecord], found: Contents) -> Iterator[tuple[str, messages.Block]]:
-    """Sorts the records of a file into what is given, and yields every block with the name of its group.
+def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[tuple[str, messages.Block]]:
+    """Every block of samples with the name of its group; all other records are collected in `contents`.
 
-    Its values are there until the next is asked for. Raises ValueError or RigError, without the name of the file, if a
-    record is wrong, an attachment or an entry of the provenance is given twice, or a block's time is not that of its
-    samples.
+    The values of a block are valid until the next one is requested. Raises ValueError or RigError, without the name of
+    the file, if a record is wrong, an attachment or an entry of the provenance is given twice, or a block's time does
+    not follow from its first sample.
     """
     numbers: dict[int, str] = {}
     channels: dict[int, ChannelRecord] = {}
     clock = Clock()
     for record in records:
-        if isinstance(record, ChannelRecord) and (before := channels.setdefault(record.id, record)) != record:
-            raise ValueError(f"channel {record.id} is described in two ways: {before.topic} and {record.topic}")
+        if isinstance(record, ChannelRecord) and (earlier := channels.setdefault(record.id, record)) != record:
+            raise ValueError(f"channel {record.id} is described in two ways: {earlier.topic} and {record.topic}")
         if isinstance(record, Attachment):
-            if record.name in found.attachments:
+            if record.name in contents.attachments:
                 raise RigError(f"more than one attachment is named {record.name!r}; keep the one that is meant")
-            found.attachments[record.name] = record.data if record.name == RIG_NAME else b""
+            contents.attachments[record.name] = record.data if record.name == RIG_NAME else b""
         elif isinstance(record, Metadata) and record.name == PROVENANCE:
-            _add_provenance(record, found)
+            _add_provenance(record, contents)
         elif isinstance(record, ChannelRecord) and record.id not in numbers and is_of_blocks(record):
             group = record.topic.split("/")[2]
             numbers[record.id] = group
-            found.groups[group] = understood(record.topic, record.metadata)
+            contents.groups[group] = from_metadata(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in numbers:
             group, block = numbers[record.channel_id], messages.decode_block(record.data)
-            clock.check(group, found.groups[group].sample_rate_hz, block)
+            clock.check(group, contents.groups[group].sample_rate_hz, block)
             yield group, block
 
 
-def _add_provenance(record: Metadata, found: Contents) -> None:
+def _add_provenance(record: Metadata, contents: Contents) -> None:
     for key, value in record.metadata.items():
-        if found.provenance.setdefault(key, value) != value:
+        if contents.provenance.setdefault(key, value) != value:
             raise RigError(f"the provenance gives {key!r} twice; keep the one that is meant")
 
 
@@ -251,17 +253,19 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _loaded(path: Path) -> Recording:
-    contents, held = Contents(), dict[str, Assembly]()
-    with container.opened(path) as file:
+    contents, assemblies = Contents(), dict[str, Assembly]()
+    with container.open_recording(path) as file:
         doubles = path.stat().st_size // 8
-        for name, block in container.with_path_in_error(path, gathering(container.whole(file, is_of_blocks), contents)):
-            if name not in held:
+        for name, block in container.with_path_in_error(
+            path, group_blocks(container.read_complete(file, is_of_blocks), contents)
+        ):
+            if name not in assemblies:
                 room = doubles // sum(len(group.names) for group in contents.groups.values())
-                held[name] = Assembly(path, name, contents.groups[name], room=room)
-            held[name].add(block)
+                assemblies[name] = Assembly(path, name, contents.groups[name], room=room)
+            assemblies[name].add(block)
     rig = rig_of(path, contents)
     signals = {
-        name: Signals(group, *held.get(name, Assembly(path, name, group)).finished())
+        name: Signals(group, *assemblies.get(name, Assembly(path, name, group)).finished())
         for name, group in contents.groups.items()
     }
     if "force" not in signals:
@@ -270,3 +274,28 @@ def _loaded(path: Path) -> Recording:
     if len(set(lengths.values())) > 1:
         raise RigError(f"{path}: its groups differ in length ({lengths}); every group needs the same samples")
     return Recording(rig, signals, contents.provenance)
+
+
+TOLERANCE_SAMPLES, TOLERANCE_NS = 0.5, 1000.0
+"""A time stamp may be off by half a sample, or a microsecond if that is more."""
+
+
+class Clock:
+    """Check of time stamps: t0 = t(k) - k / f of the first block must hold for every block of every group."""
+
+    def __init__(self) -> None:
+        self._zero_ns: float | None = None
+        self._group = ""
+
+    def check(self, group: str, sample_rate_hz: float, block: Block) -> None:
+        """Raise RigError, without the name of the file, if a block's time does not follow from its first sample."""
+        after_ns = block.first_sample * 1e9 / sample_rate_hz
+        if self._zero_ns is None:
+            self._zero_ns, self._group = block.time_ns - after_ns, group
+        expected_ns = self._zero_ns + after_ns
+        if not abs(block.time_ns - expected_ns) <= max(TOLERANCE_NS, TOLERANCE_SAMPLES * 1e9 / sample_rate_hz):
+            raise RigError(
+                f"group {group}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "
+                f"{expected_ns * 1e-9:.9g} s follows from its number, {sample_rate_hz:g} Hz and the first block (of "
+                f"group {self._group}); stamp every block with first_sample / sample_rate_hz, or record again"
+            )

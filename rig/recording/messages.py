@@ -34,12 +34,12 @@ class Block:
     values: Float[np.ndarray, "channels samples"]
 
     def copied(self) -> "Block":
-        """Message with values of its own."""
+        """Block with a copy of the values."""
         return replace(self, values=self.values.copy())
 
 
 def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tuple[int, int]) -> bytes:
-    """Head before the little-endian doubles of a block of this many channels and samples, channel by channel.
+    """Bytes before the little-endian doubles of a block with shape (channels, samples), channel by channel.
 
     A packed double field is its tag, its length in bytes and the doubles; protobuf would take them one by one.
     """
@@ -50,13 +50,13 @@ def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tu
 
 
 def decode_block(data: bytes | memoryview) -> Block:
-    """The block in a message; raises ValueError if it is none. Its values are a view of the data if these allow it."""
-    message, (end_of_head, begin) = _Block(), _values_in(data)
+    """Block in a message; raises ValueError if there is none. Its values are a view of the data where possible."""
+    message, (end_of_head, values_start) = _Block(), _values_in(data)
     try:
         message.ParseFromString(bytes(data[:end_of_head]))
     except Exception as error:  # protobuf's own error type differs between its implementations
         raise ValueError("a block cannot be decoded") from error
-    values = np.frombuffer(data, "<f8", offset=begin) if begin else np.array(message.values, dtype=float)
+    values = np.frombuffer(data, "<f8", offset=values_start) if values_start else np.array(message.values, dtype=float)
     if message.channels == 0 or values.size % message.channels:
         raise ValueError(f"a block of {values.size} values for {message.channels} channels")
     return Block(
@@ -68,7 +68,7 @@ def decode_block(data: bytes | memoryview) -> Block:
 
 
 def preview_head(channels: int) -> bytes:
-    """Head before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
+    """Bytes before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
 
     Four bytes of alignment follow.
     """
@@ -79,47 +79,47 @@ _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulat
 
 
 def _values_in(data: bytes | memoryview) -> tuple[int, int]:
-    """Offsets at which the fields before the values end and the doubles begin, which must be the last and in one piece.
+    """Offsets at which the fields before the values end and the doubles begin.
 
-    Otherwise the end of the message, and 0.
+    The values must be the last field and contiguous; otherwise the end of the message, and 0.
     """
-    at = 0
-    while at < min(len(data), _LONGEST_HEAD):
-        head, tag, at = at, data[at], at + 1
+    offset = 0
+    while offset < min(len(data), _LONGEST_HEAD):
+        field_start, tag, offset = offset, data[offset], offset + 1
         if tag == _VALUES_TAG[0]:
-            length, at = _number(data, at)
-            if length == len(data) - at and length % 8 == 0:
-                return head, at
+            length, offset = _number(data, offset)
+            if length == len(data) - offset and length % 8 == 0:
+                return field_start, offset
             break
         if tag & 7 == 1:
-            at += 8
+            offset += 8
         else:
-            length, at = _number(data, at)
-            at += length if tag & 7 == 2 else 0
+            length, offset = _number(data, offset)
+            offset += length if tag & 7 == 2 else 0
     return len(data), 0
 
 
-def _number(data: bytes | memoryview, at: int) -> tuple[int, int]:
-    """A varint, and where what follows it begins."""
+def _number(data: bytes | memoryview, offset: int) -> tuple[int, int]:
+    """Value of a varint, and the offset behind it."""
     value, shift = 0, 0
-    while at < len(data) and shift < 64:
-        value |= (data[at] & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-        if data[at - 1] < 0x80:
+    while offset < len(data) and shift < 64:
+        value |= (data[offset] & 0x7F) << shift
+        offset, shift = offset + 1, shift + 7
+        if data[offset - 1] < 0x80:
             break
-    return value, at
+    return value, offset
 
 
 def _varint(value: int) -> bytes:
-    out = bytearray()
+    encoded = bytearray()
     while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
+        encoded.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes([*out, value])
+    return bytes([*encoded, value])
 
 
 def _block_type() -> tuple[Any, bytes]:
-    """The message class and its schema (a FileDescriptorSet), from a description in code."""
+    """Message class of a block and its schema (a FileDescriptorSet), built in code."""
     field = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(
         name="rig/block.proto", package="rig", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]

@@ -10,13 +10,12 @@ import numpy as np
 from rig.errors import RigError
 from rig.files import check_target
 from rig.recording import container
-from rig.recording.agreement import check_channels
 from rig.recording.assembly import assembled
-from rig.recording.channels import Channels
+from rig.recording.channels import Channels, check_channels
 from rig.recording.file import (
     Contents,
     channel_groups,
-    gathering,
+    group_blocks,
     rig_of,
     truth_groups,
     with_history,
@@ -28,7 +27,7 @@ from rig.recording.writer import writing
 
 @dataclass(frozen=True)
 class Loss:
-    """Loss of a group: what the recovered recording holds and lacks; asked is None if the file does not say it."""
+    """Samples of a group that were kept, that were found in the file, and that were asked for (None: unknown)."""
 
     group: str
     sample_rate_hz: float
@@ -38,82 +37,85 @@ class Loss:
 
     def __str__(self) -> str:
         rate, lost = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
-        whole = "" if self.asked is not None else ", besides what was never stored"
-        return (
-            f"{self.group}: {self.kept} samples kept ({self.kept / rate:g} s), {lost} lost ({lost / rate:g} s){whole}"
-        )
+        unstored = "" if self.asked is not None else ", besides what was never stored"
+        kept_s, lost_s = self.kept / rate, lost / rate
+        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost} lost ({lost_s:g} s){unstored}"
 
 
-def recover(bad: Path, good: Path) -> tuple[Loss, ...]:
-    """Writes what is sound of a recording from its start up to the first gap in any group, as a recording.
+def recover(damaged: Path, target: Path) -> tuple[Loss, ...]:
+    """Write the undamaged samples of a recording, from its start to the first gap in any group, as a recording.
 
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
     into the provenance; channels, attachments and metadata of other programs are kept. Raises RigError if there is no
     rig.json, no complete chunk, or the result cannot be written.
     """
-    check_target(good, bad)
-    contents, foreign, found = Contents(), Foreign(), defaultdict[str, list[Block]](list)
-    with container.opened(bad) as file:
+    check_target(target, damaged)
+    contents, foreign, read_blocks = Contents(), Foreign(), defaultdict[str, list[Block]](list)
+    with container.open_recording(damaged) as file:
         try:
-            for name, block in gathering(foreign.noting(container.complete(file)), contents):
-                found[name].append(block.copied())
+            for name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
+                read_blocks[name].append(block.copied())
         except RigError as error:
-            raise RigError(f"{bad}: {error}") from error
+            raise RigError(f"{damaged}: {error}") from error
         except container.DAMAGE as error:
             raise RigError(
-                f"{bad}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
+                f"{damaged}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
             ) from error
-    rig = rig_of(bad, contents)
-    blocks = {name: _placed(found[name]) for name in contents.groups}
-    kept = min(map(_unbroken, blocks.values()), default=0)
-    if not kept:
-        raise RigError(f"{bad}: holds no complete chunk of every group with its checksum; there is nothing to recover")
-    asked_s = _asked(contents.provenance)
-    losses = tuple(_loss(channels, blocks[name], kept, asked_s) for name, channels in contents.groups.items())
+    rig = rig_of(damaged, contents)
+    blocks = {name: _undisputed(read_blocks[name]) for name in contents.groups}
+    kept_samples = min(map(_unbroken, blocks.values()), default=0)
+    if not kept_samples:
+        raise RigError(
+            f"{damaged}: holds no complete chunk of every group with its checksum; there is nothing to recover"
+        )
+    requested_s = _requested_duration_s(contents.provenance)
+    losses = tuple(
+        _loss(channels, blocks[name], kept_samples, requested_s) for name, channels in contents.groups.items()
+    )
     signals = {
-        name: assembled(bad, name, channels, [b for first, b in blocks[name].items() if first < kept])
+        name: assembled(damaged, name, channels, [b for first, b in blocks[name].items() if first < kept_samples])
         for name, channels in contents.groups.items()
     }
     if set(signals) != set(truth_groups(rig)):
-        check_channels(bad, rig, contents.groups, channel_groups(rig))
-    history = with_history(contents.provenance, f"recovered from {bad.name}; " + "; ".join(map(str, losses)))
-    with writing(good, rig, contents.groups, history, foreign) as recording:
-        recording.append_all({name: values[:, :kept] for name, values in signals.items()})
+        check_channels(damaged, rig, contents.groups, channel_groups(rig))
+    history = with_history(contents.provenance, f"recovered from {damaged.name}; " + "; ".join(map(str, losses)))
+    with writing(target, rig, contents.groups, history, foreign) as recording:
+        recording.append_all({name: values[:, :kept_samples] for name, values in signals.items()})
     return losses
 
 
-def _placed(blocks: list[Block]) -> dict[int, Block]:
-    """The blocks by their first samples, without those that claim the same place with other values."""
-    placed: dict[int, Block] = {}
-    doubtful = set()
+def _undisputed(blocks: list[Block]) -> dict[int, Block]:
+    """Blocks by first sample, without those that contradict another block at the same place."""
+    by_start: dict[int, Block] = {}
+    disputed = set()
     for block in blocks:
-        before = placed.setdefault(block.first_sample, block)
-        if not np.array_equal(before.values, block.values):
-            doubtful.add(block.first_sample)
-    return {first: block for first, block in placed.items() if first not in doubtful}
+        earlier = by_start.setdefault(block.first_sample, block)
+        if not np.array_equal(earlier.values, block.values):
+            disputed.add(block.first_sample)
+    return {first: block for first, block in by_start.items() if first not in disputed}
 
 
 def _unbroken(blocks: dict[int, Block]) -> int:
-    """Count of samples from the start to the first gap."""
-    end = 0
-    while end in blocks and blocks[end].values.size:
-        end += blocks[end].values.shape[1]
-    return end
+    """Number of samples from the start to the first gap."""
+    stop = 0
+    while stop in blocks and blocks[stop].values.size:
+        stop += blocks[stop].values.shape[1]
+    return stop
 
 
-def _asked(provenance: Mapping[str, str]) -> float | None:
-    """Duration that was asked for, if the file says so."""
+def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
+    """Duration that was asked for, s; None if the file does not say it."""
     try:
         return float(provenance["asked_duration_s"])
     except (KeyError, ValueError):
         return None
 
 
-def _loss(channels: Channels, blocks: dict[int, Block], kept: int, asked_s: float | None) -> Loss:
+def _loss(channels: Channels, blocks: dict[int, Block], kept_samples: int, requested_s: float | None) -> Loss:
     return Loss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
-        kept=kept,
+        kept=kept_samples,
         found=sum(b.values.shape[1] for b in blocks.values()),
-        asked=None if asked_s is None else round(asked_s * channels.sample_rate_hz),
+        asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
     )

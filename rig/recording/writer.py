@@ -1,13 +1,17 @@
-"""Writing a recording as its samples come: blocks and previews in chunks, and beside until the file is complete."""
+"""Writing a recording as its samples come: blocks and previews in chunks, to FILE.part until it is complete.
+
+A preview is a look at the recording for people: the least and largest sample of every fiftieth of a second.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from itertools import count
 from pathlib import Path
 from typing import IO
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from mcap.records import Attachment, Metadata, Schema
 from mcap.records import Channel as ChannelRecord
 
@@ -15,19 +19,18 @@ from rig.errors import CutOffError
 from rig.files import reserved, settle
 from rig.model.description import Rig, to_json
 from rig.recording import messages
-from rig.recording.channels import Channels, described
+from rig.recording.channels import Channels, to_metadata
 from rig.recording.container_writer import ContainerWriter
 from rig.recording.file import recorded_at
-from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, put
-from rig.recording.preview import preview_record, previews
+from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, add_message
 
-BLOCK, AT_ONCE = 1024, 2048
+BLOCK_SAMPLES, SAMPLES_AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
-"""A chunk is written when it has so many bytes, or so much of the record: a kill loses that and a block at most."""
+"""Bytes and duration at which a chunk is written: a kill loses a chunk and a block at most."""
 
 
 class RecordingWriter:
-    """Appends samples group by group and stores them as blocks of 1024 samples, with previews beside."""
+    """Writer of a recording: samples are appended group by group and stored as blocks of 1024, with previews."""
 
     def __init__(
         self,
@@ -39,29 +42,29 @@ class RecordingWriter:
     ) -> None:
         self._stream = stream
         self._groups = dict(groups)
-        self._began_ns = began_ns(provenance)
+        self._start_date_ns = start_date_ns(provenance)
         ids = count(1)
         self._ids = {name: (next(ids), [next(ids) for _ in group.names]) for name, group in groups.items()}
-        others = (foreign or Foreign()).numbered(schemas=2, channels=next(ids) - 1)
+        foreign_records = (foreign or Foreign()).numbered(schemas=2, channels=next(ids) - 1)
         self._writer = ContainerWriter(
             stream,
             front=[
                 Attachment(0, 0, RIG_NAME, "application/json", to_json(rig)),
                 Metadata(name=PROVENANCE, metadata=dict(provenance)),
-                *others.front,
+                *foreign_records.front,
             ],
             schemas=[
                 Schema(id=1, name=messages.BLOCK_NAME, encoding="protobuf", data=messages.BLOCK_SCHEMA),
                 Schema(id=2, name=messages.PREVIEW_NAME, encoding="ros2msg", data=messages.PREVIEW_SCHEMA),
-                *others.schemas.values(),
+                *foreign_records.schemas.values(),
             ],
             channels=[
                 *(record for name, group in groups.items() for record in _records(name, group, *self._ids[name])),
-                *others.channels.values(),
+                *foreign_records.channels.values(),
             ],
         )
-        for message in others.messages:
-            put(message, self._writer.chunk)
+        for message in foreign_records.messages:
+            add_message(message, self._writer.chunk)
             self._write_full_chunk()
         stream.flush()
         self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
@@ -70,40 +73,42 @@ class RecordingWriter:
     def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
         waiting = self._pending[group]
         pending = np.concatenate([waiting, values], axis=1) if waiting.size else values
-        whole = pending.shape[1] // BLOCK * BLOCK
-        for first in range(0, whole, AT_ONCE):  # the previews of so many samples are in one chunk
-            self._write(group, pending[:, first : min(first + AT_ONCE, whole)], BLOCK)
-        self._pending[group] = pending[:, whole:].copy()
+        full = pending.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
+        for first in range(0, full, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
+            self._write(group, pending[:, first : min(first + SAMPLES_AT_ONCE, full)], BLOCK_SAMPLES)
+        self._pending[group] = pending[:, full:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
-        """Samples of every group, put side by side in the file, so that it can be read segment by segment."""
-        for first in range(0, max(rows.shape[1] for rows in values.values()), AT_ONCE):
+        """Append samples of every group, interleaved in the file, so that it can be read segment by segment."""
+        for first in range(0, max(rows.shape[1] for rows in values.values()), SAMPLES_AT_ONCE):
             for group, rows in values.items():
-                self.append(group, rows[:, first : first + AT_ONCE])
+                self.append(group, rows[:, first : first + SAMPLES_AT_ONCE])
 
     def finish(self) -> None:
-        """Writes what is left, and the index: from here on the file is complete."""
-        for group, rest in self._pending.items():
-            if rest.shape[1]:
-                self._write(group, rest, rest.shape[1])
+        """Write the remaining samples and the index, which completes the file."""
+        for group, remainder in self._pending.items():
+            if remainder.shape[1]:
+                self._write(group, remainder, remainder.shape[1])
         self._writer.finish()
 
     def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
-        """Blocks of that length, and the previews of their channels."""
+        """Write blocks of `length` samples and the previews of their channels."""
         rate, first = self._groups[group].sample_rate_hz, self._written[group]
         block_id, preview_ids = self._ids[group]
         channels, samples = values.shape
-        for begin in range(0, samples, length):
-            time_ns = round((first + begin) / rate * 1e9)
-            head = messages.block_head(time_ns, first + begin, rate, (channels, length))
-            at_ns = self._began_ns + time_ns
-            self._writer.chunk.add(block_id, at_ns, (first + begin) // BLOCK, head, values[:, begin : begin + length])
+        for offset in range(0, samples, length):
+            time_ns = round((first + offset) / rate * 1e9)
+            head = messages.block_head(time_ns, first + offset, rate, (channels, length))
+            log_ns = self._start_date_ns + time_ns
+            self._writer.chunk.add(
+                block_id, log_ns, (first + offset) // BLOCK_SAMPLES, head, values[:, offset : offset + length]
+            )
             self._write_full_chunk()
-        begins, rows = previews(values, rate, length)
-        moments_ns = np.rint((first + begins) / rate * 1e9).astype("<u8") + np.uint64(self._began_ns)
-        for preview_id, ends in zip(preview_ids, rows, strict=True):
-            self._writer.chunk.add_many(preview_id, moments_ns, messages.preview_head(2), ends)
+        starts, rows = previews(values, rate, length)
+        times_ns = np.rint((first + starts) / rate * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
+        for preview_id, extremes in zip(preview_ids, rows, strict=True):
+            self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
         self._written[group] += samples
 
     def _write_full_chunk(self) -> None:
@@ -113,16 +118,16 @@ class RecordingWriter:
 
 def _records(name: str, group: Channels, block_id: int, preview_ids: Sequence[int]) -> Iterator[ChannelRecord]:
     yield ChannelRecord(
-        id=block_id, topic=f"/rig/{name}/block", message_encoding="protobuf", schema_id=1, metadata=described(group)
+        id=block_id, topic=f"/rig/{name}/block", message_encoding="protobuf", schema_id=1, metadata=to_metadata(group)
     )
     for preview_id, sensor in zip(preview_ids, group.names, strict=True):
         yield preview_record(preview_id, name, sensor, group.unit)
 
 
-def began_ns(provenance: Mapping[str, str]) -> int:
-    """The date at which a record begins, ns since 1970; 0 where it is not known."""
-    began = recorded_at(provenance)
-    return max(0, round(began.timestamp() * 1e9)) if began else 0
+def start_date_ns(provenance: Mapping[str, str]) -> int:
+    """Date at which a record begins, ns since 1970; 0 where it is unknown."""
+    date = recorded_at(provenance)
+    return max(0, round(date.timestamp() * 1e9)) if date else 0
 
 
 @contextmanager
@@ -133,30 +138,55 @@ def writing(
     provenance: Mapping[str, str],
     foreign: Foreign | None = None,
 ) -> Iterator[RecordingWriter]:
-    """A writer for a recording at `path`, which appears there only when it is complete; `foreign` is stored beside.
+    """Writer of a recording that appears at `path` only when it is complete; `foreign` content is stored too.
 
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
     interruption = None
-    with reserved(path) as part:
+    with reserved(path) as part_path:
         try:
-            with part.open("wb") as stream:
+            with part_path.open("wb") as stream:
                 writer = RecordingWriter(stream, rig, groups, provenance, foreign)
                 try:
                     yield writer
                 except KeyboardInterrupt as error:
                     interruption = error
                 writer.finish()
-            settle(part, path)
+            settle(part_path, path)
         except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
-            why = error.strerror or str(error)
+            reason = error.strerror or str(error)
             raise CutOffError(
-                f"{path}: cannot be written to its end ({why}); make room and save what there is: rig recover {part}",
-                why,
+                f"{path}: cannot be written to its end ({reason}); make room and save what there is: rig recover "
+                f"{part_path}",
+                reason,
             ) from error
         except BaseException:
-            part.unlink(missing_ok=True)
+            part_path.unlink(missing_ok=True)
             raise
         if interruption is not None:
             raise interruption
+
+
+PREVIEW_HZ = 50.0
+
+
+def preview_record(number: int, group: str, sensor: str, unit: str) -> ChannelRecord:
+    """MCAP channel of the previews of a sensor, contact or force, under its name, so that a viewer shows it."""
+    metadata = {"unit": unit, "shown": "least, largest"}
+    topic = f"/rig/{group}/preview/{sensor}"
+    return ChannelRecord(id=number, topic=topic, message_encoding="cdr", schema_id=2, metadata=metadata)
+
+
+def previews(
+    values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, length: int
+) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
+    """First samples of the parts (1/50 s) of blocks of `length` samples, and the extremes of every part."""
+    starts = _part_starts(values.shape[1], length, max(1, round(sample_rate_hz / PREVIEW_HZ)))
+    extremes = [extreme.reduceat(values, starts, axis=1) for extreme in (np.minimum, np.maximum)]
+    return starts, np.stack(extremes, axis=2)
+
+
+@lru_cache(maxsize=16)
+def _part_starts(samples: int, length: int, step: int) -> Int[np.ndarray, " parts"]:
+    return np.concatenate([np.arange(block, block + length, step) for block in range(0, samples, length)])

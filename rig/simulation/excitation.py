@@ -13,16 +13,16 @@ from rig.errors import RigError
 from rig.simulation.motion import ForceSignal
 
 QUIET_S = 1.0
-"""Every recording begins with a second without force: what is heard there is not the force's doing."""
+"""Quiet start of every recording, s: signals there are not caused by the force."""
 RISE_S = 1 / 32
-"""Over which noise and multisine set in: a jump would make the motion depend on the step that it happens in."""
+"""Rise time of noise and multisine, s: with a jump, the motion would depend on the time step."""
 LONG_S = 1024.0
-"""A Gaussian force of more than this is made of segments, which are never held all at once."""
+"""Duration beyond which a Gaussian force is generated segment by segment, s."""
 SEGMENT_S = 256.0
 
 
 class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A band and a root mean square value, which is taken over the excited part of the record."""
+    """Band and rms value, taken over the excited part of the record, of any excitation."""
 
     rms_n: float
     low_hz: float
@@ -41,9 +41,8 @@ class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     """Gaussian noise with a flat spectrum in the band and none outside: the paper's excitation.
 
-    Drawn line by line in the frequency domain, so the force does not depend on the step at which it is asked for. One
-    of more than 1024 s is made of independent segments of 256 s that overlap by half, under windows whose squares add
-    up to one.
+    Drawn line by line in the frequency domain, so the force does not depend on the time step. One of more than 1024 s
+    consists of independent segments of 256 s that overlap by half, under windows whose squares add up to one.
     """
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
@@ -88,7 +87,7 @@ class Multisine(_Band, frozen=True, tag="multisine"):
 
 
 class FreeDecay(_Band, frozen=True, tag="free_decay"):
-    """One half-sine blow of length 1/(2 high_hz) and peak rms_n * sqrt(2), then nothing: the rig decays freely."""
+    """One half-sine impact of length 1/(2 high_hz) and peak rms_n * sqrt(2), then free decay."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
         time_s = np.arange(samples) * step_s
@@ -106,13 +105,13 @@ class Hammer(_Band, frozen=True, tag="hammer"):
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
         duration_s, rng = samples * step_s, np.random.default_rng(self.seed)
         count = max(1, int(duration_s * self.low_hz))
-        apart_s, peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, count)
-        begin_s = (np.arange(count) + rng.uniform(0.0, 0.2, count)) * apart_s
+        interval_s, peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, count)
+        starts_s = (np.arange(count) + rng.uniform(0.0, 0.2, count)) * interval_s
         time_s, force = np.arange(samples) * step_s, np.zeros(samples)
-        for first_s, peak in zip(begin_s, peaks, strict=True):
-            some = slice(int(first_s / step_s), int((first_s + 0.5 / self.high_hz) / step_s) + 2)
-            phase = 2 * np.pi * self.high_hz * (time_s[some] - first_s)
-            force[some] += peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
+        for start_s, peak in zip(starts_s, peaks, strict=True):
+            hit = slice(int(start_s / step_s), int((start_s + 0.5 / self.high_hz) / step_s) + 2)
+            phase = 2 * np.pi * self.high_hz * (time_s[hit] - start_s)
+            force[hit] += peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
         return _scaled(force, self.rms_n)
 
 
@@ -146,14 +145,14 @@ _KINDS: dict[str, type[Excitation]] = {
 
 
 def excitation_of(kind: str, *, rms_n: float, low_hz: float, high_hz: float, seed: int = 1) -> Excitation:
-    """The excitation named `kind`; raises RigError if there is none."""
+    """Excitation of a kind by its name; raises RigError if there is none."""
     if kind not in _KINDS:
         raise RigError(f"no excitation {kind!r}; there are {', '.join(_KINDS)}")
     return _KINDS[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
 
 
 def force_history(excitation: Excitation, duration_s: float, step_s: float) -> Float[np.ndarray, " samples"]:
-    """The force in newtons at 0, step, 2 step, ... below the duration: a quiet second, then the excitation.
+    """Force (N) at 0, step, 2 step, ... below the duration: a quiet second, then the excitation.
 
     Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
     """
@@ -165,7 +164,7 @@ def force_history(excitation: Excitation, duration_s: float, step_s: float) -> F
 
 @dataclass(frozen=True)
 class LongForce:
-    """A Gaussian force that is had slice by slice."""
+    """Long Gaussian force, computed slice by slice."""
 
     excitation: BandLimitedGaussian
     samples: int
@@ -174,24 +173,26 @@ class LongForce:
     def __len__(self) -> int:
         return self.samples
 
-    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
-        first, stop, _ = now.indices(self.samples)
+    def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
+        start, stop, _ = span.indices(self.samples)
         quiet, half = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
-        force = np.zeros(max(0, stop - first))
-        for k in range((max(first, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
-            begin = quiet + (k - 1) * half
-            some = slice(max(first, begin, quiet), min(stop, begin + 2 * half))
-            force[some.start - first : some.stop - first] += self._segment(k)[some.start - begin : some.stop - begin]
+        force = np.zeros(max(0, stop - start))
+        for k in range((max(start, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
+            segment_start = quiet + (k - 1) * half
+            overlap = slice(max(start, segment_start, quiet), min(stop, segment_start + 2 * half))
+            force[overlap.start - start : overlap.stop - start] += self._segment(k)[
+                overlap.start - segment_start : overlap.stop - segment_start
+            ]
         return force
 
     @cached_property
     def _segment(self) -> Callable[[int], Float[np.ndarray, " samples"]]:
-        """The last two are kept."""
+        """Segment by number; the last two are cached."""
         return lru_cache(maxsize=2)(partial(_segment, self.excitation, self.step_s))
 
 
 def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
-    """The force of `force_history`; a Gaussian one of more than 1024 s to be had slice by slice."""
+    """Force of `force_history`; a Gaussian force of more than 1024 s is computed slice by slice."""
     if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
         _check(excitation, duration_s, step_s)
         return LongForce(excitation, round(duration_s / step_s), step_s)
@@ -201,7 +202,7 @@ def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> Fo
 def noise_spectrum(
     samples: int, step_s: float, low_hz: float, high_hz: float, seed: int | Sequence[int]
 ) -> Complex[np.ndarray, " lines"]:
-    """Independent Gaussian lines at every multiple of 1/duration in the band, so that the step does not matter.
+    """Spectrum with independent Gaussian lines at the multiples of 1/duration in the band, whatever the time step.
 
     Raises RigError if no line lies in the band.
     """
@@ -223,14 +224,14 @@ def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
 
 
 def _segment(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
-    """The k-th segment under its window; the first one sets in smoothly, half-way through, where the force begins."""
+    """Segment k under its window; the force rises smoothly from its start, half-way through segment 0."""
     samples = 2 * round(SEGMENT_S / 2 / step_s)
     spectrum = noise_spectrum(samples, step_s, band.low_hz, band.high_hz, (band.seed, k))
     rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / samples
     force = np.fft.irfft(spectrum, samples) * (band.rms_n / rms) * np.sin(np.pi * np.arange(samples) / samples)
     if k < 2:
-        begun = (1 - k) * samples // 2
-        force[begun:] *= _rise(samples - begun, step_s)
+        force_start = (1 - k) * samples // 2
+        force[force_start:] *= _rise(samples - force_start, step_s)
     force.flags.writeable = False
     return np.asarray(force)
 

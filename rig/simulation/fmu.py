@@ -14,7 +14,7 @@ SCRIPT = Path(__file__).with_name("fmu_slave.py")
 
 
 def export_fmu(rig: Rig, out: Path, step_s: float = STEP_S) -> None:
-    """Writes the FMU: the modal plant, step by step; communication steps are multiples of step_s.
+    """Write an FMU of the stepwise modal plant; communication steps are multiples of step_s.
 
     Input `force` (N), the value at the end of the next step, to which it goes in a straight line. Outputs
     `sensors.NAME` in SI, before any instrument, and `contacts.NAME.eta` (m) and `contacts.NAME.force` (N). Raises
@@ -27,5 +27,5 @@ def export_fmu(rig: Rig, out: Path, step_s: float = STEP_S) -> None:
         folder = Path(name)
         (folder / RIG_NAME).write_bytes(to_json(rig))
         (folder / "step.txt").write_text(repr(step_s))
-        made = FmuBuilder.build_FMU(SCRIPT, folder / "out", [folder / RIG_NAME, folder / "step.txt"])
-        write_bytes(made.read_bytes(), out)
+        fmu_path = FmuBuilder.build_FMU(SCRIPT, folder / "out", [folder / RIG_NAME, folder / "step.txt"])
+        write_bytes(fmu_path.read_bytes(), out)

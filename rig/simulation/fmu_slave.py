@@ -1,4 +1,4 @@
-"""The script inside an FMU that `rig fmu` writes; `rig.json` and `step.txt` lie beside it.
+"""Script inside an FMU of `rig fmu`, with `rig.json` and `step.txt` beside it.
 
 It runs in the Python of the importing tool, which needs this package's core (`pip install rig-identify`).
 """
@@ -14,41 +14,41 @@ from rig.simulation.plants.stepwise import Stepwise
 
 
 class RigFmu(Fmi3Slave):  # type: ignore[misc]
-    """A rig from rest on: one force in, every sensor's quantity and every contact out."""
+    """A rig that starts at rest: inputs a force, outputs the quantities of all sensors and contacts."""
 
-    def __init__(self, **told: Any) -> None:
-        super().__init__(**told)
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**keywords)
         folder = Path(self.resources)
         rig, step_s = read_rig(folder / "rig.json"), float((folder / "step.txt").read_text())
         self.description, self.author = f"{rig.name}, made by rig fmu", "rig-identify"
         self._stepwise = Stepwise(rig, step_s)
         self.force = 0.0
         self._register("time", Fmi3Causality.independent, "time, s", lambda: self._stepwise.time_s)
-        about = "force on the rig, N; the value given before a step is that at its end"
-        self._register("force", Fmi3Causality.input, about, lambda: self.force, start=0.0)
+        description = "force on the rig, N; the value given before a step is that at its end"
+        self._register("force", Fmi3Causality.input, description, lambda: self.force, start=0.0)
         for number, sensor in enumerate(rig.sensors):
             self._output(f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", number)
         for number, contact in enumerate(rig.contacts):
             self._output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", number)
             self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", number)
 
-    def _output(self, name: str, about: str, what: str, number: int) -> None:
+    def _output(self, name: str, description: str, attribute: str, number: int) -> None:
         def value() -> float:
-            return float(getattr(self._stepwise, what)[number])
+            return float(getattr(self._stepwise, attribute)[number])
 
-        self._register(name, Fmi3Causality.output, about, value)
+        self._register(name, Fmi3Causality.output, description, value)
 
     def _register(
-        self, name: str, role: Any, about: str, value: Callable[[], float], start: float | None = None
+        self, name: str, role: Any, description: str, value: Callable[[], float], start: float | None = None
     ) -> None:
         continuous = Fmi3Variability.continuous
         self.register_variable(
-            Float64(name, start=start, causality=role, variability=continuous, description=about, getter=value),
+            Float64(name, start=start, causality=role, variability=continuous, description=description, getter=value),
             nested=False,
         )
 
     def do_step(self, current_time: float, step_size: float) -> bool:  # noqa: ARG002
-        """Over a multiple of the plant's own step the force goes in a straight line to the value given."""
+        """Advance by a multiple of the plant's step, over which the force goes linearly to its given value."""
         count = round(step_size / self._stepwise.step_s)
         if count < 1 or abs(count * self._stepwise.step_s - step_size) > 1e-6 * step_size:
             raise ValueError(f"a step of {step_size} s is no multiple of {self._stepwise.step_s} s; choose one")

@@ -1,4 +1,4 @@
-"""Motion that a plant delivers: the true one of a rig, block by block."""
+"""True motion of a rig, as a plant delivers it block by block."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -11,33 +11,33 @@ from rig.errors import RigError
 from rig.model.description import Rig
 
 Progress = Callable[[float], None]
-"""Called with the fraction of the work that is done, 0 to 1."""
+"""Function that receives the fraction done, 0 to 1."""
 
 
 @runtime_checkable
 class ForceSignal(Protocol):
-    """A force over time, had slice by slice; an array is one, and `Forces` are several."""
+    """A force over time, computed by slices; an array is one, and `Forces` combine several."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, now: slice, /) -> Float[np.ndarray, "*forces some"]: ...
+    def __getitem__(self, span: slice, /) -> Float[np.ndarray, "*forces some"]: ...
 
 
 @dataclass(frozen=True)
 class Forces:
-    """Several forces that act at once, in the order of the rig's; one signal each, all equally long."""
+    """Simultaneous forces in the order of the rig's, one signal each, all of equal length."""
 
     signals: tuple[ForceSignal, ...]
 
     def __len__(self) -> int:
         return len(self.signals[0])
 
-    def __getitem__(self, now: slice, /) -> Float[np.ndarray, "forces some"]:
-        return np.stack([signal[now] for signal in self.signals])
+    def __getitem__(self, span: slice, /) -> Float[np.ndarray, "forces some"]:
+        return np.stack([signal[span] for signal in self.signals])
 
 
 def forces_of(rig: Rig, force_n: ForceSignal) -> Forces:
-    """A force, or several, as those of the rig; raises RigError if it has more or fewer."""
+    """One or several forces as `Forces`; raises RigError if their number is not that of the rig."""
     forces = force_n if isinstance(force_n, Forces) else Forces((force_n,))
     if len(forces.signals) != len(rig.forces):
         raise RigError(f"rig {rig.name!r} is driven by {len(rig.forces)} of force, not {len(forces.signals)}")
@@ -46,28 +46,28 @@ def forces_of(rig: Rig, force_n: ForceSignal) -> Forces:
 
 @runtime_checkable
 class Rows(Protocol):
-    """Signals, one a row, computed for the slice that is asked for; an array is one."""
+    """Signals by row, computed for the requested slice; an array implements this protocol."""
 
     def __len__(self) -> int: ...
 
-    def __getitem__(self, at: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]: ...
+    def __getitem__(self, index: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]: ...
 
 
 @dataclass(frozen=True)
 class Projected:
-    """The rows w(t) = shapes q(t) + carried(t), computed for the slice that is asked for."""
+    """Rows w(t) = shapes q(t) + base(t), computed for the requested slice."""
 
     shapes: Float[np.ndarray, "rows modes"]
     coordinates: Float[np.ndarray, "samples modes"]
-    carried: Float[np.ndarray, " samples"] | None = None
+    base_m: Float[np.ndarray, " samples"] | None = None
 
     def __len__(self) -> int:
         return len(self.shapes)
 
-    def __getitem__(self, at: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]:
-        rows, now = at
-        found = self.shapes[rows] @ self.coordinates[now].T
-        return found if self.carried is None else found + self.carried[now]
+    def __getitem__(self, index: tuple[slice, slice], /) -> Float[np.ndarray, "rows some"]:
+        rows, span = index
+        projected = self.shapes[rows] @ self.coordinates[span].T
+        return projected if self.base_m is None else projected + self.base_m[span]
 
 
 @dataclass(frozen=True)
@@ -90,30 +90,30 @@ class Motion:
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """Exciting force of a rig with one, N."""
+        """Force of a rig with a single force, N."""
         (only,) = self.forces_n
         return np.asarray(only)
 
 
 @runtime_checkable
 class Plant(Protocol):
-    """Plant: simulates a rig from rest, with the measured force given at multiples of the step."""
+    """Simulator of a rig from rest, with the measured force given at multiples of the step."""
 
     def __call__(self, rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]: ...
 
 
 def joined(blocks: Iterator[Motion]) -> Motion:
-    """All blocks of a run as one."""
-    parts = list(blocks)
+    """All blocks of a run concatenated."""
+    segments = list(blocks)
     rows = {
-        name: np.concatenate([getattr(part, name)[:, :] for part in parts], axis=1)
+        name: np.concatenate([getattr(segment, name)[:, :] for segment in segments], axis=1)
         for name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
-    return Motion(start_s=parts[0].start_s, step_s=parts[0].step_s, **rows)
+    return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **rows)
 
 
 def sensed_alone(blocks: Iterator[Motion]) -> Iterator[Motion]:
-    """The motion without stations and contacts, for consumers of the sensors alone: nothing else is then computed."""
+    """Motion without stations and contacts, for consumers of the sensors only: the rest is never computed."""
     for block in blocks:
-        none = np.zeros((0, block.forces_n.shape[1]))
-        yield replace(block, displacement_m=none, eta_m=none, contact_force_n=none)
+        no_rows = np.zeros((0, block.forces_n.shape[1]))
+        yield replace(block, displacement_m=no_rows, eta_m=no_rows, contact_force_n=no_rows)

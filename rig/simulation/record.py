@@ -1,4 +1,4 @@
-"""Recording a rig: force, plant, sensors and file in one go."""
+"""Recording a rig: force, plant, sensors and file in one run."""
 
 import importlib.metadata
 import signal
@@ -33,10 +33,10 @@ def record(
     progress: Progress,
     actual: Rig | None = None,
 ) -> None:
-    """Simulates the rig and writes the recording to `path` and what only a simulator knows to the truth file beside.
+    """Simulate the rig, write its recording to `path` and the simulated truth to the truth file beside it.
 
-    With `actual` that rig is simulated, while the recording says that it was `rig`: what its owner believes. Both need
-    the same sensors, contacts and sampling rate; their properties and places may differ.
+    With `actual`, that rig is simulated while the recording states the nominal `rig`. Both need the same sensors,
+    contacts and sampling rate; their properties and places may differ.
 
     The plant runs a little longer than duration_s, as the anti-aliasing filter needs samples on both sides. The
     sensors' noise comes from the excitation's seed. Of a rig with several forces give one for each; if only one is
@@ -61,10 +61,10 @@ def record(
             f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
             "or sample faster"
         )
-    whole_s = needed_duration_s(actual, samples / rig.sample_rate_hz)
+    simulated_s = needed_duration_s(actual, samples / rig.sample_rate_hz)
     if isinstance(excitation, Excitation):
         excitation = [_seeded(excitation, number) for number in range(len(rig.forces))]
-    force = Forces(tuple(force_signal(one, whole_s, step_s) for one in excitation))
+    force = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
         "made_by": "rig record",
@@ -77,7 +77,7 @@ def record(
         **dict(_versions("rig-identify", "exudyn", "numpy")),
     }
     rng = np.random.default_rng([excitation[0].seed, 1])
-    written = 0
+    samples_written = 0
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
         threadpool_limits(1),  # the matrices are small
@@ -86,7 +86,7 @@ def record(
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
         for block in digitised(actual, plant(actual, force, step_s, progress), rng):
-            keep = slice(0, samples - written)
+            keep = slice(0, samples - samples_written)
             _check_finite(block)
             for file in (recording, truth):
                 file.append("force", block.forces_n[:, keep])
@@ -94,19 +94,19 @@ def record(
                 recording.append(quantity, values[:, keep])
             for group, values in block.truth.items():
                 truth.append(group, values[:, keep])
-            written += block.forces_n[:, keep].shape[1]
+            samples_written += block.forces_n[:, keep].shape[1]
             check_interrupt()
 
 
 def _versions(*packages: str) -> Iterator[tuple[str, str]]:
-    """Versions of the packages that are installed, as an extra need not be."""
+    """Provenance entries with the versions of those packages that are installed."""
     for name in packages:
         with suppress(importlib.metadata.PackageNotFoundError):
             yield f"version of {name}", importlib.metadata.version(name)
 
 
 def _seeded(excitation: Excitation, number: int) -> Excitation:
-    """Excitation of the force of that number, from 0: its seed is independent of every other of any seed."""
+    """Excitation of force `number` (from 0), with a statistically independent seed for every number and seed."""
     if not number:
         return excitation
     (seed,) = np.random.SeedSequence([excitation.seed, number]).generate_state(1)
@@ -121,18 +121,18 @@ def _check_finite(block: Samples) -> None:
 
 @contextmanager
 def _interrupted_between_blocks() -> Iterator[Callable[[], None]]:
-    """Holds Ctrl-C back until the returned function is called, so that it strikes neither a solver nor a writer."""
-    pressed: list[int] = []
+    """Defer Ctrl-C until the yielded function is called, so that it interrupts neither a solver nor a writer."""
+    interrupts: list[int] = []
 
     def check() -> None:
-        if pressed:
+        if interrupts:
             raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
         yield check
         return
-    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    handler = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
     try:
         yield check
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)

@@ -24,7 +24,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     stiffness_n_per_m: float = 1e4
     contact_damping_n_s_per_m: float = 0.0
     sensors: str = "displacement+acceleration"
-    """What is measured at every station: quantities joined by +."""
+    """Quantities measured at every station, joined by +."""
     noise_density: float = 0.0
     sample_rate_hz: float = 512.0
     step_s: float = 2.0**-13
@@ -66,7 +66,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     length_m: float = 1.0
     overlap_start_m: float = 0.45
-    """la: the place on the cradle over which the barrel's left end lies."""
+    """Position on the cradle of the barrel's left end (the paper's la)."""
     clearance_1_m: float = 5e-3
     clearance_2_m: float = 5e-3
     stiffness_1_n_per_m: float = 1e5
@@ -74,10 +74,10 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     contact_damping_n_s_per_m: float = 0.0
     damping_ratio: float = 0.01
     stations: Literal[4, 6, 8, 10] = 6
-    """Sensors a beam; the contacts are always among them."""
+    """Stations per beam; the contacts are always among them."""
     sensors: str = "displacement+acceleration"
     noise_density: float = 0.0
-    """Of the accelerometers, m/s^2/sqrt(Hz)."""
+    """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 4096.0
     step_s: float = 2.0**-14
     duration_s: float = 60.0
@@ -91,13 +91,13 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         beams = tuple(
             Beam(
                 name=name,
-                ends=ends,
+                ends=end_condition,
                 length_m=self.length_m,
                 width_m=0.05,
                 thickness_m=0.01,
                 damping_ratio=self.damping_ratio,
             )
-            for name, ends in _ENDS
+            for name, end_condition in _ENDS
         )
         reach = self.length_m - self.overlap_start_m
         contacts = tuple(
@@ -133,7 +133,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         )
 
     def _positions(self, reach: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
-        """The contacts first, then the stations that keep the modal transformation best conditioned."""
+        """Station positions by beam: the contacts and those that condition the modal transformation best."""
         cradle, barrel = _STATIONS[self.stations]
         return (
             ("cradle", tuple(sorted({self.overlap_start_m, self.length_m, *(p * self.length_m for p in cradle)}))),
@@ -156,7 +156,7 @@ REFERENCES: dict[str, type[Sdof] | type[BarrelCradle]] = {"sdof": Sdof, "barrel_
 
 
 def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
-    """The reference rig of that name with settings given as text, each checked against its type.
+    """Reference rig of that name with settings given as text, each checked against its type.
 
     Raises RigError for an unknown scenario or key, and for a value that does not fit.
     """
@@ -173,7 +173,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
 
 
 def _quantities(sensors: str) -> list[QuantityName]:
-    """Quantities joined by +; "both" stands for displacement and acceleration."""
+    """Quantities from a text that joins them by +; "both" stands for displacement and acceleration."""
     names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
     if unknown := sorted(set(names) - set(QUANTITIES)):
         raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")

@@ -1,6 +1,6 @@
-"""A rig under a force that was measured: simulated, sensed and digitised, as a recording in memory.
+"""Replay of a measured force on a rig: simulated and digitised as a recording in memory.
 
-`modal` and `ancf` are the simulators that this package offers to a diagnosis, by the entry points of its installation.
+`modal` and `ancf` are the simulators that the package registers as entry points.
 """
 
 from dataclasses import dataclass
@@ -20,23 +20,23 @@ from rig.simulation.sensors import digitised, needed_duration_s
 
 @dataclass(frozen=True)
 class _Interpolated:
-    """A force at a plant's steps, had slice by slice."""
+    """Force at a plant's steps from a spline, computed slice by slice."""
 
     force_n: "scipy.interpolate.CubicSpline"
-    until_s: float
+    last_s: float
     step_s: float
     steps: int
 
     def __len__(self) -> int:
         return self.steps
 
-    def __getitem__(self, now: slice) -> Float[np.ndarray, " some"]:
-        time_s = np.arange(*now.indices(self.steps)) * self.step_s
-        return np.asarray(self.force_n(np.minimum(time_s, self.until_s)))
+    def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
+        time_s = np.arange(*span.indices(self.steps)) * self.step_s
+        return np.asarray(self.force_n(np.minimum(time_s, self.last_s)))
 
 
 def finer(forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, steps: int) -> Forces:
-    """Forces given at the sampling rate, at a plant's steps: by a cubic, and behind the end as they are there."""
+    """Forces at a plant's steps, by cubic splines through their samples; constant after the last one."""
     samples = forces_n.shape[1]
     splines = (scipy.interpolate.CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
     return Forces(tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, steps) for spline in splines))
@@ -51,7 +51,7 @@ def replayed(
     seed: int,
     progress: Progress = lambda _: None,
 ) -> Recording:
-    """The recording that `actual` makes under a force given at the sampling rate; its owner believes in `believed`.
+    """Recording of the rig `actual` under forces given at the sampling rate; it states the nominal rig `believed`.
 
     Several forces are rows. Each is interpolated by a cubic to the plant's step and stays at its last value while the
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
@@ -86,4 +86,5 @@ def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples
 
 
 def step_s_of(rig: Rig, least_hz: float) -> float:
+    """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below least_hz."""
     return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(least_hz / rig.sample_rate_hz))))

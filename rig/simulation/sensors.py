@@ -1,4 +1,4 @@
-"""Channels from true motion: anti-aliasing, delay, high-pass, gain, noise, range, quantisation."""
+"""Channels from true motion: anti-aliasing and decimation, delay, high-pass, gain, noise, range, quantisation."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,16 +11,68 @@ from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.model.quantities import QuantityName
 from rig.model.sensing import quantities_of
-from rig.simulation.decimation import Decimator, decimated, decimator
 from rig.simulation.motion import Motion, Rows
 
 HALF_WIDTH = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
+BLOCK_OUTPUTS = 16
+"""Output samples per block: half the length of the sensors' filter, so that three products cover it."""
+
+
+@dataclass(frozen=True)
+class Decimator:
+    """y[n] = sum_k h[k] x[n factor + start + k], in blocks of BLOCK_OUTPUTS: y_b = sum_i T_i' x_(b+i).
+
+    x_b are the factor BLOCK_OUTPUTS samples of x from start + b factor BLOCK_OUTPUTS on; `pieces` are the T_i abreast,
+    each a slice of the Toeplitz matrix of h.
+    """
+
+    start: int
+    pieces: Float[np.ndarray, "long together_times_pieces"]
+
+    @property
+    def count(self) -> int:
+        """Number of the T_i."""
+        return self.pieces.shape[1] // BLOCK_OUTPUTS
+
+    def reach(self, samples: int) -> int:
+        """Samples of x spanned by the blocks of `samples` outputs; those behind the last tap are multiplied by 0."""
+        return self.start + (-(-samples // BLOCK_OUTPUTS) + self.count - 1) * len(self.pieces)
+
+
+def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
+    """Decimator of y[n] = sum_k taps[k] x[n factor + size - 1 - k], with full overlap of taps and x for every n.
+
+    Zero taps at either end cost nothing.
+    """
+    nonzero = np.flatnonzero(taps[::-1])
+    start = int(nonzero[0]) if nonzero.size else 0
+    response = taps[::-1][start : int(nonzero[-1]) + 1] if nonzero.size else np.zeros(1)
+    block_inputs = factor * BLOCK_OUTPUTS
+    count = -(-(block_inputs - factor + response.size) // block_inputs)
+    toeplitz = np.zeros((count * block_inputs, BLOCK_OUTPUTS))
+    for n in range(BLOCK_OUTPUTS):
+        toeplitz[n * factor : n * factor + response.size, n] = response
+    return Decimator(start, np.concatenate(np.split(toeplitz, count), axis=1))
+
+
+def decimated(
+    filter_: Decimator, signals: Float[np.ndarray, "rows long"], samples: int
+) -> Float[np.ndarray, "rows samples"]:
+    """First `samples` filtered samples of every row; rows must hold at least `filter_.reach(samples)`."""
+    rows, count = len(signals), filter_.count
+    blocks = signals[:, filter_.start : filter_.reach(samples)].reshape(rows, -1, len(filter_.pieces))
+    products = (blocks @ filter_.pieces).reshape(rows, blocks.shape[1], count, BLOCK_OUTPUTS)
+    blocks_out = blocks.shape[1] - count + 1
+    filtered = products[:, :blocks_out, 0].copy()
+    for i in range(1, count):
+        filtered += products[:, i : blocks_out + i, i]
+    return filtered.reshape(rows, -1)[:, :samples]
 
 
 @dataclass(frozen=True)
 class Samples:
-    """A segment of a recording: the forces and, per quantity, one row per sensor of that quantity; and the truth."""
+    """Samples of a segment: forces, signals by quantity with a row per sensor, and the truth."""
 
     forces_n: Float[np.ndarray, "forces samples"]
     sensed: dict[QuantityName, Float[np.ndarray, "sensors samples"]]
@@ -28,18 +80,18 @@ class Samples:
 
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
-        """Force of a rig with one, N."""
+        """Force of a rig with a single force, N."""
         (only,) = self.forces_n
         return np.asarray(only)
 
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:
-    """Seconds that a plant must run so that the filter can deliver `duration_s` of samples."""
+    """Duration that a plant must run for the filter to deliver `duration_s` of samples, s."""
     return duration_s + (HALF_WIDTH + _longest_delay(rig) + 1) / rig.sample_rate_hz
 
 
 def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
-    """Samples every channel of the rig at its sampling rate, block by block.
+    """Sample every channel of the rig at its sampling rate, block by block.
 
     Each channel is filtered before sampling by a windowed sinc, symmetric about its own delay, so a channel without
     delay shows the motion of its own instant: linear phase, taken out. The truth is sampled as it is. Each sensor has
@@ -49,7 +101,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
     """
     streams, forces = rng.spawn(len(rig.sensors)), len(rig.forces)
     filters: list[tuple[list[int], Decimator]] = []
-    held, begun = np.zeros((0, 0)), 0
+    kept_steps, steps_done = np.zeros((0, 0)), 0
     truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
     high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
     for block in blocks:
@@ -57,19 +109,19 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         reach = (HALF_WIDTH + _longest_delay(rig)) * factor
         if not filters:
             filters = _filters(rig, factor, reach)
-            held = np.zeros((forces + len(rig.sensors), reach))  # at rest before the record
-        instants = (slice(None), slice(-begun % factor, None, factor))
-        begun += size
+            kept_steps = np.zeros((forces + len(rig.sensors), reach))  # at rest before the record
+        instants = (slice(None), slice(-steps_done % factor, None, factor))
+        steps_done += size
         fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
         truth = {name: np.concatenate([truth[name], rows], axis=1) if truth else rows for name, rows in fresh.items()}
-        width = held.shape[1] + size
+        width = kept_steps.shape[1] + size
         ready = max(0, (width - 2 * reach - 1) // factor + 1)
-        queue = np.empty((len(held), max(width, *(one.reach(ready) for _, one in filters))))
-        queue[:, : held.shape[1]] = held
-        queue[:forces, held.shape[1] : width] = block.forces_n
-        queue[forces:, held.shape[1] : width] = block.sensed
+        queue = np.empty((len(kept_steps), max(width, *(filter_.reach(ready) for _, filter_ in filters))))
+        queue[:, : kept_steps.shape[1]] = kept_steps
+        queue[:forces, kept_steps.shape[1] : width] = block.forces_n
+        queue[forces:, kept_steps.shape[1] : width] = block.sensed
         queue[:, width:] = 0.0
-        held = queue[:, ready * factor : width]
+        kept_steps = queue[:, ready * factor : width]
         if ready:
             filtered = _filtered(filters, queue, ready)
             for row, high_pass in zip(filtered[forces:], high_passes, strict=True):
@@ -82,7 +134,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
 
 @dataclass
 class _HighPass:
-    """First-order, as an AC-coupled sensor has it; it goes on from block to block."""
+    """First-order high-pass of an AC-coupled sensor, with its state from block to block."""
 
     numerator: Float[np.ndarray, " 2"]
     denominator: Float[np.ndarray, " 2"]
@@ -103,11 +155,11 @@ class _HighPass:
 
 
 def _filters(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
-    """The filter of every delay, with the rows that it is for: the forces, without delay, then the sensors."""
+    """Filter of every delay with the rows that it applies to: the forces, without delay, then the sensors."""
     delays = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
     filters = []
     for delay in dict.fromkeys(delays):
-        rows = [k for k, own in enumerate(delays) if own == delay]
+        rows = [k for k, row_delay in enumerate(delays) if row_delay == delay]
         filters.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
     return filters
 
@@ -118,8 +170,8 @@ def _filtered(
     if len(filters) == 1:
         return decimated(filters[0][1], queue, samples)
     filtered = np.empty((len(queue), samples))
-    for rows, one in filters:
-        filtered[rows] = decimated(one, queue[rows], samples)
+    for rows, filter_ in filters:
+        filtered[rows] = decimated(filter_, queue[rows], samples)
     return filtered
 
 

@@ -15,49 +15,49 @@ from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, 
 from rig.viewer.spectra import ShownSpectra
 
 WINDOW_S = 0.5
-"""What the plots show before and after the moment."""
+"""Time that plots show before and after the cursor, s."""
 TRAIL_S = 0.1
-"""What a close-up shows before the moment."""
+"""Time that a close-up shows before the cursor, s."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Layout of what a recording has to show, and how it is drawn."""
+    """Content of a recording that is shown, and how it is drawn."""
 
     rig: Rig
     contact_force: Literal["true", "separated"] | None
     magnification: float
     approximate: bool
     stride: int
-    """One of so many samples is in the time series."""
+    """Decimation of the time series, in samples."""
     centre_m: float
     extent_m: float
     frame_rate_hz: float
     reach_mm: dict[str, float]
-    """How far the views of each contact reach."""
+    """Half width of the views of each contact, mm."""
     spectra: tuple[ShownSpectra, ...]
     diagnosis: bool
 
 
 def plotted(rig: Rig) -> list[QuantityName]:
-    """The measured quantities that have plots: all but displacements, which the moving bodies show."""
+    """Measured quantities that have plots: all except displacements, which the moving bodies show."""
     return [name for name in quantities_of(rig) if QUANTITIES[name].order or not QUANTITIES[name].translates]
 
 
 def blueprint(layout: Layout) -> rrb.Blueprint:
-    """Paused and slowed down so that every frame is seen; the plots show a window around the moment."""
+    """Blueprint of the viewer, paused and slowed down so that every frame is visible."""
     close_ups = [
         _close_up(contact, layout.reach_mm[contact.name], _caveat(layout, contact=True))
         for contact in layout.rig.contacts
     ]
     phases = [_phase(layout, contact) for contact in layout.rig.contacts]
     rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
-    left = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
+    left_column = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
     speed = float(f"{60 / layout.frame_rate_hz:.1g}")
     return rrb.Blueprint(
         rrb.Tabs(
-            rrb.Horizontal(left, rrb.Vertical(*_plots(layout)), column_shares=[1, 1], name="Motion"),
-            rrb.Grid(*(axes_view(one.origin, one.title) for one in layout.spectra), name="Spectra"),
+            rrb.Horizontal(left_column, rrb.Vertical(*_plots(layout)), column_shares=[1, 1], name="Motion"),
+            rrb.Grid(*(axes_view(spectra.origin, spectra.title) for spectra in layout.spectra), name="Spectra"),
             active_tab=0,
         ),
         rrb.BlueprintPanel(state="collapsed"),
@@ -69,12 +69,12 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
 
 
 def _model(layout: Layout) -> rrb.Spatial3DView:
-    x, far = layout.centre_m, layout.extent_m
+    x, extent_m = layout.centre_m, layout.extent_m
     return rrb.Spatial3DView(
         origin="/model",
         name=f"{layout.rig.name}: deflection magnified {layout.magnification:g} times{_caveat(layout)}",
         eye_controls=rrb.EyeControls3D(
-            position=(x, -0.85 * far, 0.3 * far), look_target=(x, -0.05 * far, 0), eye_up=(0, 0, 1)
+            position=(x, -0.85 * extent_m, 0.3 * extent_m), look_target=(x, -0.05 * extent_m, 0), eye_up=(0, 0, 1)
         ),
         line_grid=rrb.LineGrid3D(visible=False),
     )
@@ -91,7 +91,7 @@ def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DVi
 
 
 def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
-    """Force over relative displacement, all of it until the moment; behind it how often each displacement occurs."""
+    """View of force over relative displacement until the cursor, with the displacement's histogram behind a tab."""
     histogram = rrb.BarChartView(
         origin=entity("histogram", contact.name),
         name=f"{contact.name}: histogram, % of the time over mm",
@@ -108,7 +108,7 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
 
 
 def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
-    near = ", all near contacts"
+    note = ", all near contacts"
     identified = "identified " if layout.contact_force == "separated" else ""
     measured = [
         _plot(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {printed_unit(UNITS[quantity])}")
@@ -121,14 +121,14 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
             layout,
             entity("relative_displacement", c.name),
             f"{c.name}: {identified}relative displacement, mm{_caveat(layout, contact=True)}",
-            near,
-            figured(layout.reach_mm[c.name]),
+            note,
+            axis_reach(layout.reach_mm[c.name]),
         )
         for c in layout.rig.contacts
     ]
-    force, known = [], layout.contact_force
-    if known is not None:
-        force = [_plot(layout, "contact_force", f"{known.capitalize()} contact force, N", near)]
+    force, source = [], layout.contact_force
+    if source is not None:
+        force = [_plot(layout, "contact_force", f"{source.capitalize()} contact force, N", note)]
     time = rrb.encodings.TimelineColumn(TIMELINE)
     text = rrb.encodings.TextLogColumn("Body")
     events = rrb.TextLogView(
@@ -136,8 +136,8 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
         name="Contacts that close and open",
         columns=rrb.TextLogColumns(timeline_columns=[time], text_log_columns=[text]),
     )
-    exciting = _plot(layout, "exciting_force", "Exciting force, N")
-    tabs = [*(_diagnosis() if layout.diagnosis else []), *([events] if relative else []), exciting, *measured]
+    force_view = _plot(layout, "exciting_force", "Exciting force, N")
+    tabs = [*(_diagnosis() if layout.diagnosis else []), *([events] if relative else []), force_view, *measured]
     return [*relative, *force, rrb.Tabs(*tabs, active_tab=0)]
 
 
@@ -148,11 +148,11 @@ def _diagnosis() -> list[rrb.View]:
     ]
 
 
-def _plot(layout: Layout, origin: str, name: str, near: str = "", reach: float | None = None) -> rrb.Horizontal:
-    """A time series, and beside it the names of its lines."""
+def _plot(layout: Layout, origin: str, name: str, note: str = "", reach: float | None = None) -> rrb.Horizontal:
+    """View of a time series with its legend beside it."""
     plot = rrb.TimeSeriesView(
         origin=origin,
-        name=name + (f" (1 of {layout.stride} samples{near})" if layout.stride > 1 else ""),
+        name=name + (f" (1 of {layout.stride} samples{note})" if layout.stride > 1 else ""),
         plot_legend=rrb.PlotLegend(visible=False),
         axis_y=None if reach is None else rrb.ScalarAxis(range=(-reach, reach)),
         axis_x=rrb.TimeAxis(
@@ -167,8 +167,8 @@ def _plot(layout: Layout, origin: str, name: str, near: str = "", reach: float |
     return rrb.Horizontal(plot, legend, column_shares=[5, 1], name=name)
 
 
-def figured(reach: float) -> float:
-    """The end of an axis about zero at which the viewer, which writes powers of ten alone, has room for a figure."""
+def axis_reach(reach: float) -> float:
+    """End of an axis about zero for which the viewer, which labels powers of ten only, shows a label."""
     power = 10.0 ** np.ceil(np.log10(reach))
     return reach if reach < 0.4 * power else max(reach, 1.05 * power)
 

@@ -1,8 +1,9 @@
-"""A contact in the viewer: close up, over time, and its events."""
+"""A contact in the viewer: close up, over time, its events, force over displacement, and the histogram."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy.ndimage import maximum_filter1d
 
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Contact
+from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
 from rig.viewer.drawing import (
     BELIEVED,
@@ -36,31 +38,31 @@ TRAIL_POINTS = 60
 HATCHES = 16
 DASHES = 24
 MAX_CLOSINGS = 20_000
-"""In the log, which nobody reads to its end."""
-MAX_KEPT = 1_000_000
+"""Largest number of closings in the log."""
+MAX_PLOTTED = 1_000_000
 NEAR_S = 0.005
-"""So long before and after a contact every sample is drawn."""
-OTHERS: dict[str, Colour] = {"believed": BELIEVED, "identified": FOUND}
+"""Time before and after a contact within which every sample is drawn, s."""
+LAW_COLOURS: dict[str, Colour] = {"believed": BELIEVED, "identified": FOUND}
 SIDES = {-1: "upper", 1: "lower"}
 COLUMNS = (1.85, -1.85, 0.55)
-"""Where the figures of the walls and of the others stand, of the reach."""
+"""Positions of the labels of the walls and of overlaid laws, relative to the reach."""
 
 
-Known = Literal["true", "identified", "believed"]
+LawSource = Literal["true", "identified", "believed"]
 
 
 @dataclass(frozen=True)
 class Play:
-    """A contact over the record. Its own law is drawn as walls, and says when it is closed; walls says whose it is.
+    """Motion of a contact over the record. Its law is drawn as walls and defines closure; walls is the law's source.
 
-    others are laws drawn over it, by name; force_n is the contact force where it is known. The samples may be some of
-    the record's: what was identified begins later and ends at until_s. frames are those that are drawn, and one of
-    `stride` samples is in the time series, but all near a contact.
+    overlaid are laws drawn over it, by source; force_n is the contact force where it is known. The samples may be a
+    part of the record: identified motion begins later and ends at until_s. frames are drawn; the time series hold every
+    `stride`-th sample, and all near a contact.
     """
 
     contact: Contact
-    walls: Known
-    others: Mapping[Known, ContactLaw]
+    walls: LawSource
+    overlaid: Mapping[LawSource, ContactLaw]
     time_s: Float[np.ndarray, " samples"]
     until_s: float | None
     relative_m: Float[np.ndarray, " samples"]
@@ -70,7 +72,7 @@ class Play:
 
     @cached_property
     def reach_mm(self) -> float:
-        """Reach of the views of the contact, mm."""
+        """Half width of the views of the contact, mm."""
         law, largest = self.contact.law, float(np.abs(self.relative_m).max())
         return 1.2e3 * max(law.lower_clearance_m, law.upper_clearance_m, largest) or 1.0
 
@@ -87,14 +89,14 @@ class Play:
         return float((self.time_s.size - 1) / (self.time_s[-1] - self.time_s[0])) if self.time_s.size > 1 else 1.0
 
     @cached_property
-    def kept(self) -> Int[np.ndarray, " kept"]:
-        """Every sample near a contact, one of `stride` and the frames elsewhere; of more than a million some are."""
-        wide = max(1, round(NEAR_S * self.rate_hz))
-        chosen = maximum_filter1d(self.closed.view(np.uint8), 2 * wide + 1, mode="constant").view(bool)
-        chosen[:: self.stride] = True
-        chosen[self.frames] = True
-        kept = np.flatnonzero(chosen)
-        return kept[:: -(-kept.size // MAX_KEPT)] if kept.size else kept
+    def plotted(self) -> Int[np.ndarray, " plotted"]:
+        """Plotted samples: all near a contact, every `stride`-th and the frames elsewhere; at most MAX_PLOTTED."""
+        reach = max(1, round(NEAR_S * self.rate_hz))
+        is_plotted = maximum_filter1d(self.closed.view(np.uint8), 2 * reach + 1, mode="constant").view(bool)
+        is_plotted[:: self.stride] = True
+        is_plotted[self.frames] = True
+        plotted = np.flatnonzero(is_plotted)
+        return plotted[:: -(-plotted.size // MAX_PLOTTED)] if plotted.size else plotted
 
     @property
     def colours(self) -> UInt8[np.ndarray, "frames 3"]:
@@ -102,30 +104,30 @@ class Play:
 
 
 def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
-    """The relative displacement in mm, upwards, between its two walls, with what it was just before to its left.
+    """Send the close-up: relative displacement (mm, upwards) between the two walls, with its recent trail to the left.
 
-    The figures of a wall stand beyond it, so that they cannot be taken for the other's however close both are; those
-    of each law in a column of their own: right, left and before the trail.
+    The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
+    of labels: right, left and before the trail.
     """
     path, law, across = entity("close_up", play.contact.name), play.contact.law, 1.1 * play.reach_mm
     time_s = play.time_s[play.frames]
     edges = np.linspace(-across, across, HATCHES + 1)
-    for level, out in _levels(law):
-        hatches = [[[x, level], [x - 0.05 * across, level + out * 0.05 * across]] for x in edges[1:]]
+    for level, direction in _levels(law):
+        hatches = [[[x, level], [x - 0.05 * across, level + direction * 0.05 * across]] for x in edges[1:]]
         walls = [[[-across, level], [across, level]], *hatches]
-        style(stream, f"{path}/{SIDES[out]}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
+        style(stream, f"{path}/{SIDES[direction]}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
     _send_levels(stream, f"{path}/{play.walls}", play, law, COLUMNS[0], STEEL)
-    for column, (name, other) in zip(COLUMNS[1:], play.others.items(), strict=False):
-        ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
-        dashes = [[[a, level], [b, level]] for level, _ in _levels(other) for a, b in ends]
-        drawn = rr.LineStrips2D(dashes, colors=[OTHERS[name]], radii=pixels(1.25), draw_order=40.0)
+    for column, (name, overlaid_law) in zip(COLUMNS[1:], play.overlaid.items(), strict=False):
+        dash_ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
+        dashes = [[[a, level], [b, level]] for level, _ in _levels(overlaid_law) for a, b in dash_ends]
+        drawn = rr.LineStrips2D(dashes, colors=[LAW_COLOURS[name]], radii=pixels(1.25), draw_order=40.0)
         style(stream, f"{path}/{name}", drawn)
-        _send_levels(stream, f"{path}/{name}", play, other, column, OTHERS[name])
+        _send_levels(stream, f"{path}/{name}", play, overlaid_law, column, LAW_COLOURS[name])
     now_x = 0.15 * across
-    back = np.linspace(-TRAIL_S * play.rate_hz, 0, TRAIL_POINTS).round().astype(int)
+    trail_offsets = np.linspace(-TRAIL_S * play.rate_hz, 0, TRAIL_POINTS).round().astype(int)
     trail = np.empty((play.frames.size, TRAIL_POINTS, 2))
-    trail[..., 0] = now_x + (across + now_x) * back / -back[0]
-    trail[..., 1] = -1e3 * play.relative_m[np.maximum(play.frames[:, None] + back, 0)]
+    trail[..., 0] = now_x + (across + now_x) * trail_offsets / -trail_offsets[0]
+    trail[..., 1] = -1e3 * play.relative_m[np.maximum(play.frames[:, None] + trail_offsets, 0)]
     middle = rr.LineStrips2D([[[-across, 0], [across, 0]]], colors=[FAINT], radii=pixels(0.5))
     style(stream, f"{path}/middle", middle)
     style(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[LINES[0]], radii=[pixels(0.75)]))
@@ -137,13 +139,13 @@ def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
     send(stream, f"{path}/reading", time_s, rr.Points2D, labels=_readings(play), colors=play.colours)
     if play.until_s is not None:
         stream.set_time(TIMELINE, duration=play.until_s)
-        for part in ("trail", "point"):
-            stream.log(f"{path}/{part}", rr.Clear(recursive=False))
+        for name_ in ("trail", "point"):
+            stream.log(f"{path}/{name_}", rr.Clear(recursive=False))
         stream.log(f"{path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
 
 
 def _levels(law: ContactLaw) -> list[tuple[float, int]]:
-    """Levels of the upper and the lower wall in the view, mm (y points downwards), and which way is beyond them."""
+    """Levels of the upper and the lower wall in the view, mm (y points downwards), with the outward direction."""
     return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
 
 
@@ -151,9 +153,9 @@ def _send_levels(
     stream: rr.RecordingStream, path: str, play: Play, law: ContactLaw, column: float, colour: Colour
 ) -> None:
     name = path.rpartition("/")[2]
-    for level, out in _levels(law):
-        place = [column * play.reach_mm, level - 0.28 * play.reach_mm * (out < 0)]
-        send_labels(stream, f"{path}/{SIDES[out]}", [place], [f"{name} {-level:+.4g} mm"], colour)
+    for level, direction in _levels(law):
+        place = [column * play.reach_mm, level - 0.28 * play.reach_mm * (direction < 0)]
+        send_labels(stream, f"{path}/{SIDES[direction]}", [place], [f"{name} {-level:+.4g} mm"], colour)
 
 
 def _readings(play: Play) -> list[str]:
@@ -167,17 +169,17 @@ def _readings(play: Play) -> list[str]:
 
 
 def send_over_time(stream: rr.RecordingStream, play: Play) -> None:
-    """The relative displacement with all walls; where it closes and opens is marked."""
-    path, ends = entity("relative_displacement", play.contact.name), play.time_s[[0, -1]]
+    """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
+    path, end_times_s = entity("relative_displacement", play.contact.name), play.time_s[[0, -1]]
     legend = [(play.contact.name, LINES[0])]
-    for name, law in (("walls", play.contact.law), *play.others.items()):
-        colour = OTHERS.get(name, CLOSED)
+    for name, law in (("walls", play.contact.law), *play.overlaid.items()):
+        colour = LAW_COLOURS.get(name, CLOSED)
         limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
         names = [f"{play.walls if name == 'walls' else name} {limit:+.5g} mm" for limit in limits]
-        send_lines(stream, f"{path}/{name}", ends, np.tile(limits[:, None], 2), names, (colour,))
+        send_lines(stream, f"{path}/{name}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
         legend += [(name, colour) for name in names]
-    value = 1e3 * play.relative_m[None, play.kept]
-    send_lines(stream, f"{path}/value", play.time_s[play.kept], value, [play.contact.name], LINES)
+    value = 1e3 * play.relative_m[None, play.plotted]
+    send_lines(stream, f"{path}/value", play.time_s[play.plotted], value, [play.contact.name], LINES)
     for name, samples, colour in (("closes", _changes(play)[0], CLOSED), ("opens", _changes(play)[1], FREE)):
         style(stream, f"{path}/{name}", rr.SeriesPoints(colors=[colour], names=[name], marker_sizes=[3.0]))
         send(stream, f"{path}/{name}", play.time_s[samples], rr.Scalars, scalars=1e3 * play.relative_m[samples])
@@ -186,19 +188,19 @@ def send_over_time(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def send_events(stream: rr.RecordingStream, play: Play) -> None:
-    """A line in the log, and a mark on the timeline, at every sample at which the contact has closed or opened.
+    """Send a log entry at every sample at which the contact closes or opens.
 
-    Of more than 20 000 closings the first are listed, and how many follow.
+    Beyond MAX_CLOSINGS the number of further closings is stated.
     """
-    every = _changes(play)
-    closes, opens = (samples[:MAX_CLOSINGS] for samples in every)
+    changes = _changes(play)
+    closes, opens = (samples[:MAX_CLOSINGS] for samples in changes)
     words = [f"{play.contact.name} closes at its {'upper' if play.depth_m[s] > 0 else 'lower'} stop" for s in closes]
     starts = np.concatenate([[0], closes])[np.searchsorted(closes, opens)]  # an opening ends the closing before it
     for start, sample in zip(starts, opens, strict=True):
         lasted_ms = 1e3 * (play.time_s[sample] - play.time_s[start])
         deepest_mm = 1e3 * np.abs(play.depth_m[start:sample]).max()
         words.append(f"{play.contact.name} opens after {lasted_ms:.3g} ms, at most {deepest_mm:.3g} mm deep")
-    if unlisted := every[0].size - closes.size:
+    if unlisted := changes[0].size - closes.size:
         words[closes.size - 1] += f"; it closes {unlisted} times more, which are not listed"
     samples = np.concatenate([closes, opens])
     order = np.argsort(samples, kind="stable")
@@ -216,6 +218,47 @@ def send_events(stream: rr.RecordingStream, play: Play) -> None:
 
 
 def _changes(play: Play) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
-    """The first samples at which it is closed, and at which it is free again."""
+    """First samples at which the contact is closed, and at which it is free again."""
     steps = np.diff(play.closed.astype(int))
     return np.flatnonzero(steps == 1) + 1, np.flatnonzero(steps == -1) + 1
+
+
+BINS = 120
+REST_SHARE = 0.01
+"""Share of its range by which a contact has to leave its first position to count as moving."""
+
+
+def send_phase(stream: rr.RecordingStream, play: Play) -> None:
+    """Send the contact force (upwards) over relative displacement, frame by frame, over the laws.
+
+    A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
+    """
+    if play.force_n is None:
+        return
+    path, reach = entity("phase", play.contact.name), play.reach_mm
+    largest_n = 1.1 * float(np.abs(play.force_n).max()) or 1.0
+    axes = Axes((-reach, reach), (-largest_n, largest_n), "relative displacement, mm", "force, N")
+    laws = {play.walls: play.contact.law, **play.overlaid}
+    colours = {name: STEEL if name == play.walls else LAW_COLOURS[name] for name in laws}
+    axes.send(stream, path, {"force": LINES[1]} | {f"{name} law": colour for name, colour in colours.items()})
+    eta = np.linspace(play.relative_m.min(), play.relative_m.max(), 401)
+    for depth, (name, law) in enumerate(laws.items()):
+        line = axes.points(1e3 * eta, law.force_n(eta, np.zeros(eta.size)))
+        law_style = {"colors": [colours[name]], "radii": pixels(1.0), "draw_order": 10.0 + depth}
+        style(stream, f"{path}/{name}", rr.LineStrips2D([line], **law_style))
+    line_style = rr.LineStrips2D.from_fields(colors=[LINES[1]], radii=[pixels(1.25)], draw_order=50.0)
+    style(stream, f"{path}/seen", line_style)
+    points = axes.points(1e3 * play.relative_m, play.force_n)[play.plotted]
+    frame_places = np.searchsorted(play.plotted, play.frames)
+    strips = [points[a : b + 1] for a, b in pairwise(frame_places)]
+    send(stream, f"{path}/seen", play.time_s[play.frames[1:]], rr.LineStrips2D, strips=strips)
+
+
+def send_histogram(stream: rr.RecordingStream, play: Play) -> None:
+    """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
+    moved_m = np.abs(play.relative_m - play.relative_m[0])
+    moving_m = play.relative_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(play.relative_m))) :]
+    counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-play.reach_mm, play.reach_mm))
+    share = 100 * counts / moving_m.size
+    bars = rr.BarChart(share, abscissa=edges[:-1], widths=np.diff(edges), color=LINES[0])
+    style(stream, entity("histogram", play.contact.name), bars)

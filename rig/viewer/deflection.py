@@ -1,4 +1,4 @@
-"""Displacements for showing: of every station, of a body between its stations, and across the contacts."""
+"""Displacements for display: at every station, of a body between its stations, and across the contacts."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ ALL = slice(None)
 
 @dataclass(frozen=True)
 class Deflection:
-    """Displacement of the stations; `approximate` where it was integrated and lacks what is below 1 Hz."""
+    """Displacement of the stations; `approximate` if it was integrated, without the content below 1 Hz."""
 
     rig: Rig
     stations: tuple[Station, ...]
@@ -37,50 +37,52 @@ class Deflection:
         inverse = np.linalg.pinv(body.shapes(places, modes), rcond=1e-3)
         return np.asarray(body.shapes(positions_m, modes) @ inverse @ self.displacement_m[rows][:, samples])
 
-    def at(self, station: Station) -> Float[np.ndarray, " samples"]:
-        """Displacement at a station: as measured there, else from the body's modes."""
+    def displacement_at(self, station: Station) -> Float[np.ndarray, " samples"]:
+        """Displacement at a station, m: as measured there, else from the body's modes."""
         if station in self.stations:
             return self.displacement_m[self.stations.index(station)]
         return self.of_body(self.rig.body(station.body), np.array([station.position_m]))[0]
 
     def relative(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m."""
-        rows = [self.at(c.at) - (self.at(c.against) if c.against else 0.0) for c in self.rig.contacts]
+        rows = [
+            self.displacement_at(c.at) - (self.displacement_at(c.against) if c.against else 0.0)
+            for c in self.rig.contacts
+        ]
         return np.array(rows).reshape(len(rows), self.displacement_m.shape[1])
 
 
 def deflection(recording: Recording, truth: Recording | None) -> Deflection:
-    """Deflection by the truth file where there is one, else by the sensors: what needs least integration at every
-    station.
+    """Deflection by the truth file if there is one, else by the sensor of least integration at every station.
 
-    Raises RigError if a body that should move has no sensor.
+    Raises RigError if a body has no motion sensor.
     """
     if truth is not None:
-        known = truth.signals["displacement"]
-        stations = tuple(s for s in known.channels.stations if s is not None)
-        return Deflection(truth.rig, stations, known.values, approximate=False)
+        true_signals = truth.signals["displacement"]
+        stations = tuple(s for s in true_signals.channels.stations if s is not None)
+        return Deflection(truth.rig, stations, true_signals.values, approximate=False)
     rig = recording.rig
-    moving = [s for s in rig.sensors if s.measures.translates]
-    nearest = {s.station: s for s in sorted(moving, key=lambda s: s.measures.order, reverse=True)}
+    motion_sensors = [s for s in rig.sensors if s.measures.translates]
+    sensor_at = {s.station: s for s in sorted(motion_sensors, key=lambda s: s.measures.order, reverse=True)}
     for body in rig.bodies:
-        if body.name not in {station.body for station in nearest}:
+        if body.name not in {station.body for station in sensor_at}:
             raise RigError(f"body {body.name!r} has no sensor of its motion, so that it cannot be shown; record one")
     rows = []
-    for sensor in nearest.values():
+    for sensor in sensor_at.values():
         signals = recording.signals[sensor.quantity]
         row = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
         rows.append(_integrated(row, sensor.measures.order, rig.sample_rate_hz))
-    approximate = any(s.measures.order for s in nearest.values())
-    return Deflection(rig, tuple(nearest), np.stack(rows), approximate)
+    approximate = any(s.measures.order for s in sensor_at.values())
+    return Deflection(rig, tuple(sensor_at), np.stack(rows), approximate)
 
 
 def _integrated(row: Float[np.ndarray, " samples"], times: int, sample_rate_hz: float) -> Float[np.ndarray, " samples"]:
-    """The record, tapered at both ends, divided by (i omega)^times; zero below 1 Hz."""
+    """Record, tapered at both ends, divided by (i omega)^times; zero below CORNER_HZ."""
     if not times:
         return row
     omega = 2 * np.pi * np.fft.rfftfreq(row.size, 1 / sample_rate_hz)
     tapered = np.fft.rfft(row * tukey(row.size, min(1.0, 2 * TAPER_S * sample_rate_hz / row.size)))
-    kept = omega >= 2 * np.pi * CORNER_HZ
+    passband = omega >= 2 * np.pi * CORNER_HZ
     factor = np.zeros(omega.size, dtype=complex)
-    factor[kept] = (1j * omega[kept]) ** -times
+    factor[passband] = (1j * omega[passband]) ** -times
     return np.fft.irfft(tapered * factor, row.size)

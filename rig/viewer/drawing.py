@@ -1,4 +1,4 @@
-"""Drawing into an .rrd file: colours, styles, and columns some thousand rows at a time."""
+"""Drawing into an .rrd file: colours, styles, and columns in batches of rows."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +15,7 @@ Colour = tuple[int, int, int]
 FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
 GRID, GAP = (50, 54, 62), (255, 90, 220)
 FOUND, BELIEVED = (90, 230, 230), (205, 120, 230)
-"""What was identified, and what rig.json believes."""
+"""Colours of identified laws and of those in rig.json."""
 LINES = (
     (95, 160, 255),
     (255, 150, 90),
@@ -27,16 +27,16 @@ LINES = (
     (200, 200, 200),
 )
 LEGEND_ROWS = 9
-"""As many names stand one below the other beside a plot."""
+"""Largest number of names per column of a legend."""
 
 
 def entity(*parts: str) -> str:
-    """The entity path of these parts, whatever characters their names have."""
+    """Entity path of these names, with their special characters escaped."""
     return str(rr.new_entity_path(list(parts)))
 
 
 def legend_of(origin: str) -> str:
-    """The origin of the view that names the lines of a plot."""
+    """Origin of the legend view of a plot."""
     return f"/legend/{origin.strip('/')}"
 
 
@@ -45,7 +45,7 @@ def style(stream: rr.RecordingStream, path: str, layout: rr.AsComponents) -> Non
 
 
 def send(stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], kind: Any, **columns: Any) -> None:
-    """Sends columns of an archetype."""
+    """Send columns of an archetype over time, in batches of ROWS."""
     for first in range(0, time_s.size, ROWS):
         rows = slice(first, first + ROWS)
         index = rr.TimeColumn(TIMELINE, duration=time_s[rows])
@@ -60,7 +60,7 @@ def send_lines(
     names: Sequence[str],
     colours: Sequence[Colour],
 ) -> None:
-    """Lines of a time series; zoomed out, each pixel shows the least and the greatest value, not their mean."""
+    """Send the lines of a time series; zoomed out, a pixel shows the extreme values, not their mean."""
     layout = rr.SeriesLines(
         names=names,
         colors=[colours[i % len(colours)] for i in range(len(names))],
@@ -74,12 +74,12 @@ def send_lines(
 def send_labels(
     stream: rr.RecordingStream, path: str, places: Sequence[Sequence[float]], words: Sequence[str], colour: Colour
 ) -> None:
-    """Words that hang below their places, centred."""
+    """Send texts centred below their positions."""
     style(stream, path, rr.Points2D(places, colors=[colour], radii=0, labels=words, show_labels=True))
 
 
 def send_legend(stream: rr.RecordingStream, origin: str, names: Sequence[tuple[str, Colour]]) -> None:
-    """The names of a plot's lines in their colours, for the view beside it; more than nine in two columns."""
+    """Send the legend of a plot for the view beside it; in two columns beyond LEGEND_ROWS names."""
     columns = 1 if len(names) <= LEGEND_ROWS else 2
     rows = max(LEGEND_ROWS, -(-len(names) // columns))
     for number, (name, colour) in enumerate(names):

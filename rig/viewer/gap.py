@@ -12,10 +12,10 @@ from rig.files import contents
 from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
-NAMED = {"explained", "partly_explained", "small"}
+EFFECT_VERDICTS = {"explained", "partly_explained", "small"}
 """Verdicts that name effects."""
-SILENT = {"consistent", "cannot_tell"}
-"""Verdicts that say of no difference where it lies."""
+UNLOCATED_VERDICTS = {"consistent", "cannot_tell"}
+"""Verdicts that locate no difference."""
 
 
 class _Cause(msgspec.Struct, frozen=True):
@@ -47,9 +47,9 @@ class _Gap(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Mark:
-    """Something that acts at a place: its words, its strength in equal parts of the time, and whether in contact only.
+    """Mark of an effect or force at a place, with its strength over time and whether it acts in contact only.
 
-    The strengths are relative to the largest; always the same where there is one.
+    The strengths, relative to the largest, are those of equal parts of the time; a single one is constant.
     """
 
     place: Station
@@ -60,9 +60,9 @@ class Mark:
 
 @dataclass(frozen=True)
 class ShownGap:
-    """A diagnosis as it is drawn: its text, marks on the bodies, and the shares of the gap by station and by time.
+    """Diagnosis as drawn: its text, marks on the bodies, and the mismatch by station and over time.
 
-    spans are begin, end (s) and share of the gap.
+    spans are start and end (s) and share of the mismatch.
     """
 
     text: str
@@ -72,20 +72,22 @@ class ShownGap:
 
 
 def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
-    """The gap.json, or that of its folder.
+    """Read a gap.json, given by its path or folder.
 
-    Raises RigError if it cannot be read, is no gap.json, or names a place that the rig or a time that the record lacks.
+    Raises RigError if it is unreadable or invalid, or names a place or time outside the rig or the record.
     """
     file = path / "gap.json" if path.is_dir() else path
     report = _decoded(file)
-    where = report.attribution
-    spans = tuple((part.begin, part.end, part.share) for part in where.time_s)
-    shares = {Station(body, x): share for body, places in where.positions_m.items() for x, share in places.items()}
+    attribution = report.attribution
+    spans = tuple((interval.begin, interval.end, interval.share) for interval in attribution.time_s)
+    shares = {
+        Station(body, x): share for body, places in attribution.positions_m.items() for x, share in places.items()
+    }
     marks = (*_of_effects(report, rig), *_of_force(report, rig))
     _check_places(file, rig, (*shares, *(m.place for m in marks)))
-    if any(end > duration_s for _, end, _ in spans):
+    if any(end_s > duration_s for _, end_s, _ in spans):
         raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
-    return ShownGap(_text(report), marks, shares if report.verdict not in SILENT else {}, spans)
+    return ShownGap(_text(report), marks, shares if report.verdict not in UNLOCATED_VERDICTS else {}, spans)
 
 
 def _decoded(file: Path) -> _Gap:
@@ -93,9 +95,9 @@ def _decoded(file: Path) -> _Gap:
         report = msgspec.json.decode(contents(file), type=_Gap)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{file}: is no gap.json ({error}); make one by `identify gap`") from error
-    where = report.attribution
-    by_station = (share for places in where.positions_m.values() for share in places.values())
-    if not all(0 <= share <= 1.001 for share in (*by_station, *(part.share for part in where.time_s))):
+    attribution = report.attribution
+    by_station = (share for places in attribution.positions_m.values() for share in places.values())
+    if not all(0 <= share <= 1.001 for share in (*by_station, *(interval.share for interval in attribution.time_s))):
         raise RigError(f"{file}: is no gap.json (a share is not within 0 to 1); make one by `identify gap`")
     return report
 
@@ -110,56 +112,54 @@ def _check_places(file: Path, rig: Rig, places: Iterable[Station]) -> None:
 
 
 def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
-    """The effects of the likeliest cause that act somewhere, where it explains the gap."""
-    if report.verdict not in NAMED or not report.causes:
+    """Marks of the localised effects of the likeliest cause, if the verdict names effects."""
+    if report.verdict not in EFFECT_VERDICTS or not report.causes:
         return
     cause = report.causes[0]
-    seen = Counter[str]()
+    occurrences = Counter[str]()
     for effect, words in zip(cause.effects, cause.words, strict=True):
-        seen[effect] += 1
-        label = effect if seen[effect] == 1 else f"{effect}_{seen[effect]}"
-        along = cause.parameters.get(f"{label}.relative_position")
+        occurrences[effect] += 1
+        label = effect if occurrences[effect] == 1 else f"{effect}_{occurrences[effect]}"
+        position = cause.parameters.get(f"{label}.relative_position")
         for name, place in cause.places.items():
-            at = _station(rig, place, 0.5 if along is None else along.value)
-            if name.partition(".")[0] == label and at is not None:
-                yield Mark(at, words)
+            station = _station(rig, place, 0.5 if position is None else position.value)
+            if name.partition(".")[0] == label and station is not None:
+                yield Mark(station, words)
 
 
 def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
     force = report.unknown
-    if force is None or report.verdict in SILENT:
+    if force is None or report.verdict in UNLOCATED_VERDICTS:
         return
     largest = max(force.by_time, default=0.0)
-    strengths = tuple(part / largest for part in force.by_time) if largest > 0 else (1.0,)
+    strengths = tuple(rms / largest for rms in force.by_time) if largest > 0 else (1.0,)
     if named := force.contact or force.sensor:
-        what = "clearance that swings" if force.contact else "fault of the sensor"
+        label = "clearance that swings" if force.contact else "fault of the sensor"
         if place := _station(rig, named, 0.5):
-            yield Mark(place, f"{named}: {what}", strengths)
+            yield Mark(place, f"{named}: {label}", strengths)
         return
     words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
-    ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
-    for body, x, what in ends:
+    force_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
+    for body, x, label in force_ends:
         if body is not None and x is not None:
-            yield Mark(Station(body, x), what, strengths, in_contact=force.when == "in contact")
+            yield Mark(Station(body, x), label, strengths, in_contact=force.when == "in contact")
 
 
-def _station(rig: Rig, name: str, along: float) -> Station | None:
-    """Station of a contact, a sensor, or a body at a share of its length; None of what is everywhere."""
-    named = {b.name: Station(b.name, along * b.length_m) for b in rig.bodies}
+def _station(rig: Rig, name: str, relative_position: float) -> Station | None:
+    """Station of a contact, a sensor, or a relative position on a body; None for other names."""
+    named = {b.name: Station(b.name, relative_position * b.length_m) for b in rig.bodies}
     named |= {s.name: s.station for s in rig.sensors} | {c.name: c.at for c in rig.contacts}
     return named.get(name)
 
 
 def _text(report: _Gap) -> str:
-    """Text in Markdown: the verdict's sentence, the unmeasured force's, and the contact state in which the mismatch
-    lies.
-    """
+    """Markdown text: verdict, its sentence, that of the unmeasured force, and the mismatch by contact state."""
     states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
     return "\n\n".join(
         [
             f"**{report.verdict.replace('_', ' ').capitalize()}**",
             report.sentence,
             *([report.unknown.sentence] if report.unknown else []),
-            *([f"Of the gap: {states}."] if states and report.verdict not in SILENT else []),
+            *([f"Of the gap: {states}."] if states and report.verdict not in UNLOCATED_VERDICTS else []),
         ]
     )

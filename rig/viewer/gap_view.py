@@ -11,28 +11,30 @@ from rig.viewer.drawing import DIAGNOSIS, GAP, GAP_OVER_TIME, send, send_lines, 
 from rig.viewer.gap import Mark, ShownGap
 from rig.viewer.stage import Stage
 
-LABELLED = 0.1
-"""Stations with so large a share of the gap have a figure."""
+MIN_LABELLED_SHARE = 0.1
+"""Least share of the mismatch at a station that is labelled."""
 
 
 def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Sequence[Play]) -> None:
-    """Dots as large as the stations' shares of the gap; larger ones, with words, where something acts, by its strength
-    at the time. The text, and the share of the gap over time."""
+    """Send a diagnosis: text, dots sized by the stations' shares of the mismatch, marks and mismatch over time.
+
+    Marks are labelled dots whose size follows their strength over time.
+    """
     style(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
     for number, (station, share) in enumerate(gap.shares.items()):
-        words = [f"{100 * share:.0f} %"] if share >= LABELLED else None
+        words = [f"{100 * share:.0f} %"] if share >= MIN_LABELLED_SHARE else None
         radius = 2.0 + 6.0 * float(np.sqrt(share / max(gap.shares.values(), default=1.0)))
         path = f"model/gap/share_{number}"
         style(stream, path, rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius)], labels=words))
         send(stream, path, scene.time_s, rr.Points3D, positions=scene.point(station))
     for number, mark in enumerate(gap.marks):
-        path, at = f"model/gap/mark_{number}", scene.point(mark.place)
+        path, positions = f"model/gap/mark_{number}", scene.point(mark.place)
         strengths = _strengths(mark, gap, scene.time_s, _closed(scene, plays))
         radii = -14.0 * strengths  # negative: pixels
         style(stream, path, rr.Points3D.from_fields(colors=[GAP]))
-        send(stream, path, scene.time_s, rr.Points3D, positions=at, radii=radii)
+        send(stream, path, scene.time_s, rr.Points3D, positions=positions, radii=radii)
         style(stream, f"{path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
-        above = at + np.array([0, 0, (0.12 + 0.07 * number) * scene.extent_m])
+        above = positions + np.array([0, 0, (0.12 + 0.07 * number) * scene.extent_m])
         send(
             stream,
             f"{path}/words",
@@ -41,7 +43,7 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Seq
             positions=above,
             labels=np.where(strengths > 0, mark.words, ""),
         )
-    edges = np.array([t for begin, end, _ in gap.spans for t in (begin, end - 1e-6)])
+    edges = np.array([edge_s for start_s, end_s, _ in gap.spans for edge_s in (start_s, end_s - 1e-6)])
     percent = np.array([100 * share for _, _, share in gap.spans for _ in range(2)])
     send_lines(stream, GAP_OVER_TIME, edges, percent[None], ["share of the gap"], (GAP,))
 
@@ -57,11 +59,9 @@ def _closed(scene: Stage, plays: Sequence[Play]) -> Bool[np.ndarray, " frames"]:
 def _strengths(
     mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], closed: Bool[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
-    """Strengths of a mark at every frame; none before and after what was diagnosed, and without contact if it acts in
-    it.
-    """
-    begin, end = (gap.spans[0][0], gap.spans[-1][1]) if gap.spans else (0.0, np.inf)
-    edges = np.linspace(begin, end if np.isfinite(end) else time_s[-1], len(mark.strengths) + 1)
-    part = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(mark.strengths) - 1)
-    acts = (time_s >= begin) & (time_s <= end) & (closed if mark.in_contact else True)
-    return np.where(acts, 0.3 + 0.7 * np.array(mark.strengths)[part], 0.0)
+    """Strength of a mark at every frame, 0.3 to 1; zero outside the diagnosed time and, if in contact, when open."""
+    start_s, end_s = (gap.spans[0][0], gap.spans[-1][1]) if gap.spans else (0.0, np.inf)
+    edges = np.linspace(start_s, end_s if np.isfinite(end_s) else time_s[-1], len(mark.strengths) + 1)
+    interval = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(mark.strengths) - 1)
+    acts = (time_s >= start_s) & (time_s <= end_s) & (closed if mark.in_contact else True)
+    return np.where(acts, 0.3 + 0.7 * np.array(mark.strengths)[interval], 0.0)

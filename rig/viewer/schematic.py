@@ -1,4 +1,4 @@
-"""A rig as a drawing: bodies, stations, contacts with their clearances, the force, sensors and what is attached."""
+"""Schematic drawing of a rig: bodies, stations, contacts with clearances, forces, sensors and attachments."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ LETTERS = {"acceleration": "a", "velocity": "v", "displacement": "x", "strain": 
 
 
 def draw(rig: Rig, path: Path) -> None:
-    """Writes the drawing as SVG. Along the bodies it is to scale; clearances and thicknesses are not.
+    """Draw a rig as SVG, to scale along the bodies; clearances and thicknesses are not to scale.
 
-    Every station of a mass has a place of its own beside the others. Raises RigError if it cannot be written.
+    Items on a mass are drawn side by side. Raises RigError if the file cannot be written.
     """
     drawing = Drawing()
     plan = _plan(rig)
@@ -40,7 +40,7 @@ def draw(rig: Rig, path: Path) -> None:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Plan of where everything stands, in pixels; a mass has a slot for each thing on it."""
+    """Positions of the bodies in pixels; a mass has a slot for each item on it."""
 
     rig: Rig
     lefts: dict[str, float]
@@ -48,20 +48,20 @@ class _Plan:
     levels: dict[str, float]
     slots: dict[str, tuple[object, ...]]
 
-    def x(self, station: Station, what: object) -> float:
-        left = self.lefts[station.body]
-        things = self.slots.get(station.body)
-        if things is None:
-            return left + self.scale * station.position_m
-        return left + SLOT_PX * (next(k for k, thing in enumerate(things) if thing is what) + 0.5)
+    def x(self, station: Station, item: object) -> float:
+        left_px = self.lefts[station.body]
+        items = self.slots.get(station.body)
+        if items is None:
+            return left_px + self.scale * station.position_m
+        return left_px + SLOT_PX * (next(k for k, other in enumerate(items) if other is item) + 0.5)
 
     def half(self, body: str) -> float:
         return MASS_HALF_PX if body in self.slots else HALF_PX
 
-    def over(self, body: str) -> float:
+    def top(self, body: str) -> float:
         return self.levels[body] - self.half(body)
 
-    def under(self, body: str) -> float:
+    def bottom(self, body: str) -> float:
         return self.levels[body] + self.half(body)
 
 
@@ -72,93 +72,97 @@ def _plan(rig: Rig) -> _Plan:
     scale = LENGTH_PX / extent if extent > 0 else 1.0
     levels = {body.name: -LEVEL_PX * k for k, body in enumerate(rig.bodies)}
     top = min(levels.values())
-    slots = {body.name: tuple(_things(rig, body)) for body in rig.bodies if body.is_mass}
-    placed = {name: scale * (left - min(lefts.values())) for name, left in lefts.items()}
+    slots = {body.name: tuple(_items_on(rig, body)) for body in rig.bodies if body.is_mass}
+    placed = {name: scale * (left_m - min(lefts.values())) for name, left_m in lefts.items()}
     return _Plan(rig, placed, scale, {name: level - top for name, level in levels.items()}, slots)
 
 
-def _things(rig: Rig, body: Body) -> Iterator[object]:
-    """Things on a mass, from left to right: its own spring, then the rest."""
+def _items_on(rig: Rig, body: Body) -> Iterator[object]:
+    """Items on a mass from left to right, beginning with its own spring."""
     yield body
     yield from (c for c in rig.contacts if body.name in (c.at.body, c.against.body if c.against else ""))
-    yield from (at for at in dict.fromkeys(rig.forces) if at.body == body.name)
+    yield from (station for station in dict.fromkeys(rig.forces) if station.body == body.name)
     if any(s.station.body == body.name for s in rig.sensors):
         yield rig.sensors
     for attached in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones):
-        yield from (one for one in attached if one.station.body == body.name)
+        yield from (item for item in attached if item.station.body == body.name)
 
 
 def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
-    level, left = plan.levels[body.name], plan.lefts[body.name]
-    things = plan.slots.get(body.name)
-    width = plan.scale * body.length_m if things is None else SLOT_PX * len(things)
-    drawing.box(left, plan.over(body.name), left + width, plan.under(body.name), dashed=bool(len(body.positions_m)))
+    level, left_px = plan.levels[body.name], plan.lefts[body.name]
+    items = plan.slots.get(body.name)
+    width = plan.scale * body.length_m if items is None else SLOT_PX * len(items)
+    drawing.box(
+        left_px, plan.top(body.name), left_px + width, plan.bottom(body.name), dashed=bool(len(body.positions_m))
+    )
     for x_m in body.positions_m:
-        drawing.dot(left + plan.scale * float(x_m), level, FAINT, 2.0)
+        drawing.dot(left_px + plan.scale * float(x_m), level, FAINT, 2.0)
     if body.clamped:
-        drawing.wall(left, level, 30.0)
-    if things is not None:
-        drawing.text(left + 8, level + 4, f"{body.name}: {body.mass_kg:g} kg")
-        x, bottom = plan.x(Station(body.name), body), plan.under(body.name)
+        drawing.wall(left_px, level, 30.0)
+    if items is not None:
+        drawing.text(left_px + 8, level + 4, f"{body.name}: {body.mass_kg:g} kg")
+        x, bottom = plan.x(Station(body.name), body), plan.bottom(body.name)
         drawing.spring(x - 12, bottom, bottom + REACH_PX)
         drawing.damper(x + 14, bottom, bottom + REACH_PX)
         drawing.ground(x, bottom + REACH_PX, 60.0)
         (hz,), (ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
-        drawing.text(left, bottom + REACH_PX + 24, f"{hz:g} Hz, damping ratio {ratio:g}")
+        drawing.text(left_px, bottom + REACH_PX + 24, f"{hz:g} Hz, damping ratio {ratio:g}")
         return
     beam = next((b for b in plan.rig.beams if b == body), None)
     size = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
-    drawing.text(left, plan.over(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size}", size=13)
+    drawing.text(left_px, plan.top(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size}", size=13)
     _ruler(drawing, plan, body)
 
 
 def _ruler(drawing: Drawing, plan: _Plan, body: Body) -> None:
-    """Places from the left end, under the body: both ends, contacts, the forces and what is attached."""
-    rig, left, y = plan.rig, plan.lefts[body.name], plan.under(body.name) + REACH_PX + 34
+    """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
+    rig, left_px, y = plan.rig, plan.lefts[body.name], plan.bottom(body.name) + REACH_PX + 34
     stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
-    stations += [one.station for group in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones) for one in group]
+    stations += [
+        item.station for group in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones) for item in group
+    ]
     places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
-    drawing.line((left, y), (left + plan.scale * body.length_m, y), colour=FAINT, width=1.0)
-    shown = -1e9
+    drawing.line((left_px, y), (left_px + plan.scale * body.length_m, y), colour=FAINT, width=1.0)
+    labelled_x = -1e9
     for x_m in places:
-        x = left + plan.scale * x_m
+        x = left_px + plan.scale * x_m
         drawing.line((x, y - 5), (x, y + 5), colour=FAINT, width=1.0)
-        low = x - shown < 48  # beside the one before there is no room
-        drawing.text(x, y + (30 if low else 18), f"{x_m:g} m", FAINT, "middle", size=11)
-        shown = -1e9 if low else x
+        is_low = x - labelled_x < 48  # beside the one before there is no room
+        drawing.text(x, y + (30 if is_low else 18), f"{x_m:g} m", FAINT, "middle", size=11)
+        labelled_x = -1e9 if is_low else x
 
 
 def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
-    """The two stops about a body, and what carries them: another body, or the ground."""
+    """Draw the two stops of a contact and their carrier: another body, or the ground."""
     x, name = plan.x(contact.at, contact), contact.at.body
-    upper, lower = plan.over(name) - GAP_PX, plan.under(name) + GAP_PX
+    upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
     for y, ground_up in ((upper, True), (lower, False)):
         if contact.against is None:
             drawing.ground(x, y, upwards=ground_up)
         else:
             drawing.line((x - 16, y), (x + 16, y), colour=MOVING, width=3.0)
     if contact.against is not None:
-        other = contact.against
-        there = plan.x(other, contact)
-        ends = (upper, plan.over(other.body)) if plan.levels[other.body] > plan.levels[name] else (
-            lower, plan.under(other.body)
+        against = contact.against
+        against_x = plan.x(against, contact)
+        end_levels = (upper, plan.top(against.body)) if plan.levels[against.body] > plan.levels[name] else (
+            lower, plan.bottom(against.body)
         )  # fmt: skip
-        middle = (plan.levels[name] + plan.levels[other.body]) / 2
-        drawing.line((x, ends[0]), (x, middle), (there, middle), (there, ends[1]), colour=MOVING)
+        middle = (plan.levels[name] + plan.levels[against.body]) / 2
+        drawing.line((x, end_levels[0]), (x, middle), (against_x, middle), (against_x, end_levels[1]), colour=MOVING)
 
 
 def _clearances(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     x, name, law = plan.x(contact.at, contact), contact.at.body, contact.law
-    upper, lower = plan.over(name) - GAP_PX, plan.under(name) + GAP_PX
+    upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
     drawing.text(x + 20, upper + 4, f"+{1e3 * law.upper_clearance_m:g} mm", MOVING, size=11)
     drawing.text(x + 20, lower + 4, f"\u2212{1e3 * law.lower_clearance_m:g} mm", MOVING, size=11)
     y = lower + 22
-    for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_further(contact)):
+    for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
         drawing.text(x + 8, y, words, MOVING, size=11)
         y += 14
 
 
-def _further(contact: Contact) -> Iterator[str]:
+def _contact_notes(contact: Contact) -> Iterator[str]:
     if contact.law.damping_n_s_per_m:
         yield f"{contact.law.damping_n_s_per_m:g} N s/m"
     kind = str(contact.law.__struct_config__.tag)
@@ -168,21 +172,21 @@ def _further(contact: Contact) -> Iterator[str]:
 
 def _forces(drawing: Drawing, plan: _Plan) -> None:
     forces, names = plan.rig.forces, dict[Station, list[str]]()
-    for number, at in enumerate(forces, start=1):
-        names.setdefault(at, []).append("force F" if len(forces) == 1 else f"F{number}")
-    for at in dict.fromkeys(forces):
-        x, top = plan.x(at, at), plan.over(at.body)
+    for number, station in enumerate(forces, start=1):
+        names.setdefault(station, []).append("force F" if len(forces) == 1 else f"F{number}")
+    for station in dict.fromkeys(forces):
+        x, top = plan.x(station, station), plan.top(station.body)
         drawing.arrow((x, top - 1), (x, top - 80), FORCE, 3.0)
-        drawing.text(x + 10, top - 70, ", ".join(names[at]), FORCE)
+        drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE)
 
 
 def _sensors(drawing: Drawing, plan: _Plan) -> None:
-    """A mark at every station, with the letters of what is measured and the place."""
+    """Draw a mark at every station, with the letters of its quantities and its position."""
     quantities: dict[Station, list[str]] = {}
     for sensor in plan.rig.sensors:
         quantities.setdefault(sensor.station, []).append(LETTERS.get(sensor.quantity, sensor.quantity))
     for station, letters in quantities.items():
-        x, top = plan.x(station, plan.rig.sensors), plan.over(station.body)
+        x, top = plan.x(station, plan.rig.sensors), plan.top(station.body)
         drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR, fill=SENSOR)
         place = "" if station.body in plan.slots else f"  {station.position_m:g} m"
         drawing.text(x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR, turned=-60, size=11)
@@ -195,7 +199,7 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
 def _attached(drawing: Drawing, plan: _Plan) -> None:
     rig = plan.rig
     for mass in rig.masses:
-        x, top = plan.x(mass.station, mass), plan.over(mass.station.body)
+        x, top = plan.x(mass.station, mass), plan.top(mass.station.body)
         drawing.box(x - 9, top - 18, x + 9, top, fill=INK)
         drawing.text(x - 12, top - 6, f"{mass.mass_kg:g} kg", anchor="end", size=11)
     for spring in rig.springs:
@@ -210,12 +214,12 @@ def _attached(drawing: Drawing, plan: _Plan) -> None:
         drawing.dot(x, y, MOVING, 6.0)
         drawing.text(x - 12, y + 46, f"{clamp.rotational_n_m_per_rad:g} N m/rad", size=11)
     for load in rig.loads:
-        x, top = plan.x(load.station, load), plan.over(load.station.body)
-        ends = ((x, top - 1), (x, top - 40))
-        drawing.arrow(*(ends if load.force_n >= 0 else ends[::-1]))
+        x, top = plan.x(load.station, load), plan.top(load.station.body)
+        arrow_ends = ((x, top - 1), (x, top - 40))
+        drawing.arrow(*(arrow_ends if load.force_n >= 0 else arrow_ends[::-1]))
         drawing.text(x + 6, top - 30, f"{abs(load.force_n):g} N", size=11)
     for tone in rig.tones:
-        x, top = plan.x(tone.station, tone), plan.over(tone.station.body)
+        x, top = plan.x(tone.station, tone), plan.top(tone.station.body)
         drawing.arrow((x, top - 1), (x, top - 40), FORCE, 1.5)
         drawing.text(x + 6, top - 30, f"tone {tone.frequency_hz:g} Hz", FORCE, size=11)
 
@@ -224,12 +228,12 @@ def _grounded(
     drawing: Drawing,
     plan: _Plan,
     station: Station,
-    what: object,
+    item: object,
     shape: Callable[[float, float, float], None],
     values: list[tuple[float, str]],
 ) -> None:
-    """A spring or damper under a body, with those of its values that are not zero."""
-    x, bottom = plan.x(station, what), plan.under(station.body)
+    """Draw a spring or damper under a body, with its non-zero values."""
+    x, bottom = plan.x(station, item), plan.bottom(station.body)
     shape(x, bottom, bottom + REACH_PX)
     drawing.ground(x, bottom + REACH_PX)
     for k, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):

@@ -1,4 +1,4 @@
-"""The spectra of forces and channels in the viewer: amplitude spectral densities over frequency."""
+"""Spectra of forces and channels in the viewer: amplitude spectral densities over frequency."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,9 +16,9 @@ from rig.viewer.axes import Axes
 from rig.viewer.drawing import LINES, entity, pixels, style
 
 BLOCK_S = 4.0
-"""Of the blocks that are averaged, so that lines are 0.25 Hz apart; a quarter of the record at most."""
+"""Length of the averaged blocks, s (lines 0.25 Hz apart); at most a quarter of the record."""
 DECADES = 6
-"""So many are shown below the largest density at most."""
+"""Largest range of densities that is shown."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,9 @@ class ShownSpectra:
 
 
 def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[ShownSpectra]:
-    """Spectra of the exciting force, of the contact forces that are known, and of every body's channels of each
-    quantity.
-    """
+    """Groups of signals for spectra: exciting forces, known contact forces, and every body's channels by quantity."""
     exciting = dict(zip(recording.rig.force_names, recording.forces_n, strict=True))
-    found = [
+    spectra = [
         ShownSpectra(entity("spectra", "force"), "Exciting force", "N", exciting),
         ShownSpectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
     ]
@@ -46,12 +44,12 @@ def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " 
             rows = zip(measured.channels.stations, measured.values, strict=True)
             signals = {f"{s.position_m:g} m": row for s, row in rows if s is not None and s.body == body.name}
             origin, unit = entity("spectra", quantity, body.name), printed_unit(UNITS[quantity])
-            found.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, signals))
-    return [one for one in found if one.signals]
+            spectra.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, signals))
+    return [group for group in spectra if group.signals]
 
 
 def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_hz: float) -> None:
-    """Density over frequency of every signal, both logarithmic."""
+    """Send the amplitude density over frequency of every signal, on logarithmic axes."""
     frequency_hz, density = densities(np.array([*spectra.signals.values()]), sample_rate_hz)
     high = 10.0 ** np.ceil(np.log10(density.max() or 1.0))
     low = 10.0 ** np.floor(np.log10(max(density.min(), high / 10.0**DECADES)))
@@ -67,8 +65,10 @@ def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_
 def densities(
     values: Float[np.ndarray, "rows samples"], sample_rate_hz: float
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, "rows lines"]]:
-    """Frequencies above zero, and the one-sided amplitude spectral density, unit/sqrt(Hz): the root of Welch's power
-    spectral density, of blocks by half over each other under Hann windows, each less its mean."""
+    """Frequencies above zero (Hz), and one-sided amplitude spectral densities, unit/sqrt(Hz).
+
+    Square root of Welch's power spectral density, with Hann blocks that overlap by half, each without its mean.
+    """
     block = max(2, min(round(BLOCK_S * sample_rate_hz), values.shape[1] // 4))
     frequency_hz, power = welch(values, sample_rate_hz, nperseg=block)
     return frequency_hz[1:], np.sqrt(power[:, 1:])

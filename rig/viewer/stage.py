@@ -1,4 +1,4 @@
-"""Stage of the 3D view: positions of bodies, contacts and the force, frame by frame."""
+"""Geometry of the 3D view: positions of bodies, contacts and forces, frame by frame."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,15 +13,15 @@ from rig.viewer.deflection import Deflection
 FRAMES = 6000
 FRAME_RATES_HZ = (60.0, 600.0)
 MAX_FRAMES = 60_000
-"""Of a record of any length: above a thousand seconds there are fewer than 60 frames in a second."""
+"""Largest number of frames; records of more than a thousand seconds have fewer than 60 per second."""
 NODES = 61
 
 
 @dataclass(frozen=True)
 class Stage:
-    """Metres of the 3D view: x along the bodies, y in depth, z is the deflection times the magnification.
+    """Geometry in metres: x along the bodies, y in depth, z is the deflection times the magnification.
 
-    The bodies stand one behind the other, the last one in front; the left end of each is at x = left_m.
+    Bodies are arranged in depth, the last one in front; the left end of each is at x = left_m.
     """
 
     deflection: Deflection
@@ -52,42 +52,44 @@ class Stage:
         return -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body)
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
-        """A station as it moves."""
-        z = self.magnification * self.deflection.at(station)[self.frames]
+        """Moving position of a station."""
+        z = self.magnification * self.deflection.displacement_at(station)[self.frames]
         return self._placed(np.full((z.size, 1), station.position_m), station.body, z[:, None])[:, 0]
 
-    def rest(self, body: Body) -> Float[np.ndarray, "ends 3"]:
-        """The body's neutral line, at rest and a little longer than the body."""
+    def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
+        """Neutral line of a body at rest, slightly longer than the body."""
         reach = 0.03 * self.extent_m + self._half(body)
         x = np.array([[-reach, body.length_m + reach]])
         return self._placed(x, body.name, np.zeros((1, 2)))[0]
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
-        """A beam as its neutral line, a mass as a square."""
+        """Outline of a body: the neutral line of a beam, the square of a mass."""
         if body.length_m:
             x, z = np.linspace(0, body.length_m, NODES), np.zeros(NODES)
-            moving = self.deflection.of_body(body, x, self.frames).T
+            deflection_m = self.deflection.of_body(body, x, self.frames).T
         else:
             x, z = self._half(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            moving = self.deflection.at(Station(body.name))[self.frames, None]
-        return self._placed(np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * moving)
+            deflection_m = self.deflection.displacement_at(Station(body.name))[self.frames, None]
+        return self._placed(
+            np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * deflection_m
+        )
 
     def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
-        """Place of the body's name: above a beam, at its left or, for every other one, right quarter; in a mass."""
+        """Position of a body's name: above the left or, alternately, right quarter of a beam; inside a mass."""
         right = [b.name for b in self.rig.bodies].index(body.name) % 2
         above = 0.07 if body.length_m else -0.04
         place = Station(body.name, (0.75 if right else 0.25) * body.length_m)
         return self.point(place) + np.array([0, 0, above * self.extent_m])
 
     def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
-        """The wall that a clamped end sits in."""
+        """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None
         y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
         return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
-        """The two jaws that a contact's station plays between, on the body it strikes or, beside it, the ground."""
+        """Fork with the two stops of a contact, fixed to the opposite body or to the ground."""
         tip, half = self.point(contact.at), self._half(self.rig.body(contact.at.body))
         jaws = np.repeat(tip[:, None], 4, axis=1)
         if contact.against is None:
@@ -111,34 +113,34 @@ class Stage:
 
 
 def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | None) -> Stage:
-    """The stage for these displacements; without a magnification the largest deflection is a third of the extent.
+    """Stage for these displacements; by default the largest deflection is drawn as a third of the extent.
 
     There are 6000 frames, but at least 60 and at most 600 in a second, and never more than 60 000.
     """
-    left = left_ends(deflection.rig)
-    extent = max(left[b.name] + b.length_m for b in deflection.rig.bodies) - min(left.values()) or 1.0
+    left_m = left_ends(deflection.rig)
+    extent_m = max(left_m[b.name] + b.length_m for b in deflection.rig.bodies) - min(left_m.values()) or 1.0
     largest = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
-        magnification = _rounded_down(extent / 3 / largest) if largest > 0 else 1.0
+        magnification = _rounded_down(extent_m / 3 / largest) if largest > 0 else 1.0
     samples = deflection.displacement_m.shape[1]
     rate = min(np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ), MAX_FRAMES * sample_rate_hz / samples)
     frames = np.arange(0, samples, max(1, round(sample_rate_hz / rate)))
-    return Stage(deflection, left, extent, magnification, sample_rate_hz, frames)
+    return Stage(deflection, left_m, extent_m, magnification, sample_rate_hz, frames)
 
 
 def left_ends(rig: Rig) -> dict[str, float]:
-    """The first body begins at 0; the others lie so that the two stations of a contact have the same x."""
-    left = {rig.bodies[0].name: 0.0}
+    """Position of every body's left end, m: 0 for the first; the two stations of a contact have the same x."""
+    left_m = {rig.bodies[0].name: 0.0}
     for _ in rig.bodies:
         for contact in rig.contacts:
             if contact.against is not None:
-                for here, there in ((contact.at, contact.against), (contact.against, contact.at)):
-                    if here.body in left:
-                        left.setdefault(there.body, left[here.body] + here.position_m - there.position_m)
-    return {b.name: left.get(b.name, 0.0) for b in rig.bodies}
+                for placed, unplaced in ((contact.at, contact.against), (contact.against, contact.at)):
+                    if placed.body in left_m:
+                        left_m.setdefault(unplaced.body, left_m[placed.body] + placed.position_m - unplaced.position_m)
+    return {b.name: left_m.get(b.name, 0.0) for b in rig.bodies}
 
 
 def _rounded_down(value: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is not above the value."""
+    """Largest of 1, 2 and 5 times a power of ten not above the value."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))

@@ -1,4 +1,4 @@
-"""The few shapes of a technical drawing as SVG elements; x to the right and y down, in pixels."""
+"""Shapes of a technical drawing as SVG elements; x to the right and y down, in pixels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,13 +13,13 @@ Point = tuple[float, float]
 
 @dataclass
 class Drawing:
-    """Drawing so far, and how far it reaches."""
+    """SVG elements, and the corners that determine the size of the drawing."""
 
     elements: list[str] = field(default_factory=list)
     corners: list[Point] = field(default_factory=list)
 
     def line(self, *points: Point, colour: str = INK, width: float = 1.5, dashed: bool = False, fill: str = "") -> None:
-        """A polyline; closed where it is filled."""
+        """Draw a polyline; closed if it is filled."""
         self.corners += points
         kind, dashes = ("polygon" if fill else "polyline"), ' stroke-dasharray="4 3"' if dashed else ""
         path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
@@ -30,8 +30,10 @@ class Drawing:
         self, x: float, y: float, words: str, colour: str = INK, anchor: str = "start", turned: int = 0, size: int = 12
     ) -> None:
         reach = 0.6 * size * len(words)  # of a letter, about
-        left = {"start": 0.0, "middle": -reach / 2, "end": -reach}[anchor]
-        self.corners += [(x, y - reach), (x + reach, y)] if turned else [(x + left, y - size), (x + left + reach, y)]
+        offset = {"start": 0.0, "middle": -reach / 2, "end": -reach}[anchor]
+        self.corners += (
+            [(x, y - reach), (x + reach, y)] if turned else [(x + offset, y - size), (x + offset + reach, y)]
+        )
         turn = f' transform="rotate({turned} {x:.1f} {y:.1f})"' if turned else ""
         place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{turn}'
         halo = 'paint-order="stroke" stroke="white" stroke-width="3"'
@@ -47,30 +49,30 @@ class Drawing:
         self.elements.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{colour}"/>')
 
     def arrow(self, tail: Point, tip: Point, colour: str = INK, width: float = 2.0) -> None:
-        """Upright or level."""
+        """Draw a vertical or horizontal arrow."""
         (x0, y0), (x, y) = tail, tip
         size = 4 + 2 * width
-        along = ((x > x0) - (x < x0), (y > y0) - (y < y0))
-        back = (x - size * along[0], y - size * along[1])
-        across = (size / 2 * along[1], size / 2 * along[0])
-        self.line(tail, back, colour=colour, width=width)
-        wings = ((back[0] - across[0], back[1] - across[1]), (back[0] + across[0], back[1] + across[1]))
+        direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
+        base = (x - size * direction[0], y - size * direction[1])
+        across = (size / 2 * direction[1], size / 2 * direction[0])
+        self.line(tail, base, colour=colour, width=width)
+        wings = ((base[0] - across[0], base[1] - across[1]), (base[0] + across[0], base[1] + across[1]))
         self.line(tip, *wings, colour=colour, width=1.0, fill=colour)
 
     def ground(self, x: float, y: float, width: float = 36.0, upwards: bool = False) -> None:
-        """A level line with hatches on the far side."""
+        """Draw a horizontal line hatched on its outer side."""
         self.line((x - width / 2, y), (x + width / 2, y))
-        far = y - 8 if upwards else y + 8
+        far_y = y - 8 if upwards else y + 8
         for k in range(int(width // 9)):
-            at = x - width / 2 + 9 * (k + 1)
-            self.line((at, y), (at - 7, far), width=1.0, colour=FAINT)
+            hatch_x = x - width / 2 + 9 * (k + 1)
+            self.line((hatch_x, y), (hatch_x - 7, far_y), width=1.0, colour=FAINT)
 
     def wall(self, x: float, y: float, half: float) -> None:
-        """An upright line with hatches to the left."""
+        """Draw a vertical line hatched on its left."""
         self.line((x, y - half), (x, y + half), width=2.5)
         for k in range(int(2 * half // 9)):
-            at = y - half + 9 * (k + 1)
-            self.line((x, at - 7), (x - 8, at), width=1.0, colour=FAINT)
+            hatch_y = y - half + 9 * (k + 1)
+            self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=FAINT)
 
     def spring(self, x: float, top: float, bottom: float) -> None:
         step = (bottom - top) / 8
@@ -85,7 +87,7 @@ class Drawing:
         self.line((x, middle + 8), (x, bottom))
 
     def write(self, path: Path, margin: float = 20.0) -> None:
-        """The file, as large as what is drawn; raises RigError if it cannot be written."""
+        """Write the SVG file, sized to its content; raise RigError if it cannot be written."""
         xs, ys = zip(*self.corners, strict=True)
         left, top = min(xs) - margin, min(ys) - margin
         width, height = max(xs) + margin - left, max(ys) + margin - top
@@ -93,5 +95,5 @@ class Drawing:
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left:.1f} {top:.1f} {width:.1f} {height:.1f}" '
             f'width="{width:.0f}" height="{height:.0f}" font-family="sans-serif">'
         )
-        back = f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
-        write_bytes("\n".join([head, back, *self.elements, "</svg>", ""]).encode(), path)
+        background = f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
+        write_bytes("\n".join([head, background, *self.elements, "</svg>", ""]).encode(), path)

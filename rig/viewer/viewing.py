@@ -17,18 +17,25 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
 from rig.viewer.blueprint import Layout, blueprint, plotted
-from rig.viewer.contact_view import Known, Play, send_close_up, send_events, send_over_time
+from rig.viewer.contact_view import (
+    LawSource,
+    Play,
+    send_close_up,
+    send_events,
+    send_histogram,
+    send_over_time,
+    send_phase,
+)
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
 from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
-from rig.viewer.phase import send_histogram, send_phase
 from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import Stage, stage
 
 SCALARS = 1_000_000
-"""Above this many in the time series, they are thinned out where there is no contact."""
+"""Number of plotted values above which the time series are decimated away from contacts."""
 
 
 def write_rrd(
@@ -41,7 +48,7 @@ def write_rrd(
     gap: ShownGap | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
-    """Writes the recording for the rerun viewer; `truth`, where there is one, adds what only a simulator knows.
+    """Write a recording for the rerun viewer; `truth`, if given, adds the simulated truth.
 
     The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
     lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
@@ -78,13 +85,13 @@ def write_rrd(
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
         _send_model(stream, scene, recording, plays)
         progress(0.3)
-        for done, play in enumerate(plays, start=1):
+        for count, play in enumerate(plays, start=1):
             send_close_up(stream, play)
             send_over_time(stream, play)
             send_phase(stream, play)
             send_histogram(stream, play)
             send_events(stream, play)
-            progress(0.3 + 0.5 * done / len(plays))
+            progress(0.3 + 0.5 * count / len(plays))
         if gap is not None:
             send_gap(stream, gap, scene, plays)
         _send_series(stream, recording, plays, stride)
@@ -95,9 +102,9 @@ def write_rrd(
 
 @contextmanager
 def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
-    """Bytes that the stream encodes; rerun's own writing of files waits for ever where the disk is full.
+    """Encoded bytes of a stream; rerun's own file writer hangs if the disk is full.
 
-    Nothing is left in it in the end: rerun would warn of that on the screen.
+    The stream is drained at the end, as rerun would otherwise print a warning.
     """
     encoded = stream.binary_stream()
     try:
@@ -114,31 +121,31 @@ def _plays(
     frames: Int[np.ndarray, " frames"],
     stride: int,
 ) -> list[Play]:
-    """Every contact with the best that is known of it: the truth, else what was identified, else what is believed."""
+    """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
     time_s = recording.signals["force"].time_s
     relative_m, force_n = motion.relative(), None
     if truth is not None:
         relative_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
-    known = slice(0, time_s.size)
+    span = slice(0, time_s.size)
     if truth is None and identified.curves is not None:
-        known = identified.curves.within(time_s)
-        relative_m, force_n = identified.curves.at(time_s[known])
+        span = identified.curves.covered(time_s)
+        relative_m, force_n = identified.curves.interpolated(time_s[span])
     plays = []
     for j, believed in enumerate(recording.rig.contacts):
-        laws: dict[Known, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
+        laws: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
         laws |= {"identified": identified.laws[believed.name]} if believed.name in identified.laws else {}
         laws["believed"] = believed.law
         walls = next(iter(laws))
-        others = {name: law for name, law in laws.items() if name == "identified" or law != laws[walls]}
+        overlaid = {name: law for name, law in laws.items() if name == "identified" or law != laws[walls]}
         play = Play(
             contact=replace(believed, law=laws[walls]),
             walls=walls,
-            others={name: law for name, law in others.items() if name != walls},
-            time_s=time_s[known],
-            until_s=float(time_s[known.stop]) if known.stop < time_s.size else None,
+            overlaid={name: law for name, law in overlaid.items() if name != walls},
+            time_s=time_s[span],
+            until_s=float(time_s[span.stop]) if span.stop < time_s.size else None,
             relative_m=relative_m[j],
             force_n=None if force_n is None else force_n[j],
-            frames=frames[(frames >= known.start) & (frames < known.stop)] - known.start,
+            frames=frames[(frames >= span.start) & (frames < span.stop)] - span.start,
             stride=stride,
         )
         plays.append(play)
@@ -146,18 +153,18 @@ def _plays(
 
 
 def open_viewer(path: Path) -> None:
-    """Opens the file in the rerun viewer and returns at once."""
+    """Open the file in the rerun viewer without waiting for it."""
     subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
 
 
 def _belongs(truth: Recording, recording: Recording) -> bool:
     contacts = [[c.name for c in r.rig.contacts] for r in (truth, recording)]
-    known = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
-    return known and truth.samples == recording.samples and contacts[0] == contacts[1]
+    has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
+    return has_truth and truth.samples == recording.samples and contacts[0] == contacts[1]
 
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
-    """Count of scalars that the time series have at full rate."""
+    """Number of values in the time series at full rate."""
     rig = recording.rig
     channels = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted(rig))
     return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))
@@ -169,7 +176,7 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         path, colour, strips = entity("model", body.name), LINES[number % len(LINES)], scene.strips(body)
         style(stream, path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(3.0)]))
         send(stream, path, scene.time_s, rr.LineStrips3D, strips=strips)
-        style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest(body)], colors=[FAINT], radii=pixels(0.75)))
+        style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75)))
         if (support := scene.support(body)) is not None:
             style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
         label = scene.label(body)
@@ -180,9 +187,9 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[pixels(2.0)]))
         send(stream, path, scene.time_s, rr.LineStrips3D, strips=scene.fork(play.contact, play.contact.law))
         style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[pixels(5.0)]))
-        at, colours = scene.point(play.contact.at), np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
+        positions, colours = scene.point(play.contact.at), np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
         colours[np.searchsorted(scene.time_s, play.time_s[play.frames] - 1e-9)] = play.colours
-        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=at, colors=colours)
+        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=positions, colors=colours)
     longest_n = np.abs(recording.forces_n).max() or 1.0
     for name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
         path, arrows = entity("model", name), np.zeros((scene.time_s.size, 3))
@@ -201,7 +208,14 @@ def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequen
         if play.force_n is not None:
             path, name = entity("contact_force", play.contact.name), play.contact.name
             colour = LINES[number % len(LINES)]
-            send_lines(stream, path, play.time_s[play.kept], play.force_n[None, play.kept], [name], (colour,))
+            send_lines(
+                stream,
+                path,
+                play.time_s[play.plotted],
+                play.force_n[None, play.plotted],
+                [name],
+                (colour,),
+            )
             legend.append((name, colour))
     send_legend(stream, "contact_force", legend)
     for quantity in plotted(recording.rig):

@@ -1,4 +1,4 @@
-"""The viewer in a browser: rerun's own page and the .rrd file, served on the loopback address for as long as it runs.
+"""Viewer in a browser: rerun's page and the .rrd file, served on the loopback address while the command runs.
 
 rerun's web servers listen on all addresses by default and answer for any host, so a page elsewhere that lets its own
 name point here could read the recording. What its program serves on the loopback address is fetched once instead, and
@@ -27,7 +27,7 @@ LOOPBACK = "127.0.0.1"
 RECORDING = "/recording.rrd"
 PAGE = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
 FETCH_S = 60.0
-"""So long rerun may take to begin and to give its page."""
+"""Time limit for rerun to start and deliver its page, s."""
 
 
 @dataclass(frozen=True)
@@ -39,9 +39,9 @@ class Asset:
 
 
 def serve(path: Path, say: Callable[[str], None]) -> None:
-    """Serves the file to browsers on this computer, says the address to open, and goes on until it is interrupted.
+    """Serve the file to browsers on this computer until interrupted; `say` receives the address to open.
 
-    Raises RigError if rerun does not give its page.
+    Raises RigError if rerun does not deliver its page.
     """
     assets = fetch_page()
     with ThreadingHTTPServer((LOOPBACK, 0), _handler(path, assets)) as server:
@@ -51,14 +51,14 @@ def serve(path: Path, say: Callable[[str], None]) -> None:
 
 
 def fetch_page() -> dict[str, Asset]:
-    """rerun's page by path, from its own program, which ends again; raises RigError if it cannot be had."""
-    until = time.monotonic() + FETCH_S
+    """Fetch rerun's page, by path, from its own server, which is then stopped; raise RigError if that fails."""
+    deadline_s = time.monotonic() + FETCH_S
     with _rerun_serving() as (port, running):
         while True:
             try:
                 return {path: _fetched(f"http://{LOOPBACK}:{port}{path}") for path in PAGE}
             except (URLError, OSError) as error:
-                if running.poll() is None and time.monotonic() < until:
+                if running.poll() is None and time.monotonic() < deadline_s:
                     time.sleep(0.1)
                     continue
                 raise RigError(
@@ -73,7 +73,7 @@ def _fetched(address: str) -> Asset:
 
 @contextmanager
 def _rerun_serving() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
-    """rerun's web server on the loopback address, and its port."""
+    """Run rerun's web server on the loopback address; yields its port and process."""
     page, data = _free_ports()
     words = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page), "--port", str(data)]
     running = subprocess.Popen(
@@ -104,23 +104,23 @@ def _handler(recording: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPReque
             if self.headers.get("Host") not in {f"{LOOPBACK}:{port}", f"localhost:{port}"}:
                 self.send_error(403, "Ask for 127.0.0.1 or localhost")
             elif path in assets:
-                self._begin(assets[path].content_type, len(assets[path].content))
+                self._send_headers(assets[path].content_type, len(assets[path].content))
                 with suppress(ConnectionError):  # the browser may leave at any time
                     self.wfile.write(assets[path].content)
             elif path == RECORDING and recording.is_file():
                 with recording.open("rb") as stream, suppress(ConnectionError):
-                    self._begin("application/octet-stream", recording.stat().st_size)
+                    self._send_headers("application/octet-stream", recording.stat().st_size)
                     shutil.copyfileobj(stream, self.wfile)
             else:
                 self.send_error(404)
 
-        def _begin(self, content_type: str, length: int) -> None:
+        def _send_headers(self, content_type: str, length: int) -> None:
             self.send_response(200)
             self.send_header("Content-Type", content_type)
             self.send_header("Content-Length", str(length))
             self.end_headers()
 
         def log_message(self, *_: object) -> None:
-            """Nothing on the screen."""
+            """Log nothing."""
 
     return Handler

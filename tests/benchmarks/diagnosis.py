@@ -70,7 +70,7 @@ def _null_reference(which: int, kept: Path) -> tuple[float, float]:
     """Of the first or the second record."""
     recording = _recordings(())[which]
     begin = time.process_time()
-    null_reference_of(recording, LABORATORY, SIMULATOR.simulate, SIMULATOR.name, kept=kept, predict=SIMULATOR.predict)
+    null_reference_of(recording, LABORATORY, SIMULATOR.simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
     return time.process_time() - begin, _peak_mb()
 
 

@@ -15,9 +15,9 @@ from msgspec.structs import replace
 
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
+from identify.gaps.decision.null_simulations import free_decay_simulator
 from identify.gaps.decision.prepare import simulator_named
-from identify.gaps.decision.recordings import sound
-from identify.gaps.decision.release import released
+from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Gap
 from rig.errors import RigError
@@ -150,15 +150,15 @@ def _null_references(tasks: Sequence[ToDiagnose], out: Path, dask: str | None) -
 
 def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
     """Makes and keeps the null reference of a recording, unless it is there."""
-    recording = sound(read(Path(task.fit)), read(Path(task.validate)))[0][task.which]
+    recording = without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))[0][task.which]
     there = any(Path(task.null_reference).glob(f"{task.key[:16]}.json"))
     began = time.process_time()
     believed, kept = _believed(recording, task.tolerances), Path(task.null_reference)
     refusal, crashed = "", False
     try:
         forced = bool(np.any(recording.forces_n))
-        simulate = SIMULATOR.simulate if forced else released(recording, SIMULATOR.simulate)
-        null_reference_of(recording, believed, simulate, SIMULATOR.name, kept=kept, predict=SIMULATOR.predict)
+        simulate = SIMULATOR.simulate if forced else free_decay_simulator(recording, SIMULATOR.simulate)
+        null_reference_of(recording, believed, simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
     except RigError as error:
         refusal = str(error)
     except Exception as error:  # as of a case
@@ -209,7 +209,9 @@ def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToD
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
     sha256 = {path.name: sha256_of(path) for path in (fit, validate)}
     try:
-        fitted, validation = (_null_key(one, _believed(one, tolerances)) for one in sound(read(fit), read(validate))[0])
+        fitted, validation = (
+            _null_key(one, _believed(one, tolerances)) for one in without_faulty_channels(read(fit), read(validate))[0]
+        )
     except RigError as error:
         return Refused(case=fit.stem, sha256=sha256, sentence=str(error))
     return ToDiagnose(

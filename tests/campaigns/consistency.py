@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from rich.console import Console
 from rich.table import Table
 
-from identify.gaps.decision_table import NAMED, USUAL, Bounded, Verdict, all_hold
+from identify.gaps.decision_table import NAMED_PROBABILITY, USUAL_P_VALUE, Bounded, Verdict, all_hold
 from identify.gaps.results import Gap
 from rig.commands.command_line import run
 from tests.campaigns.blind_comparison import decoded
@@ -64,7 +64,11 @@ def _by_the_table(gap: Gap) -> Iterator[str]:
 
 def _leaves_nothing_that_matters(gap: Gap) -> Iterator[str]:
     evidence = gap.evidence
-    if gap.verdict == Verdict.EXPLAINED and evidence.p_value_after < USUAL and not all_hold(evidence.quantities_after):
+    if (
+        gap.verdict == Verdict.EXPLAINED
+        and evidence.p_value_after < USUAL_P_VALUE
+        and not all_hold(evidence.quantities_after)
+    ):
         names = [one.name for one in evidence.quantities_after if not one.holds]
         yield f"p = {evidence.p_value_after:.2g}, {', '.join(names) or 'nothing looked at'}"
 
@@ -92,7 +96,7 @@ def _names(quantities: tuple[Bounded, ...]) -> str:
 def _names_are_sure(gap: Gap) -> Iterator[str]:
     strengths = gap.evidence.strengths
     for name in gap.criteria.named:
-        sure = [s.inclusion_probability >= NAMED and _apart(*s.interval_95, s.neutral) for s in strengths]
+        sure = [s.inclusion_probability >= NAMED_PROBABILITY and _apart(*s.interval_95, s.neutral) for s in strengths]
         if not any(s.effect == name and is_sure for s, is_sure in zip(strengths, sure, strict=True)):
             told = [f"{s.inclusion_probability:.3g}, {s.interval_95} about {s.neutral:g}" for s in strengths]
             own = [text for s, text in zip(strengths, told, strict=True) if s.effect == name]

@@ -22,12 +22,18 @@ from rich.console import Console
 from rich.table import Table
 
 from identify.gaps.decision.comparison import TEMPERATURE
-from identify.gaps.decision.experiment import Experiment, begun_on, experiments, next_experiments, refitted
-from identify.gaps.decision.verdict import ALIKE
+from identify.gaps.decision.experiment import (
+    Experiment,
+    experiments,
+    initial_search,
+    next_experiments,
+    refit_hypothesis,
+)
+from identify.gaps.decision.verdict import RIVAL_PROBABILITY
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.results import AGAIN, NextExperiment
+from identify.gaps.results import SAME_EXPERIMENT, NextExperiment
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.screening import grid_screening, score_screening
@@ -132,7 +138,7 @@ def _left_alike(folder: Path, dask: str | None) -> list[ToAsk]:
         left = {k: ToAsk(pair=p, strength=strength, seed=k) for k, p in enumerate(PAIRS) if k not in found}
         firsts = run_tasks(after_one, list(left.values()), First, folder, dask)
         for (k, asked), first in zip(left.items(), firsts, strict=True):
-            if ALIKE < first.probability < 1 - ALIKE:
+            if RIVAL_PROBABILITY < first.probability < 1 - RIVAL_PROBABILITY:
                 found[k] = asked
         if len(found) >= WANTED:
             break
@@ -161,7 +167,7 @@ def after_two(asked: ToAsk) -> Second:
     return Second(
         first=_probability(true.misfit.minus_two_log, other.misfit.minus_two_log),
         proposed=probability(computed[0].words),
-        same=probability(AGAIN),
+        same=probability(SAME_EXPERIMENT),
         computed=computed,
     )
 
@@ -184,7 +190,7 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
             machine, Gaussian(rms_n=LEVEL_N, begins_s=QUIET_S), round(DURATION_S * rate), rate, 100 + asked.seed
         )
         return _record(rig, made.force_n, made.delivered)
-    known, (force_n,) = experiment.changed(rig), experiment.forces_n
+    known, (force_n,) = experiment.modify_rig(rig), experiment.forces_n
     excitation = Gaussian(
         rms_n=float(np.std(force_n[round(QUIET_S * rate) :])), begins_s=QUIET_S, band_hz=force_band(force_n, rate)
     )
@@ -235,31 +241,31 @@ def _fitted(record: Record, name: str) -> Hypothesis:
     begun = _begun(record)
     known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     parts = [c for c in known if c.name == name]
-    nothing = begun[0].nothing().hypothesis
+    nothing = begun[0].nominal_fit().hypothesis
     if not name:
         return _best(begun, nothing)
     if not parts:
         raise RigError(f"no candidate is named {name!r}; there are {', '.join(c.name for c in known)}")
-    linearization, at = begun[0].linearization, begun[0].at
+    linearization, at = begun[0].linearization, begun[0].residual
     offered = [s.values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))]
-    tried = (_best(begun, fields(nothing, parts=tuple(parts), values=values)) for values in offered)
+    tried = (_best(begun, fields(nothing, candidates=tuple(parts), values=values)) for values in offered)
     return min(tried, key=lambda one: one.misfit.minus_two_log)
 
 
 def _begun(record: Record) -> tuple[Search, ...]:
     """Two places to begin a fit: at the believed rig fitted to the record, and with nothing fitted."""
-    fitted = begun_on(record, record.rig)
+    fitted = initial_search(record, record.rig)
     linearization = linearized(record, record.rig)
-    return fitted, fields(fitted, linearization=linearization, at=residual_of(linearization, record.rig))
+    return fitted, fields(fitted, linearization=linearization, residual=residual_of(linearization, record.rig))
 
 
 def _best(begun: Sequence[Search], one: Hypothesis, held: bool = False) -> Hypothesis:
-    return min((refitted(b, one, held) for b in begun), key=lambda h: h.misfit.minus_two_log)
+    return min((refit_hypothesis(b, one, held) for b in begun), key=lambda h: h.misfit.minus_two_log)
 
 
 def _of_both(begun: Sequence[Sequence[Search]], one: Hypothesis) -> float:
     """-2 ln p of two records under one value of every parameter: the mean of both fits, weighted by their precision."""
-    if one.parts:
+    if one.candidates:
         again = _best(begun[1], one)
         first, second = (np.linalg.pinv(h.covariance, hermitian=True) for h in (one, again))
         mean = np.linalg.pinv(first + second, hermitian=True) @ (first @ one.values + second @ again.values)

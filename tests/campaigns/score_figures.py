@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from scipy.special import expit
 from scipy.stats import kstwo, norm
 
-from identify.gaps.decision_table import DIFFERS, Verdict
+from identify.gaps.decision_table import DIFFERENCE_P_VALUE, Verdict
 from identify.pages.wording import COVERED
 from tests.campaigns.calibration import Reliability, calibrated, null_p_values
 from tests.campaigns.scoreboard import ROWS, ScoredCase, detection_limits
@@ -182,6 +182,8 @@ def _p_values(compared: Sequence[ScoredCase]) -> Figure:
         steps = np.arange(ordered.size + 1) / ordered.size
         axes.step([0.0, *ordered, 1.0], [*steps, 1.0], where="post", color=BLUE, label=f"{ordered.size} nulls")
         axes.legend(frameon=False, loc="upper left")
-    axes.axvline(DIFFERS, color=RED, lw=0.8, ls="--")
-    axes.set(xlim=(0, 1), ylim=(0, 1), xlabel=f"p-value (dashed: {DIFFERS:g})", ylabel="share of nulls below it")
+    axes.axvline(DIFFERENCE_P_VALUE, color=RED, lw=0.8, ls="--")
+    axes.set(
+        xlim=(0, 1), ylim=(0, 1), xlabel=f"p-value (dashed: {DIFFERENCE_P_VALUE:g})", ylabel="share of nulls below it"
+    )
     return figure

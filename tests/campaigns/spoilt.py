@@ -19,8 +19,8 @@ from rich.table import Table
 
 from identify.checks import Finding, check_recording
 from identify.contacts.acceptance import find_contacts
-from identify.contacts.contact_record import STIFFNESS
 from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import STIFFNESS
 from rig import RigError
 from rig.commands.command_line import run
 from rig.files import write_json

@@ -12,8 +12,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from identify.gaps.decision.comparison import left_without, size
-from identify.gaps.decision.recordings import sound
+from identify.gaps.decision.comparison import mismatch_size, nominal_misfit_beside
+from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
@@ -97,11 +97,11 @@ def achieved(task: ToLay) -> Best:
 
 
 def _achieved(task: ToLay) -> Best:
-    (_, validation), _ = sound(read(Path(task.fit)), read(Path(task.validate)))
+    (_, validation), _ = without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=validation.rig.tolerances or LABORATORY)
     reference, matters = reference_of(linearized(record, record.rig)), Matters()
     alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
-    before = size(alone, matters)
+    before = mismatch_size(alone, matters)
     if not task.effects:
         return Best(before)
     left, without = _laid(record, reference, task.effects, alone)
@@ -112,8 +112,8 @@ def _achieved(task: ToLay) -> Best:
         others = task.effects[:k] + task.effects[k + 1 :]
         rest = _laid(record, reference, others, alone)[0] if others else alone
         # of a single effect, what the believed rig leaves with its nuisance parameters, as the verdict has it
-        behind = size(rest if others else without, matters)
-        made = float(np.sqrt(max(behind**2 - size(left, matters) ** 2, 0.0)))
+        behind = mismatch_size(rest if others else without, matters)
+        made = float(np.sqrt(max(behind**2 - mismatch_size(left, matters) ** 2, 0.0)))
         found.append(TrueEffect(made, rest.minus_two_log - left.minus_two_log, needed(effect, others, placed)))
     return Best(before, tuple(found))
 
@@ -142,4 +142,4 @@ def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: M
     for text in effects:
         rig = effect_named(text).applied_to(rig)
     linearization, at = fit_nuisance(record, rig, rounds=1)
-    return misfit(record, reference, at), left_without(record, reference, linearization, at) or alone
+    return misfit(record, reference, at), nominal_misfit_beside(record, reference, linearization, at) or alone

@@ -204,7 +204,7 @@ def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
             assert isinstance(law, DeadZone)
             assert law.stiffness_n_per_m == said[name]["stiffness_n_per_m"]["value"]
         if found.curves is not None:
-            assert np.isfinite(found.curves.at(found.curves.time_s)).all()
+            assert np.isfinite(found.curves.interpolated(found.curves.time_s)).all()
         if drawn:
             write_rrd(sound_recording(), None, folder / "r.rrd", identified=found)
 
@@ -237,7 +237,7 @@ def _simulated(_believed: Rig, _actual: Rig, forces_n: np.ndarray, _seed: int) -
 def null_reference() -> tuple[bytes, NullReference]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "one.json"
-        made = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", kept=path, simulations=1)
+        made = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulations=1)
         return path.read_bytes(), made
 
 
@@ -248,7 +248,7 @@ def kept_null_reference(rng: np.random.Generator, folder: Path) -> str:
     path.write_bytes((text_changed if rng.random() < 0.5 else bytes_changed)(rng, whole))
 
     def work() -> None:
-        found = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", kept=path, simulations=1)
+        found = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulations=1)
         assert found == made
 
     return refused_or_right(folder, work)

@@ -44,17 +44,17 @@ def test_a_channel_as_pandas(file):
 
 
 def test_contacts_from_a_file(file, tmp_path):
-    found = identify.contact(str(file), use="displacement")
-    (row,) = found.table()
+    result = identify.contact(str(file), use="displacement")
+    (row,) = result.table()
     assert abs(row["clearance_m"] - MASS.clearance_m) < 3 * row["clearance_m_within"]
-    assert found.to_dict()["contacts"][0]["clearance_m"]["value"] == row["clearance_m"]
-    assert str(found).startswith(f"stop: clearance {1e3 * row['clearance_m']:.4f} ± ")
-    assert found.figure("section").png.startswith(b"\x89PNG")
+    assert result.to_dict()["contacts"][0]["clearance_m"]["value"] == row["clearance_m"]
+    assert str(result).startswith(f"stop: clearance {1e3 * row['clearance_m']:.4f} ± ")
+    assert result.figure("section").png.startswith(b"\x89PNG")
     with pytest.raises(rig.RigError, match="no figure 'sections'; there are "):
-        found.figure("sections")
-    found.save(tmp_path / "results")
+        result.figure("sections")
+    result.save(tmp_path / "results")
     assert json.loads((tmp_path / "results" / "contact.json").read_text())["contacts"] == list(
-        found.to_dict()["contacts"]
+        result.to_dict()["contacts"]
     )
     assert (tmp_path / "results" / "contact.html").exists()
 
@@ -68,19 +68,19 @@ def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
     believed = identify.gap(file, rig=wrong, **asked)
     assert believed.report.causes[0].effects == ("contact_clearance",)
     assert believed.report.verdict != "consistent"
-    found = identify.contact(file, use="displacement")
-    found.save(tmp_path / "found")
+    result = identify.contact(file, use="displacement")
+    result.save(tmp_path / "found")
     identified = read_rig(tmp_path / "found" / "rig.json")
-    assert identified == found.rig
+    assert identified == result.rig
     assert identified == replace(MASS.rig(), contacts=identified.contacts)
-    estimate = found.report.contacts[0]
+    estimate = result.report.contacts[0]
     law = identified.contacts[0].law
     assert (law.lower_clearance_m, law.stiffness_n_per_m) == (
         estimate.lower_clearance_m.value,
         estimate.stiffness_n_per_m.value,
     )
-    again = identify.gap(file, rig=tmp_path / "found" / "rig.json", **asked)
-    assert again.report.verdict == "consistent"
+    second = identify.gap(file, rig=tmp_path / "found" / "rig.json", **asked)
+    assert second.report.verdict == "consistent"
 
 
 def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
@@ -95,11 +95,11 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
 
 
 def test_a_machine_is_consistent_with_its_recording(file, tmp_path):
-    found = identify.gap(rig.read(file), matters=SOME)
-    assert found.report.verdict == "consistent"
-    assert str(found) == found.report.sentence
-    assert found.corrected == MASS.rig()
-    found.save(tmp_path)
+    result = identify.gap(rig.read(file), matters=SOME)
+    assert result.report.verdict == "consistent"
+    assert str(result) == result.report.sentence
+    assert result.corrected == MASS.rig()
+    result.save(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"gap.html", "gap.json", "rig.json"}
 
 

@@ -26,8 +26,8 @@ def test_a_file_appears_when_it_is_whole(tmp_path):
 def test_what_fails_leaves_the_old_file_and_nothing_beside(tmp_path):
     path = tmp_path / "value.json"
     path.write_text("old")
-    with pytest.raises(UnicodeEncodeError), atomic_write(path) as part:
-        part.write_text("half a pair: \ud800", encoding="utf-8")
+    with pytest.raises(UnicodeEncodeError), atomic_write(path) as part_path:
+        part_path.write_text("half a pair: \ud800", encoding="utf-8")
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
 
@@ -36,11 +36,11 @@ def test_two_writers_wait_for_each_other(tmp_path):
     path, began = tmp_path / "value", Event()
 
     def write_slowly():
-        with atomic_write(path) as part:
-            part.write_text("the fir")
+        with atomic_write(path) as part_path:
+            part_path.write_text("the fir")
             began.set()
             time.sleep(0.2)
-            part.write_text("the first")
+            part_path.write_text("the first")
 
     with ThreadPoolExecutor() as pool:
         first = pool.submit(write_slowly)
@@ -51,23 +51,23 @@ def test_two_writers_wait_for_each_other(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize("end", [None, KeyboardInterrupt])
-def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, end):
+@pytest.mark.parametrize("interruption", [None, KeyboardInterrupt])
+def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, interruption):
     """A writer that has renamed its file owns nothing beside it any more, not even when it is interrupted."""
-    began = tmp_path / "value.part"
+    next_part = tmp_path / "value.part"
 
-    def settle_as_the_next_begins(part, path):
-        settle(part, path)
-        began.write_text("the next")
+    def settle_as_the_next_begins(part_path, path):
+        settle(part_path, path)
+        next_part.write_text("the next")
 
     monkeypatch.setattr("rig.files.settle", settle_as_the_next_begins)
     monkeypatch.setattr("rig.recording.writer.settle", settle_as_the_next_begins)
     write_bytes(b"whole", tmp_path / "value")
-    assert began.read_text() == "the next"
+    assert next_part.read_text() == "the next"
     with suppress(KeyboardInterrupt), writing(tmp_path / "value", RIG, channel_groups(RIG), {}):
-        if end is not None:
-            raise end
-    assert began.read_text() == "the next"
+        if interruption is not None:
+            raise interruption
+    assert next_part.read_text() == "the next"
 
 
 def test_a_place_that_another_writer_keeps_is_refused(tmp_path):
@@ -76,11 +76,11 @@ def test_a_place_that_another_writer_keeps_is_refused(tmp_path):
         pass
 
 
-@pytest.mark.parametrize("there", ["missing/value", "a_file/value"])
-def test_where_nothing_can_be_written_is_said(tmp_path, there):
+@pytest.mark.parametrize("name", ["missing/value", "a_file/value"])
+def test_where_nothing_can_be_written_is_said(tmp_path, name):
     (tmp_path / "a_file").write_text("")
-    with pytest.raises(RigError, match="cannot be written"), atomic_write(tmp_path / there) as part:
-        part.write_text("x")
+    with pytest.raises(RigError, match="cannot be written"), atomic_write(tmp_path / name) as part_path:
+        part_path.write_text("x")
 
 
 def test_a_symbolic_link_is_refused(tmp_path):

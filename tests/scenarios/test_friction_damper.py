@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 import identify
 from identify.laws import SLIDING
-from identify.laws.sliding import SlidingFriction
+from identify.laws.fitted_laws import SlidingFriction
 from scenarios.friction_damper import SAMPLE_RATE_HZ, DamperLaw, app, recorded
 
 DATA = Path(os.environ.get("FRICTION_DAMPER", "friction_damper"))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identify.gaps.decision_table import Evidence, Strength
-from identify.gaps.results import Attribution, Cause, Criteria, Gap, Left, Matters, labels_of
+from identify.gaps.results import Attribution, Cause, Criteria, Gap, Matters, UnexplainedShares, labels_of
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 from tests.campaigns.blind_diagnosis import Found, Refused
 from tests.campaigns.scoreboard import ScoredCase
@@ -49,7 +49,7 @@ def expected(where, law, **fields):
 
 def left(share):
     """What is left, of what matters by default: share / 0.005."""
-    return Left(share=share, contact_shares={"contact_1": 0.0}, p_value=0.5)
+    return UnexplainedShares(share=share, contact_shares={"contact_1": 0.0}, p_value=0.5)
 
 
 def cause(

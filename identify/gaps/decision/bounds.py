@@ -1,12 +1,12 @@
-"""Quantities that matter, of the difference between the nominal rig and the records, with 97.5 % upper bounds.
+"""Bounds of what matters: 97.5 % upper bounds of unexplained shares and contact parameters of the nominal rig.
 
 Notes for maintainers
-1. Shares: with x_s what second s leaves beyond noise over the whole measured band (m^2/s^4), P the mean square of the
-   acceleration, the squared share is mean(x) / P with the standard error of that mean over the seconds (Student), so
-   that a band without signal decides nothing. Of a contact force likewise.
-2. Contact parameters: their distance d from rig.json by the contact fit of `identify contact`, over all records,
-   against three of their stated standard deviations. What no record determines is bounded by nothing. With C the
-   covariance of the fit and S that of the tolerances, d' (C + S)^-1 d is chi-squared where nothing differs.
+1. Shares: with x_s the mean square residual of second s beyond noise over the whole measured band (m^2/s^4), and P the
+   mean square of the acceleration, the squared share is mean(x) / P. Its standard error is that of the mean over the
+   seconds (Student), so that a band without signal decides nothing. Contact forces likewise.
+2. Contact parameters: their distance d from rig.json by the contact fit of `identify contact` over all records, against
+   three of their stated standard deviations. A parameter that no record determines has no bound. With C the covariance
+   of the fit and S that of the tolerances, d' (C + S)^-1 d is chi-squared where nothing differs.
 """
 
 from collections.abc import Sequence
@@ -28,13 +28,13 @@ from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-HIDDEN = 0.25
-"""A contact force is hidden where noise makes more than this share of its mean square: half of its size."""
-DEVIATIONS = 3.0
-"""Stated standard deviations that a contact parameter may lie from rig.json: convention."""
-STATED = ("clearance", "stiffness", "contact_damping_s")
-"""Fields of the tolerances of a contact."""
-LOUDER = "excite the rig more strongly, or use sensors of less noise"
+HIDING_NOISE_SHARE = 0.25
+"""Share of a contact force's mean square from which noise hides it: half of its size."""
+PARAMETER_DEVIATIONS = 3.0
+"""Threshold of a contact parameter's distance from rig.json, in stated standard deviations: convention."""
+CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
+"""Tolerance fields of a contact."""
+LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class ContactDistances:
-    """Distances of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
+    """Distance of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
 
     bounds: tuple[Bounded, ...]
     p_values: tuple[float, ...]
@@ -62,15 +62,15 @@ class ContactDistances:
 
 
 def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
-    """The unexplained share of the motion, then that of each contact force."""
+    """Bounded unexplained shares: that of the motion, then that of each contact force."""
     upper = _upper_share(misfit.share_by_second)
     quantities = [Bounded("motion", "1", misfit.share, _at_least(misfit.share, upper), matters.motion)]
     for j, name in enumerate(contacts):
         force_n2 = float(np.mean(misfit.force_n2[:, j]))
-        weights, share = misfit.reference.seen[j].weights, float(misfit.contact_shares[j])
+        weights, share = misfit.reference.observations[j].weights, float(misfit.contact_shares[j])
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        if noise_n2 > HIDDEN * force_n2:
-            quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER))
+        if noise_n2 > HIDING_NOISE_SHARE * force_n2:
+            quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER_ADVICE))
         else:
             upper = _at_least(share, _upper_share(misfit.contact_n2[:, j] / max(force_n2, 1e-300)))
             quantities.append(Bounded(name, "1", share, upper, matters.contact))
@@ -82,46 +82,51 @@ def _at_least(value: float, upper: float | None) -> float | None:
 
 
 def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
-    """Upper end of the 97.5 % interval of the root of a mean over seconds; None where one second is all there is."""
+    """Upper 97.5 % bound of sqrt(mean(squares)) by Student's distribution; None for a single second."""
     if squares.size < 2:
         return None
-    error = float(squares.std(ddof=1)) / np.sqrt(squares.size)
-    return float(np.sqrt(max(squares.mean() + student.ppf(0.975, squares.size - 1) * error, 0.0)))
+    standard_error = float(squares.std(ddof=1)) / np.sqrt(squares.size)
+    return float(np.sqrt(max(squares.mean() + student.ppf(0.975, squares.size - 1) * standard_error, 0.0)))
 
 
 def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
-    """Distances of every contact's parameters from `rig`, by the contact fit of all records together."""
+    """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
     outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
     bounds: list[Bounded] = []
     p_values: list[float] = []
     pooled: list[LawEstimate] = []
     for contact in rig.contacts:
-        estimates = [estimate for one in outcomes for estimate in one.estimates if estimate.contact == contact.name]
+        estimates = [
+            estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact == contact.name
+        ]
         if estimates and isinstance(contact.law, DeadZone):
             estimate = pooled_estimate(estimates)
-            bounds += _bounds(contact, estimate, tolerances)
+            bounds += _parameter_bounds(contact, estimate, tolerances)
             p_values.append(_p_value(contact, estimate, tolerances))
             pooled.append(estimate)
         else:
             bounds.append(
-                _undetermined(contact, [one.refusals[contact.name] for one in outcomes if contact.name in one.refusals])
+                _undetermined_parameters(
+                    contact,
+                    [outcome.refusals[contact.name] for outcome in outcomes if contact.name in outcome.refusals],
+                )
             )
     return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled))
 
 
-def _undetermined(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
-    """The parameters of a contact that no record determines."""
+def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
+    """Parameters of a contact that no record determines, without a bound, and the reason."""
     names = f"clearance, stiffness and damping of {contact.name}"
     if not isinstance(contact.law, DeadZone):
         return Bounded(names, "", None, None, 0.0, "its law is no dead zone")
-    why, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
-    return Bounded(names, "", None, None, 0.0, why, remedy)
+    reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
+    return Bounded(names, "", None, None, 0.0, reason, remedy)
 
 
 @dataclass(frozen=True)
 class LawDistance:
-    """Distance d of estimated parameters from those of a contact's law (m, N/m, N s/m, m), and C + S: the covariance of
-    the estimate with the stated variances of the nominal law."""
+    """Distance d of estimated parameters from those of a contact's law (m, N/m, N s/m, m), and its covariance C + S: of
+    the estimate, plus the stated variances of the nominal law."""
 
     distance: Float[np.ndarray, " rows"]
     covariance: Float[np.ndarray, "rows rows"]
@@ -133,7 +138,7 @@ class LawDistance:
 
 def law_distance(estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
     distance = np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
-    stated = np.diag(np.square(deviations(nominal, tolerances)[: distance.size]))
+    stated = np.diag(np.square(stated_deviations(nominal, tolerances)[: distance.size]))
     return LawDistance(distance, estimate.covariance + stated)
 
 
@@ -142,23 +147,27 @@ def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) ->
     return float(chi2.sf(measured.chi_squared, measured.distance.size))
 
 
-def _bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
+def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
     distances = np.abs(law_distance(estimate, contact, contact, tolerances).distance)
-    errors = COVERED * np.sqrt(np.diag(estimate.covariance))
+    half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
-    rows = zip(names, units, distances, errors, deviations(contact, tolerances), strict=False)
+    rows = zip(names, units, distances, half_widths, stated_deviations(contact, tolerances), strict=False)
     return [
-        Bounded(f"{name} of {contact.name}", unit, float(value), float(value + error), DEVIATIONS * sigma)
-        for name, unit, value, error, sigma in rows
+        Bounded(
+            f"{name} of {contact.name}", unit, float(value), float(value + half_width), PARAMETER_DEVIATIONS * deviation
+        )
+        for name, unit, value, half_width, deviation in rows
     ]
 
 
-def deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:
-    """Stated standard deviations of clearance (m), stiffness (N/m), damping (N s/m) and of the play's middle (m).
+def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:
+    """Stated standard deviations of clearance (m), stiffness (N/m), damping (N s/m) and offset (m) of a contact.
 
-    A laboratory's where none is stated: no record bounds a distance by zero.
+    Those of a laboratory where none are stated, as no record bounds a distance by zero.
     """
     law = contact.law
-    clearance, stiffness, damping_s = (getattr(tolerances, name) or getattr(LABORATORY, name) for name in STATED)
+    clearance, stiffness, damping_s = (
+        getattr(tolerances, name) or getattr(LABORATORY, name) for name in CONTACT_TOLERANCES
+    )
     clearance_m, stiffness_n_per_m = clearance * law.clearance_m, law.stiffness_n_per_m
     return clearance_m, stiffness * stiffness_n_per_m, damping_s * stiffness_n_per_m, clearance_m

@@ -1,4 +1,4 @@
-"""Hypotheses compared on the record that was not fitted: posterior probabilities, and what each closes and leaves."""
+"""Comparison of hypotheses on the validation record: posterior probabilities, explained and unexplained shares."""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -20,156 +20,176 @@ from rig.errors import RigError
 from rig.model.description import Rig
 
 TEMPERATURE = 6.0
-"""-2 ln p counts for so much less between hypotheses than within one: what lasts of the unmodelled is shared by
-neighbouring bands and by both records. On tuning cases the likelihood of the right hypotheses is largest at 7.9, the
-Brier score least at 5.1."""
-PRIOR_NOTHING, PRIOR_SOME, PRIOR_UNKNOWN = 0.3, 0.5, 0.2
-"""Before anything was recorded: nothing, effects of the library, something that the library does not hold."""
-ANOTHER = 0.43
-"""Of machines with k effects so many have k + 1: as 0.15 to 0.35, two effects to one."""
-DRAWS = 400
+"""Divisor of -2 ln p between hypotheses: neighbouring bands and both records share model error that lasts. On tuning
+cases the likelihood of the right hypotheses is largest at 7.9, the Brier score least at 5.1."""
+PRIOR_NOTHING, PRIOR_EFFECTS, PRIOR_UNKNOWN = 0.3, 0.5, 0.2
+"""Prior probabilities of no difference, of effects of the library, and of something outside the library."""
+FURTHER_EFFECT_SHARE = 0.43
+"""Prior probability of k + 1 effects over that of k: as 0.15 to 0.35, two effects to one."""
+BOOTSTRAP_DRAWS = 400
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A hypothesis with its rig laid against the validation record, nuisance parameters fitted there anew.
+class ValidatedHypothesis:
+    """A hypothesis on the validation record, with nuisance parameters fitted to that record.
 
-    rig is the believed one with the effects; corrected also holds what was fitted beside them, and leaves misfit.
-    without is what the believed rig leaves with the same nuisance parameters: what the effects, by themselves, close.
-    Of a base that moves, which is no function of time, it is what the believed rig leaves with its own. contact_fit is
-    -2 ln p of its contact laws by the contact fit of all records, where that was made.
+    rig is the nominal rig with the effects; corrected_rig also holds the nuisance parameters, and has the misfit.
+    nominal_misfit is that of the nominal rig with the same nuisance parameters (with its own where a base moves, whose
+    motion is no function of time), so that its fall is due to the effects alone. contact_minus_two_log is -2 ln p of
+    the contact laws by the contact fit of all records, where that was made.
     """
 
     hypothesis: Hypothesis
     rig: Rig
-    corrected: Rig
+    corrected_rig: Rig
     misfit: Misfit
-    without: Misfit
+    nominal_misfit: Misfit
     log_prior: float
-    contact_fit: float = 0.0
+    contact_minus_two_log: float = 0.0
 
     @property
     def log_posterior(self) -> float:
-        """Given the validation record, and the contact fit, whose covariance needs no temperature; up to a constant."""
-        return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE) - self.contact_fit / 2
+        """Log posterior, up to a constant, given the validation record and the contact fit, whose covariance needs no
+        temperature."""
+        return self.log_prior - self.misfit.minus_two_log / (2 * TEMPERATURE) - self.contact_minus_two_log / 2
 
     @property
     def log_posterior_of_both(self) -> float:
-        """Given the record that was fitted too."""
+        """Log posterior given the fitted record too."""
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 
-def judged(
+def nominal_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
+    """Hypothesis of the nominal rig."""
+    return next(item for item in ranked if not item.hypothesis.candidates)
+
+
+def validate_hypotheses(
     record: Record,
     reference: Reference,
-    believed: Residual,
+    nominal_residual: Residual,
     hypotheses: Sequence[Hypothesis],
     priors: Mapping[tuple[str, ...], float],
     progress: Callable[[float], None] = lambda _: None,
-) -> list[Judged]:
-    """Every hypothesis that the validation record can hold, the likeliest first.
+) -> list[ValidatedHypothesis]:
+    """Validate hypotheses on a record that was not fitted; the likeliest first, without those that it cannot hold.
 
-    `believed` is the residual of the believed rig there. What each record has its own of (the phase of a tone) is
-    fitted anew.
+    nominal_residual is that of the nominal rig on this record. Parameters that every record has of its own (the phase
+    of a tone) are fitted anew.
     """
-    found = []
-    alone = misfit(record, reference, believed)
-    for i, one in enumerate(hypotheses):
-        rig, corrected, left, without = record.rig, record.rig, alone, alone
-        if one.parts:
+    validated = []
+    unchanged_misfit = misfit(record, reference, nominal_residual)
+    for i, hypothesis in enumerate(hypotheses):
+        rig, corrected_rig, effects_misfit, nominal_misfit = record.rig, record.rig, unchanged_misfit, unchanged_misfit
+        if hypothesis.candidates:
             try:
-                rig = of_this_record(record, one)
-                linearization, at = fit_nuisance(record, rig, rounds=1)
+                rig = record_specific_rig(record, hypothesis)
+                linearization, residual = fit_nuisance(record, rig, rounds=1)
             except RigError:
                 continue
-            corrected = at.corrected_rig
-            left, without = misfit(record, reference, at), left_without(record, reference, linearization, at) or alone
-        found.append(Judged(one, rig, corrected, left, without, priors[one.key]))
+            corrected_rig = residual.corrected_rig
+            effects_misfit = misfit(record, reference, residual)
+            nominal_misfit = nominal_misfit_beside(record, reference, linearization, residual) or unchanged_misfit
+        validated.append(
+            ValidatedHypothesis(hypothesis, rig, corrected_rig, effects_misfit, nominal_misfit, priors[hypothesis.key])
+        )
         progress((i + 1) / len(hypotheses))
-    return sorted(found, key=lambda j: -j.log_posterior)
+    return sorted(validated, key=lambda j: -j.log_posterior)
 
 
-def left_without(record: Record, reference: Reference, linearization: Linearization, at: Residual) -> Misfit | None:
+def nominal_misfit_beside(
+    record: Record, reference: Reference, linearization: Linearization, residual: Residual
+) -> Misfit | None:
     """Misfit of the nominal rig with the nuisance parameters of a rig with effects.
 
-    None where the residuals have not the same rows: a base that moves has one more.
+    None where the residuals differ in their rows: a moving base adds one.
     """
     if (linearization.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
-    unknowns = tuple(c.unknowns for c in at.contacts)
-    return misfit(record, reference, residual_of(linearization, record.rig, at.nuisance, unknowns))
+    contact_unknowns = tuple(c.unknowns for c in residual.contacts)
+    return misfit(record, reference, residual_of(linearization, record.rig, residual.nuisance, contact_unknowns))
 
 
-def of_this_record(record: Record, one: Hypothesis) -> Rig:
-    """The rig with the hypothesis, and what every record has its own of (a tone's phase) fitted to this one."""
-    own_of = {part.name: part.kind.of_a_record for part in one.parts}
-    own = [i for i, p in enumerate(one.parameters) if p.name in own_of[p.of]]
-    if not own:
-        return one.applied_to(record.rig)
+def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
+    """Rig with the hypothesis, with its record-specific parameters (the phase of a tone) fitted to this record."""
+    specific_names = {candidate.name: candidate.kind.of_a_record for candidate in hypothesis.candidates}
+    specific = [i for i, p in enumerate(hypothesis.parameters) if p.name in specific_names[p.of]]
+    if not specific:
+        return hypothesis.applied_to(record.rig)
 
-    def build(values: Float[np.ndarray, " own"]) -> Rig:
-        every = one.values.copy()
-        every[own] = values
-        return applied(record.rig, one.parts, every)
+    def build(values: Float[np.ndarray, " specific"]) -> Rig:
+        all_values = hypothesis.values.copy()
+        all_values[specific] = values
+        return applied(record.rig, hypothesis.candidates, all_values)
 
-    about = record.rig  # with a base motion's row, if there is one
-    for part, values in zip(one.parts, one.split(), strict=True):
-        about = part.applied(about, values) if part.kind.stochastic else about
-    linearization, at = fit_nuisance(record, about, rounds=1)
-    steps = steps_of(one.parts)[own]
-    low, high = (ends[own] for ends in one.parameters.bounds)
-    return build(fit(linearization, build, one.values[own], steps, (low, high), at).values)
-
-
-def log_priors(hypotheses: Sequence[Hypothesis], known: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
-    """Every effect of the library is as likely as any other, and as likely at each of its places."""
-    placed = Counter(candidate.kind.name for candidate in known)
-    return {one.key: log_prior(one.effects, placed) for one in hypotheses}
+    start_rig = record.rig  # with a base motion's row, if there is one
+    for candidate, values in zip(hypothesis.candidates, hypothesis.split(), strict=True):
+        start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
+    linearization, residual = fit_nuisance(record, start_rig, rounds=1)
+    steps = steps_of(hypothesis.candidates)[specific]
+    low, high = (bounds[specific] for bounds in hypothesis.parameters.bounds)
+    return build(fit(linearization, build, hypothesis.values[specific], steps, (low, high), residual).values)
 
 
-def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
-    """Log prior of effects at one place each, of which one may stand twice; `placed` counts the places of every effect.
+def log_priors(hypotheses: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
+    """Log prior of every hypothesis by its key: all effects of the library are as likely, at all of their places."""
+    place_counts = Counter(candidate.kind.name for candidate in candidates)
+    return {hypothesis.key: log_prior(hypothesis.effects, place_counts) for hypothesis in hypotheses}
 
-    With K effects in the library k of them have C(K + k - 1, k) sets, all as likely.
+
+def log_prior(effects: Sequence[str], place_counts: Mapping[str, int]) -> float:
+    """Log prior of effects at one place each, one of which may stand twice; place_counts are their numbers of places.
+
+    K effects in the library have C(K + k - 1, k) sets of k, all as likely.
     """
     count = len(effects)
     if not count:
         return float(np.log(PRIOR_NOTHING))
-    among = PRIOR_SOME * (1 - ANOTHER) * ANOTHER ** (count - 1) / comb(max(1, len(placed)) + count - 1, count)
-    return float(np.log(among) - sum(np.log(placed[name]) for name in effects))
+    set_prior = (
+        PRIOR_EFFECTS
+        * (1 - FURTHER_EFFECT_SHARE)
+        * FURTHER_EFFECT_SHARE ** (count - 1)
+        / comb(max(1, len(place_counts)) + count - 1, count)
+    )
+    return float(np.log(set_prior) - sum(np.log(place_counts[name]) for name in effects))
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
-    """Probabilities of log posteriors that are known up to a constant."""
+    """Probabilities from log posteriors that are known up to a constant."""
     likely = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(likely / likely.sum())
 
 
-def size(left: Misfit, matters: Matters) -> float:
-    """The size of a gap in units of what matters."""
-    return matters.times(left.share, left.contact_shares.tolist())
+def mismatch_size(misfit: Misfit, matters: Matters) -> float:
+    """Size of a mismatch in units of what matters."""
+    return matters.times(misfit.share, misfit.contact_shares.tolist())
 
 
-def closed(without: Misfit, after: Misfit, matters: Matters) -> float:
-    """The share of the gap that effects close: 1 - size after / size without them; zero where there was none."""
-    whole = size(without, matters)
-    return 1 - size(after, matters) / whole if whole > 0 else 0.0
+def explained_share(nominal: Misfit, corrected: Misfit, matters: Matters) -> float:
+    """Share of the mismatch that effects remove: 1 - size with them / size without; zero where there is no mismatch."""
+    nominal_size = mismatch_size(nominal, matters)
+    return 1 - mismatch_size(corrected, matters) / nominal_size if nominal_size > 0 else 0.0
 
 
-def removed(nominal: Misfit, without: Misfit, after: Misfit, matters: Matters) -> float:
-    """The share of the gap that effects remove. Where nothing is left beyond noise without them either, as tolerances
-    or free contact forces take it up, it is the share of what strains these: |pulls|^2 and the excess of -2 ln p."""
-    if size(without, matters) > 0:
-        return closed(without, after, matters)
-    whole, rest = (float(left.pulls @ left.pulls) + left.excess for left in (nominal, after))
-    return 1 - rest / whole if whole > 0 else 0.0
+def removed_share(nominal: Misfit, nominal_beside: Misfit, corrected: Misfit, matters: Matters) -> float:
+    """Share of the mismatch that effects remove, or of the strain where there is none beyond noise without them.
+
+    Tolerances or free contact forces have then absorbed the mismatch; their strain is |pulls|^2 plus the excess of
+    -2 ln p. nominal_beside is the misfit of the nominal rig with the nuisance parameters of the corrected one.
+    """
+    if mismatch_size(nominal_beside, matters) > 0:
+        return explained_share(nominal_beside, corrected, matters)
+    nominal_strain, corrected_strain = (
+        float(misfit.pulls @ misfit.pulls) + misfit.excess for misfit in (nominal, corrected)
+    )
+    return 1 - corrected_strain / nominal_strain if nominal_strain > 0 else 0.0
 
 
-def closed_interval(without: Misfit, after: Misfit, matters: Matters) -> tuple[float, float]:
-    """Its 95 % interval: a bootstrap over the seconds of the record."""
+def explained_share_interval(nominal: Misfit, corrected: Misfit, matters: Matters) -> tuple[float, float]:
+    """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
-    seconds = len(after.left)
-    drawn = rng.integers(0, seconds, (DRAWS, seconds))
-    many = [closed(without.drawn(d), after.drawn(d), matters) for d in drawn]
-    low, high = np.quantile(many, [0.025, 0.975])
+    seconds = len(corrected.variance_by_second)
+    samples = rng.integers(0, seconds, (BOOTSTRAP_DRAWS, seconds))
+    shares = [explained_share(nominal.resampled(sample), corrected.resampled(sample), matters) for sample in samples]
+    low, high = np.quantile(shares, [0.025, 0.975])
     return float(low), float(high)

@@ -1,13 +1,13 @@
-"""Differences between the records of one rig, and what they share.
+"""Differences between the records of one rig, and the parameters that they share.
 
-Tolerances are one draw that all records share; a cause's parameters, and every effect of the library at every place,
-are in turn each record's own. With their values v, covariance C and contrasts A between the records,
+All records share one draw of the tolerances; the parameters of a cause, and of every effect of the library at every
+place, are in turn free in each record. With their values v, covariance C and contrasts A between the records,
 
     chi2 = (Av)' (A C A')^-1 (Av) / TEMPERATURE
 
-(Wald's test of homogeneity, tempered as hypotheses are). The smallest p-value, times the number of effects looked at
-(Bonferroni), must be below `USUAL`; that effect then stands in the rig with each record's value, and the library is
-looked through once more, and again with what was found second taken first.
+(Wald's test of homogeneity, tempered as hypotheses are). The smallest p-value, times the number of effects tested
+(Bonferroni), must be below `USUAL_P_VALUE`; that effect is then in the rig with each record's value, and the library is
+tested once more, and again with the second effect taken first.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,290 +18,322 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.stats import chi2
 
-from identify.gaps.decision.comparison import TEMPERATURE, Judged, of_this_record
-from identify.gaps.decision.level_dependence import have_levels, level_dependence
-from identify.gaps.decision_table import USUAL
+from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, record_specific_rig
+from identify.gaps.decision.modal_changes import have_levels, level_dependence
+from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.fit import Values
 from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.record import Record
-from identify.gaps.results import Between, Compared, Trend
+from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
-from identify.gaps.search.pooled import Information, Linearised, Pooled, linearised, pooled
+from identify.gaps.search.pooled import Information, LinearizedRecord, PooledEstimate, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.unmeasured_force import Value
 
-LOOKED_AT = 3
-"""Effects that promise most are fitted to every record."""
-ROUNDS = 2
-"""Linearisations of such a fit."""
-APART = 2.0
-"""Standard errors of its difference by which a value grows or falls from one record to the next."""
+FITTED_EFFECTS = 3
+"""Number of the likeliest differing effects that are fitted to every record."""
+ROUNDS = 2  # linearisations of such a fit
+TREND_DEVIATIONS = 2.0
+"""Standard errors of a step from one record to the next above which a value grows or falls."""
 
 
 @dataclass(frozen=True)
-class Standing:
-    """Effects in the rigs of all records: values are each record's, `rigs` what they are put into."""
+class EffectValues:
+    """Effects with each record's own values, and the rigs to which they are applied."""
 
     rigs: tuple[Rig, ...]
-    parts: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
     values: Float[np.ndarray, "records parameters"]
 
     def rig(self, record: int) -> Rig:
-        return applied(self.rigs[record], self.parts, self.values[record])
+        return applied(self.rigs[record], self.candidates, self.values[record])
 
     @property
-    def names(self) -> list[str]:
-        return [p.name for p in self.parts]
+    def effect_names(self) -> list[str]:
+        return [candidate.name for candidate in self.candidates]
 
     def columns(self, name: str) -> list[int]:
         """Columns of an effect's parameters."""
-        return parameters_of(self.parts).places_of(name)
+        return parameters_of(self.candidates).places_of(name)
 
-    def strong(self, name: str) -> list[int]:
+    def strength_columns(self, name: str) -> list[int]:
         """Columns of an effect's strengths."""
-        return [self.columns(name)[i] for i in self.parts[self.names.index(name)].parameters.strengths]
+        return [self.columns(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
-    def with_effect(self, part: Candidate, values: Float[np.ndarray, "records own"]) -> "Standing":
-        """Standing effects with these values of one, which is there already or is added."""
-        if part.name in self.names:
-            return self.put(slice(None), self.columns(part.name), values)
-        return replace(self, parts=(*self.parts, part), values=np.concatenate([self.values, values], axis=1))
+    def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":
+        """Effects with these values of one of them, which is replaced or added."""
+        if candidate.name in self.effect_names:
+            return self.with_values(slice(None), self.columns(candidate.name), values)
+        return replace(
+            self, candidates=(*self.candidates, candidate), values=np.concatenate([self.values, values], axis=1)
+        )
 
-    def put(self, record: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]) -> "Standing":
-        """Standing effects with other values in some columns of one record, or of all."""
-        every = self.values.copy()
-        every[record, columns] = values
-        return replace(self, values=every)
+    def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
+        """Strengths of an effect, free in each record."""
+        return VaryingParameters(self, self.strength_columns(candidate.name))
+
+    def with_values(
+        self, record: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]
+    ) -> "EffectValues":
+        """Effects with these values in some columns of one record, or of all."""
+        all_values = self.values.copy()
+        all_values[record, columns] = values
+        return replace(self, values=all_values)
 
 
 @dataclass(frozen=True)
-class Varied:
-    """Parameters of standing effects, by their columns, that every record may have its own of."""
+class VaryingParameters:
+    """Parameters of effects, by their columns, with each record's own values."""
 
-    standing: Standing
+    effects: EffectValues
     columns: list[int]
 
     @property
-    def own(self) -> Float[np.ndarray, "records varied"]:
-        return self.standing.values[:, self.columns]
+    def record_values(self) -> Float[np.ndarray, "records varied"]:
+        return self.effects.values[:, self.columns]
 
     @property
     def steps(self) -> Values:
-        return steps_of(self.standing.parts)[self.columns]
+        return steps_of(self.effects.candidates)[self.columns]
 
     @property
     def bounds(self) -> tuple[Values, Values]:
-        low, high = parameters_of(self.standing.parts).bounds
+        low, high = parameters_of(self.effects.candidates).bounds
         return low[self.columns], high[self.columns]
 
-    def said(self, record: int, looked: Linearised) -> Information:
+    def information(self, record: int, linearised_record: LinearizedRecord) -> Information:
         def build(values: Values) -> Rig:
-            return self.standing.put(record, self.columns, values).rig(record)
+            return self.effects.with_values(record, self.columns, values).rig(record)
 
-        return looked.with_parameters(build, self.own[record], self.steps, self.bounds[1])
+        return linearised_record.with_parameters(build, self.record_values[record], self.steps, self.bounds[1])
 
-    def pooled(self, said: Sequence[Information]) -> Pooled:
-        return pooled(said, self.steps, self.bounds, self.own[0], own=True)
+    def pooled(self, information: Sequence[Information]) -> PooledEstimate:
+        return pooled(information, self.steps, self.bounds, self.record_values[0], per_record=True)
 
-    def moved(self, together: Pooled) -> "Varied":
+    def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
-        values = np.clip(together.values.reshape(self.own.shape), *self.bounds)
-        return Varied(self.standing.put(slice(None), self.columns, values), self.columns)
+        values = np.clip(estimate.values.reshape(self.record_values.shape), *self.bounds)
+        return VaryingParameters(self.effects.with_values(slice(None), self.columns, values), self.columns)
 
 
 @dataclass(frozen=True)
-class Test:
-    """An effect with each record's own strength, fitted: log_p is the logarithm of the p-value of one for all."""
+class HomogeneityTest:
+    """Fit of an effect with each record's own strength, and the log p-value of one strength for all records."""
 
-    part: Candidate
-    varied: Varied
+    candidate: Candidate
+    varying: VaryingParameters
     cost: float
     log_p: float
 
     @property
     def values(self) -> Float[np.ndarray, "records own"]:
-        return self.varied.standing.values[:, self.varied.standing.columns(self.part.name)]
+        return self.varying.effects.values[:, self.varying.effects.columns(self.candidate.name)]
 
 
 @dataclass(frozen=True)
-class _Compared:
-    """Data that all comparisons of the same records share."""
+class _RecordSet:
+    """Records with their references, and the candidates whose values are compared between them."""
 
     records: Sequence[Record]
-    seen: Sequence[Reference]
-    known: Sequence[Candidate]
+    references: Sequence[Reference]
+    candidates: Sequence[Candidate]
 
-    def linearised(self, standing: Standing, record: int) -> Linearised:
-        return linearised(self.records[record], self.seen[record], standing.rig(record))
+    def linearized_record(self, effects: EffectValues, record: int) -> LinearizedRecord:
+        return linearized_record(self.records[record], self.references[record], effects.rig(record))
 
-    def screened(self, standing: Standing, found: Sequence[str]) -> list[Test]:
-        """Every effect but those found, linearised, the likeliest first; each at its best place."""
-        tried = [(p, Varied(standing, standing.strong(p.name))) for p in standing.parts if p.name not in found]
-        for part in self.known:
-            for start in part.starts() if part.name not in standing.names else ():
-                there = standing.with_effect(part, np.tile(start, (len(self.records), 1)))
-                tried.append((part, Varied(there, there.strong(part.name))))
-        said: list[list[Information]] = [[] for _ in tried]
-        for k in range(len(self.records)):
-            looked = self.linearised(standing, k)
-            for rows, (_, one) in zip(said, tried, strict=True):
+    def screened(self, effects: EffectValues, excluded: Sequence[str]) -> list[HomogeneityTest]:
+        """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
+        trials = [
+            (candidate, effects.varying_strengths(candidate))
+            for candidate in effects.candidates
+            if candidate.name not in excluded
+        ]
+        for candidate in self.candidates:
+            for start in candidate.starts() if candidate.name not in effects.effect_names else ():
+                with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
+                trials.append((candidate, with_candidate.varying_strengths(candidate)))
+        information: list[list[Information]] = [[] for _ in trials]
+        for record in range(len(self.records)):
+            linearised_record = self.linearized_record(effects, record)
+            for record_information, (_, varying) in zip(information, trials, strict=True):
                 with suppress(RigError):
-                    rows.append(one.said(k, looked))
-        best: dict[str, Test] = {}
-        for rows, (part, one) in zip(said, tried, strict=True):
-            if len(rows) == len(self.records):
-                together = one.pooled(rows)
-                if part.name not in best or together.cost < best[part.name].cost:
-                    best[part.name] = Test(part, one.moved(together), together.cost, _log_p(together, one.own.shape))
-        return sorted(best.values(), key=lambda t: t.cost)
+                    record_information.append(varying.information(record, linearised_record))
+        best: dict[str, HomogeneityTest] = {}
+        for record_information, (candidate, varying) in zip(information, trials, strict=True):
+            if len(record_information) == len(self.records):
+                estimate = varying.pooled(record_information)
+                if candidate.name not in best or estimate.cost < best[candidate.name].cost:
+                    best[candidate.name] = _homogeneity_test(candidate, varying.at_estimate(estimate), estimate)
+        return sorted(best.values(), key=lambda test: test.cost)
 
-    def fitted(self, one: Varied) -> tuple[Varied, Pooled]:
-        """Each record's own values, linearised about themselves."""
+    def fitted(self, initial: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+        """Fit of each record's own values, linearised about the estimate."""
 
-        def refit(varied: Varied) -> tuple[Varied, Pooled]:
-            together = self.pooled(varied)
-            return varied.moved(together), together
+        def refit(varying: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+            estimate = self.pooled(varying)
+            return varying.at_estimate(estimate), estimate
 
-        return refit_until_settled(refit(one), lambda estimate: refit(estimate[0]), rounds=ROUNDS - 1)
+        return refit_until_settled(refit(initial), lambda fit: refit(fit[0]), rounds=ROUNDS - 1)
 
-    def pooled(self, one: Varied) -> Pooled:
-        """Pooled information of all records on these values, each linearised about its own."""
-        return one.pooled([one.said(k, self.linearised(one.standing, k)) for k in range(len(self.records))])
+    def pooled(self, varying: VaryingParameters) -> PooledEstimate:
+        """Pooled estimate from all records, each linearised about its own values."""
+        records = range(len(self.records))
+        return varying.pooled([varying.information(k, self.linearized_record(varying.effects, k)) for k in records])
 
-    def most_different(self, standing: Standing, found: Sequence[str]) -> tuple[Test | None, int]:
-        """The likeliest effect of those that differ beyond chance, and the number looked at."""
-        tests = self.screened(standing, found)
-        least = float(np.log(USUAL / max(1, len(tests))))
+    def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
+        """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
+        tests = self.screened(effects, excluded)
+        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(tests))))
         different = []
-        for test in [t for t in tests if t.log_p < least][:LOOKED_AT]:
+        for test in [item for item in tests if item.log_p < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                varied, together = self.fitted(test.varied)
-                different.append(Test(test.part, varied, together.cost, _log_p(together, varied.own.shape)))
-        return min((t for t in different if t.log_p < least), key=lambda t: t.cost, default=None), len(tests)
+                varying, estimate = self.fitted(test.varying)
+                different.append(_homogeneity_test(test.candidate, varying, estimate))
+        significant = (item for item in different if item.log_p < log_threshold)
+        return min(significant, key=lambda item: item.cost, default=None), len(tests)
+
+
+def _homogeneity_test(candidate: Candidate, varying: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
+    log_p = _homogeneity_log_p(estimate, varying.record_values.shape)
+    return HomogeneityTest(candidate, varying, estimate.cost, log_p)
 
 
 def differences(
     records: Sequence[Record],
-    seen: Sequence[Reference],
-    cause: Judged | None,
-    known: Sequence[Candidate],
-    names: Sequence[str],
+    references: Sequence[Reference],
+    cause: ValidatedHypothesis | None,
+    candidates: Sequence[Candidate],
+    titles: Sequence[str],
     levels_n: Sequence[float],
     progress: Callable[[float], None] = lambda _: None,
-) -> Between:
-    """Differences between records beside a cause, or the nominal rig; `known` are the effects at all places,
-    `names` and `levels_n` those of the records, the latter by the root mean square of the force.
+) -> RecordDifferences:
+    """Differences between the records of a rig with a cause, or of the nominal rig.
 
-    Left out are effects that only a spectrum tells, and those that every record has its own of (a tone's phase).
+    candidates are the effects at all places; titles and levels_n (root mean squares of the force, N) belong to the
+    records. Effects known by their spectrum alone, or with parameters of every record's own (the phase of a tone), are
+    not compared.
     """
-    compared = _Compared(records, seen, [c for c in known if not (c.kind.stochastic or c.kind.of_a_record)])
-    begun = _standing(records, cause)
-    tests, looked_at = _different(compared, begun, progress)
+    comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
+    record_set = _RecordSet(records, references, comparable)
+    initial = _initial_effects(records, cause)
+    tests, tested_effects = _differing_effects(record_set, initial, progress)
     order = np.argsort(levels_n) if have_levels(levels_n) else None
-    varied, differing = _values_apart(compared, begun, tests, looked_at, order)
-    shared = _values_shared(compared, varied.standing, [p.name for p in begun.parts], [t.part.name for t in tests])
+    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effects, order)
+    different = [test.candidate.name for test in tests]
+    shared = _pool_shared_values(record_set, varying.effects, initial.effect_names, different)
     progress(1.0)
-    rigs = [varied.standing.rig(k) for k in range(len(records))]
+    rigs = [varying.effects.rig(record) for record in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
-    return Between(
-        records=tuple(names),
-        cause=tuple(_rows(shared[0], shared[1], 0)) if shared else (),
-        cause_p_value=float(np.exp(_log_p(shared[1], shared[0].own.shape))) if shared else None,
+    return RecordDifferences(
+        records=tuple(titles),
+        cause=tuple(_parameter_rows(shared[0], shared[1], 0)) if shared else (),
+        cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
         differing=tuple(differing),
-        looked_at=looked_at,
+        looked_at=tested_effects,
         level_dependence=level_dependence(rigs, levels_n, differing, highest_hz),
     )
 
 
-def _different(compared: _Compared, begun: Standing, progress: Callable[[float], None]) -> tuple[tuple[Test, ...], int]:
-    """Effects, two at most, that differ between the records, and the number looked at.
+def _differing_effects(
+    record_set: _RecordSet, initial: EffectValues, progress: Callable[[float], None]
+) -> tuple[tuple[HomogeneityTest, ...], int]:
+    """Differing effects, two at most, and the number of effects tested.
 
-    What is found first may be another effect beside what is found second: then it is looked for again.
+    Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first, looked_at = compared.most_different(begun, ())
+    first, tested_effects = record_set.most_different(initial, ())
     progress(0.3)
     if first is None:
-        return (), looked_at
-    second, _ = compared.most_different(first.varied.standing, [first.part.name])
+        return (), tested_effects
+    second, _ = record_set.most_different(first.varying.effects, [first.candidate.name])
     progress(0.6)
     if second is None:
-        return (first,), looked_at
-    alone = begun.with_effect(second.part, second.values)
-    again, _ = compared.most_different(alone, [second.part.name])
-    return (second, again) if again and again.cost < second.cost else (first, second), looked_at
+        return (first,), tested_effects
+    second_only = initial.with_effect(second.candidate, second.values)
+    first_refitted, _ = record_set.most_different(second_only, [second.candidate.name])
+    return (second, first_refitted) if first_refitted and first_refitted.cost < second.cost else (
+        first,
+        second,
+    ), tested_effects
 
 
-def _values_apart(
-    compared: _Compared,
-    begun: Standing,
-    tests: Sequence[Test],
-    looked_at: int,
+def _fit_differing_values(
+    record_set: _RecordSet,
+    initial: EffectValues,
+    tests: Sequence[HomogeneityTest],
+    tested_effects: int,
     order: Int[np.ndarray, " records"] | None,
-) -> tuple[Varied, list[Compared]]:
-    """Each record's own strengths of the effects that differ, fitted together, and their rows of the answer; `order` is
-    that of the records' levels, if they have several."""
-    standing = begun
+) -> tuple[VaryingParameters, list[ParameterByRecord]]:
+    """Joint fit of each record's strengths of the effects that differ, and their rows; order sorts the records by
+    level."""
+    effects = initial
     for test in tests:
-        standing = standing.with_effect(test.part, test.values)
-    varied = Varied(standing, [c for test in tests for c in standing.strong(test.part.name)])
+        effects = effects.with_effect(test.candidate, test.values)
+    columns = [column for test in tests for column in effects.strength_columns(test.candidate.name)]
+    varying = VaryingParameters(effects, columns)
     if not tests:
-        return varied, []
-    varied, together = compared.fitted(varied)
-    return varied, _rows(varied, together, looked_at, order)
+        return varying, []
+    varying, estimate = record_set.fitted(varying)
+    return varying, _parameter_rows(varying, estimate, tested_effects, order)
 
 
-def _values_shared(
-    compared: _Compared, standing: Standing, of_cause: Sequence[str], differing: Sequence[str]
-) -> tuple[Varied, Pooled] | None:
-    """Each record's own values of the cause's effects that do not differ; None if there are none."""
-    names = [name for name in of_cause if name not in differing]
-    varied = Varied(standing, [c for name in names for c in standing.columns(name)])
-    return (varied, compared.pooled(varied)) if varied.columns else None
+def _pool_shared_values(
+    record_set: _RecordSet, effects: EffectValues, cause_effects: Sequence[str], differing: Sequence[str]
+) -> tuple[VaryingParameters, PooledEstimate] | None:
+    """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
+    names = [name for name in cause_effects if name not in differing]
+    varying = VaryingParameters(effects, [column for name in names for column in effects.columns(name)])
+    return (varying, record_set.pooled(varying)) if varying.columns else None
 
 
-def _standing(records: Sequence[Record], cause: Judged | None) -> Standing:
-    """The cause's effects, if each record can have its own values of them; else they are in the rigs as they are."""
-    parts = cause.hypothesis.parts if cause else ()
-    if cause and not any(p.kind.stochastic or p.kind.of_a_record for p in parts):
-        return Standing(tuple(r.rig for r in records), parts, np.tile(cause.hypothesis.values, (len(records), 1)))
-    rigs = tuple(of_this_record(r, cause.hypothesis) if cause else r.rig for r in records)
-    return Standing(rigs, (), np.zeros((len(records), 0)))
+def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
+    """Effects of the cause, if every record can have values of its own; else rigs that hold them."""
+    candidates = cause.hypothesis.candidates if cause else ()
+    if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
+        values = np.tile(cause.hypothesis.values, (len(records), 1))
+        return EffectValues(tuple(r.rig for r in records), candidates, values)
+    rigs = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
+    return EffectValues(rigs, (), np.zeros((len(records), 0)))
 
 
-def _log_p(together: Pooled, shape: tuple[int, ...], parameter: int | None = None) -> float:
-    """The logarithm of the p-value that the records have one value: of all parameters varied, or of one."""
-    records, size = shape
-    keep = np.eye(size) if parameter is None else np.eye(size)[[parameter]]
-    contrast = np.kron(np.diff(np.eye(records), axis=0), keep)
-    apart = contrast @ together.values
-    square = apart @ np.linalg.solve(contrast @ together.covariance @ contrast.T, apart)
-    return float(chi2.logsf(square / TEMPERATURE, len(contrast)))
+def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], parameter: int | None = None) -> float:
+    """Log p-value of one value for all records (tempered Wald test): of all varying parameters, or of one."""
+    records, count = shape
+    selection = np.eye(count) if parameter is None else np.eye(count)[[parameter]]
+    contrast = np.kron(np.diff(np.eye(records), axis=0), selection)
+    difference = contrast @ estimate.values
+    chi_squared = difference @ np.linalg.solve(contrast @ estimate.covariance @ contrast.T, difference)
+    return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrast)))
 
 
-def _rows(
-    one: Varied, together: Pooled, among: int, order: Int[np.ndarray, " records"] | None = None
-) -> list[Compared]:
-    """Rows of the answer; `among`: the number of effects looked at, or 0; `order`: that of the levels."""
-    records, size = one.own.shape
-    every = [(part, p) for part in one.standing.parts for p in part.parameters]
+def _parameter_rows(
+    varying: VaryingParameters,
+    estimate: PooledEstimate,
+    comparisons: int,
+    order: Int[np.ndarray, " records"] | None = None,
+) -> list[ParameterByRecord]:
+    """Result rows of the parameters; comparisons is the number of effects tested (Bonferroni), 0 for the cause."""
+    records, count = varying.record_values.shape
+    labelled = [(effect, parameter) for effect in varying.effects.candidates for parameter in effect.parameters]
     rows = []
-    for i, column in enumerate(one.columns):
-        part, about = every[column]
-        own = np.arange(records) * size + i
-        covariance = TEMPERATURE * together.covariance[np.ix_(own, own)]
-        values = together.values[own]
-        centred = np.eye(records) - 1 / records
-        errors = np.sqrt(np.maximum(np.diag(centred @ covariance @ centred), 0.0))
+    for i, column in enumerate(varying.columns):
+        candidate, parameter = labelled[column]
+        indices = np.arange(records) * count + i
+        covariance = TEMPERATURE * estimate.covariance[np.ix_(indices, indices)]
+        values = estimate.values[indices]
+        centring = np.eye(records) - 1 / records
+        errors = np.sqrt(np.maximum(np.diag(centring @ covariance @ centring), 0.0))
+        p_value = float(np.exp(_homogeneity_log_p(estimate, varying.record_values.shape, i)))
         rows.append(
-            Compared(
-                parameter=f"{part.kind.name}.{about.name}",
-                place=", ".join(target or "all" for target in part.place.values()),
-                values=tuple(Value(float(v), float(e), about.unit) for v, e in zip(values, errors, strict=True)),
-                p_value=min(1.0, max(1, among) * float(np.exp(_log_p(together, one.own.shape, i)))),
-                trend=_trend(values, covariance) if among else "none",
+            ParameterByRecord(
+                parameter=f"{candidate.kind.name}.{parameter.name}",
+                place=", ".join(target or "all" for target in candidate.place.values()),
+                values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
+                p_value=min(1.0, max(1, comparisons) * p_value),
+                trend=_trend(values, covariance) if comparisons else "none",
                 by_level="none" if order is None else _trend(values[order], covariance[np.ix_(order, order)]),
             )
         )
@@ -309,10 +341,10 @@ def _rows(
 
 
 def _trend(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
-    """Over the records in their order; a step within its error is neither up nor down."""
+    """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
     steps = np.diff(values)
     errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    clear = steps[np.abs(steps) > APART * errors]
-    if clear.size and np.all(clear > 0):
+    significant = steps[np.abs(steps) > TREND_DEVIATIONS * errors]
+    if significant.size and np.all(significant > 0):
         return "grows"
-    return "falls" if clear.size and np.all(clear < 0) else "differs"
+    return "falls" if significant.size and np.all(significant < 0) else "differs"

@@ -1,38 +1,80 @@
-"""The third stage of a diagnosis: hypotheses, and something unmeasured, judged on the recording that was not fitted."""
+"""Judgement of hypotheses, and of something unmeasured, on the validation record.
+
+The verdict may be vetoed by prediction: the rig with the named effects has to move as the machine does.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
-from identify.gaps.decision.comparison import TEMPERATURE, Judged, closed, judged, log_priors
+from identify.gaps.decision.comparison import (
+    TEMPERATURE,
+    ValidatedHypothesis,
+    explained_share,
+    log_priors,
+    nominal_of,
+    validate_hypotheses,
+)
 from identify.gaps.decision.contact_evidence import with_contact_evidence
-from identify.gaps.decision.hypotheses import Searched
-from identify.gaps.decision.notes import attempted
-from identify.gaps.decision.null_reference import combined, p_values
-from identify.gaps.decision.prediction import PredictedDecision, predicted, predicted_decision
-from identify.gaps.decision.prepare import Prepared, PreparedRecording
-from identify.gaps.decision.verdict import Decision, Rivals, acts_where_they_do, decided, nominal_of
-from identify.gaps.decision_table import DIFFERS, HALF, Verdict, all_hold
+from identify.gaps.decision.notes import Attempt, attempted
+from identify.gaps.decision.null_reference import combined_p_value, p_values
+from identify.gaps.decision.prepare import Prepared, PreparedRecording, Searched
+from identify.gaps.decision.verdict import (
+    RIVAL_PROBABILITY,
+    Decision,
+    ForceRivals,
+    acts_at_effects,
+    decide,
+    strengths_exclude_neutral,
+)
+from identify.gaps.decision_table import DIFFERENCE_P_VALUE, PARTLY_EXPLAINED_SHARE, Verdict, all_hold
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters, Note
+from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction, log_ratio_of
+from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.contact_laws import with_contact_fit
-from identify.gaps.search.hypothesis import WORTH
+from identify.gaps.search.hypothesis import MIN_GAIN
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
 from identify.linear.joined import joined
 from rig.model.description import Rig
 
+CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
+"""p-value below which no further part of the combination raises it above `DIFFERENCE_P_VALUE`."""
+INCOMPLETE_VERDICTS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
+"""Verdicts that leave something to be described."""
+CONFIRMING_SIMULATIONS = 3
+"""Simulations with the named effects, made where their prediction improves by less than expected."""
+
+
+@dataclass(frozen=True)
+class PredictedDecision:
+    """Decision among hypotheses, and the prediction with its named effects.
+
+    ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion.
+    """
+
+    ranked: Sequence[ValidatedHypothesis]
+    decision: Decision
+    rollout: Attempt[Rollout] = field(default_factory=Attempt)
+    ruled_out: tuple[ValidatedHypothesis, ...] = ()
+
+    @property
+    def vetoed(self) -> bool:
+        return self.rollout.value is not None and self.rollout.value.vetoed
+
 
 @dataclass(frozen=True)
 class Unmeasured:
-    """Unmeasured force, or modulated clearance, beside the nominal rig, or beside named effects that explain a part.
+    """Unmeasured force or modulated clearance, in the nominal rig or beside named effects that explain a part.
 
-    gain is by how much -2 ln p of the believed rig falls with the force that explains it best; None where none was
-    looked for.
+    gain is the decrease of the nominal rig's -2 ln p by the force that explains it best; None where none was looked
+    for.
     """
 
     force: UnmeasuredForceFit | None = None
@@ -43,8 +85,10 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class Judgement:
-    """The decision on the validation record, and what prediction said before an unmeasured force was looked for;
-    linearization and residual there are those of the believed rig."""
+    """Decision on the validation record, and the predicted decision before an unmeasured force was looked for.
+
+    linearization and residual are those of the nominal rig on that record.
+    """
 
     decision: Decision
     prediction: PredictedDecision
@@ -56,132 +100,206 @@ class Judgement:
 def judge(
     prepared: Prepared, searched: Searched, matters: Matters, progress: Callable[[float], None] = lambda _: None
 ) -> Judgement:
-    """The difference, every hypothesis on the validation record, whether the named effects predict the motion, and
-    something unmeasured where they do not suffice."""
+    """Judge the difference, every hypothesis and the prediction with the named effects on the validation record.
+
+    Where named effects do not suffice, an unmeasured force and a modulated clearance are looked for.
+    """
     validation = prepared.validation
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig, rounds=1)
     priors = log_priors(searched.hypotheses, searched.candidates)
-    ranked = judged(record, validation.reference, residual, searched.hypotheses, priors, progress)
-    ranked = _with_contact_fit(prepared, ranked, residual)
+    ranked = validate_hypotheses(record, validation.reference, residual, searched.hypotheses, priors, progress)
+    ranked = _refit_contact_laws(prepared, ranked, residual)
     difference = difference_of(prepared, residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
     basis = _Basis(prepared, difference, residual, matters)
     outcome = predicted_decision(
-        ranked, basis.decided, lambda named: attempted("rollout", lambda: predicted(prepared, residual, named))
+        ranked, basis.decide, lambda named: attempted("rollout", lambda: predicted_rollout(prepared, residual, named))
     )
     decision, unmeasured = outcome.decision, Unmeasured()
-    if decision.verdict in INCOMPLETE:
-        decision, unmeasured = _with_a_force(basis, outcome.ranked, decision)
+    if decision.verdict in INCOMPLETE_VERDICTS:
+        decision, unmeasured = _decide_with_force(basis, outcome.ranked, decision)
     return Judgement(decision, outcome, unmeasured, linearization, residual)
 
 
 @dataclass(frozen=True)
 class _Basis:
-    """Evidence that all decisions on the hypotheses share."""
+    """Evidence common to all decisions on the hypotheses."""
 
     prepared: Prepared
     difference: Difference
     residual: Residual
     matters: Matters
 
-    def decided(self, ranked: Sequence[Judged], vetoed: bool = False, rivals: Rivals | None = None) -> Decision:
-        return decided(ranked, self.difference, self.prepared.null_reference, self.matters, rivals, vetoed)
+    def decide(
+        self, ranked: Sequence[ValidatedHypothesis], vetoed: bool = False, rivals: ForceRivals | None = None
+    ) -> Decision:
+        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, rivals, vetoed)
 
 
-def split_p_value(ranked: Sequence[Judged]) -> float:
-    """p-value of the nominal rig against the hypotheses that were fitted on another record.
+def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
+    """p-value of the nominal rig against n hypotheses that were fitted on another record.
 
-    With S of the nominal rig and of the n-th hypothesis on the record that was not fitted, the split likelihood ratio
-    gives p <= n exp((S_hypothesis - S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc.
-    Natl. Acad. Sci. 117, 2020).
+    With S = -2 ln p on the record that was not fitted, the split likelihood ratio gives p <= n exp((S_hypothesis -
+    S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc. Natl. Acad. Sci. 117, 2020).
     """
     nominal = nominal_of(ranked).misfit.minus_two_log
-    gains = [nominal - j.misfit.minus_two_log for j in ranked if j.hypothesis.parts]
+    gains = [nominal - item.misfit.minus_two_log for item in ranked if item.hypothesis.candidates]
     return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
 
 
-CERTAIN = DIFFERS / 10
-"""A p-value that no further part of the combination raises above `DIFFERS`."""
-INCOMPLETE = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
-"""Verdicts with which something is left to be described."""
-
-
 def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_split: float) -> Difference:
-    """Difference of the nominal rig and all records; `residual` is that of the record that validates.
+    """Difference of the nominal rig and all records; `residual` is that of the validation record.
 
-    Contact parameters are looked at unless the rest is certain of a difference that is not bounded.
+    Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
     validation = prepared.validation
     residuals = [
-        residual if one is validation else fit_nuisance(one.record, one.record.rig, rounds=1)[1]
-        for one in prepared.observations
+        residual if observation is validation else fit_nuisance(observation.record, observation.record.rig, rounds=1)[1]
+        for observation in prepared.observations
     ]
-    left = [misfit(one.record, one.reference, at) for one, at in zip(prepared.observations, residuals, strict=True)]
-    parts = np.append(p_values(list(zip(prepared.null_references, left, strict=True))), p_split)
+    misfits = [
+        misfit(observation.record, observation.reference, rig_residual)
+        for observation, rig_residual in zip(prepared.observations, residuals, strict=True)
+    ]
+    p_parts = np.append(p_values(list(zip(prepared.null_references, misfits, strict=True))), p_split)
     rig = validation.record.rig
     names = [f"force of {contact.name}" for contact in joined(rig).contacts]
-    motion, *contacts = share_bounds(left[prepared.validating], names, matters)
-    if combined(parts) < CERTAIN and not all_hold((motion, *contacts)):
-        return Difference(combined(parts), motion, tuple(contacts))
-    recordings = [one.recording for one in prepared.observations]
+    motion, *contacts = share_bounds(misfits[prepared.validating], names, matters)
+    if combined_p_value(p_parts) < CERTAIN_P_VALUE and not all_hold((motion, *contacts)):
+        return Difference(combined_p_value(p_parts), motion, tuple(contacts))
+    recordings = [observation.recording for observation in prepared.observations]
     distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p = combined(np.append(parts, distances.p_values))
-    return Difference(p, motion, tuple(contacts), distances.bounds, distances.estimates)
+    p_value = combined_p_value(np.append(p_parts, distances.p_values))
+    return Difference(p_value, motion, tuple(contacts), distances.bounds, distances.estimates)
 
 
-def _with_contact_fit(prepared: Prepared, ranked: list[Judged], residual: Residual) -> list[Judged]:
-    """The likeliest effects with contact laws as `identify contact` fits them, unless the validation record then shows
-    more than it showed before, by `WORTH` in -2 ln p.
+def _refit_contact_laws(
+    prepared: Prepared, ranked: list[ValidatedHypothesis], residual: Residual
+) -> list[ValidatedHypothesis]:
+    """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
-    Nothing is fitted where the believed rig is the likeliest.
+    It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
+    rig.
     """
-    best, *others = ranked
-    recordings, record = [one.recording for one in prepared.fitted], prepared.validation.record
+    best, *lower_ranked = ranked
+    recordings, record = [observation.recording for observation in prepared.fitted], prepared.validation.record
     hypothesis = with_contact_fit(best.hypothesis, recordings, record.tolerances)
     if hypothesis is best.hypothesis:
         return ranked
     priors = {hypothesis.key: best.log_prior}
-    fitted = judged(record, prepared.validation.reference, residual, [hypothesis], priors)
-    better = [one for one in fitted if one.misfit.minus_two_log < best.misfit.minus_two_log + WORTH]
-    return sorted([*(better or [best]), *others], key=lambda one: -one.log_posterior)
+    fitted = validate_hypotheses(record, prepared.validation.reference, residual, [hypothesis], priors)
+    better = [item for item in fitted if item.misfit.minus_two_log < best.misfit.minus_two_log + MIN_GAIN]
+    return sorted([*(better or [best]), *lower_ranked], key=lambda item: -item.log_posterior)
 
 
-def _with_a_force(basis: _Basis, ranked: Sequence[Judged], decision: Decision) -> tuple[Decision, Unmeasured]:
-    """The decision with an unmeasured force as a rival of the effects; where they explain half, as their companion."""
+def _decide_with_force(
+    basis: _Basis, ranked: Sequence[ValidatedHypothesis], decision: Decision
+) -> tuple[Decision, Unmeasured]:
+    """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
     prepared, residual, validation = basis.prepared, basis.residual, basis.prepared.validation
     record, vetoed = validation.record, decision.evidence.vetoed
-    alone = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record))
-    nothing = nominal_of(ranked)
-    cost = cost_with(validation, record.rig, alone.value, nothing.misfit) if alone.value else None
-    gain = None if cost is None else nothing.misfit.minus_two_log - cost
-    decision = basis.decided(ranked, vetoed, Rivals(cost))
-    force, named = alone, decision.named
-    if named and closed(named.without, named.misfit, basis.matters) >= HALF:
+    force_in_nominal = attempted(
+        "unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record)
+    )
+    nominal = nominal_of(ranked)
+    minus_two_log = (
+        minus_two_log_with_force(validation, record.rig, force_in_nominal.value, nominal.misfit)
+        if force_in_nominal.value
+        else None
+    )
+    gain = None if minus_two_log is None else nominal.misfit.minus_two_log - minus_two_log
+    decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log))
+    force, named = force_in_nominal, decision.named
+    if named and explained_share(named.nominal_misfit, named.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE:
         rig = named.rig
-        beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
-        companion = beside.value
-        if companion and acts_where_they_do(companion.on_fit.candidate, record.rig, rig):
+        force_beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
+        companion = force_beside.value
+        if companion and acts_at_effects(companion.on_fit.candidate, record.rig, rig):
             companion = None
-        cost_beside = cost_with(validation, rig, companion, named.misfit) if companion else None
-        decision = basis.decided(ranked, vetoed, Rivals(cost, named, cost_beside))
+        minus_two_log_beside = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
+        decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log, named, minus_two_log_beside))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force, residual = beside, fit_nuisance(record, rig, rounds=1)[1]
+            force, residual = force_beside, fit_nuisance(record, rig, rounds=1)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, Unmeasured(force.value, modulation.value, gain, (*force.notes, *modulation.notes))
 
 
-def cost_with(validation: PreparedRecording, rig: Rig, force: UnmeasuredForceFit, alone: Misfit) -> float:
-    """-2 ln p of a validation record with an unmeasured force beside a rig, which alone leaves `alone`.
+def minus_two_log_with_force(
+    validation: PreparedRecording, rig: Rig, force: UnmeasuredForceFit, misfit_without: Misfit
+) -> float:
+    """-2 ln p of a validation record with an unmeasured force beside a rig whose misfit without it is given.
 
-    The force is taken off what the sensors delivered, and the rig fitted to the rest like any other. Its time history
-    is free to follow one direction of the residual's many: there nothing is gained. Nor is it where the records do not
-    show the same.
+    The force is subtracted from the delivered signals, and the rig is fitted to the rest. The gain is reduced by the
+    share of the residual's directions that a free time history of the force can follow. There is no gain where the
+    records show different forces.
     """
     if not force.same_place:
-        return alone.minus_two_log
+        return misfit_without.minus_two_log
     record = validation.record
     cleared = replace(record, delivered=record.delivered - force.delivered())
-    left = misfit(cleared, validation.reference, fit_nuisance(cleared, rig, rounds=1)[1])
-    followed = force.directions / force.held.observed.rows
-    return left.minus_two_log + followed * (alone.linear + alone.sharp - left.linear - left.sharp)
+    misfit_with = misfit(cleared, validation.reference, fit_nuisance(cleared, rig, rounds=1)[1])
+    followed_share = force.directions / force.held.whitened.rows
+    return misfit_with.minus_two_log + followed_share * (
+        misfit_without.linear + misfit_without.line_cost - misfit_with.linear - misfit_with.line_cost
+    )
+
+
+def predicted_rollout(prepared: Prepared, nominal_residual: Residual, named: ValidatedHypothesis) -> Rollout:
+    """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
+    effects."""
+    if prepared.predict is None:
+        return Rollout(code="not_simulated")
+    validation, predict = prepared.validation, prepared.predict
+    corrected_residual = fit_nuisance(validation.record, named.rig, rounds=1)[1]
+    nulls = prepared.null_reference.predictions
+    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
+    if not rollout.falls_short:
+        return rollout
+    samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
+    log_ratios = []
+    for seed in range(CONFIRMING_SIMULATIONS):
+        simulated = prepared.simulate(
+            validation.recording.rig, named.corrected_rig, validation.recording.forces_n, seed
+        )
+        record = record_of(simulated, tolerances=validation.record.tolerances)
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig, rounds=1)[1] for rig in (record.rig, named.rig))
+        log_ratios.append(log_ratio_of(simulated, nominal_fit, corrected_fit, samples, predict))
+    return confirm_by_simulations(rollout, log_ratios)
+
+
+def predicted_decision(
+    ranked: Sequence[ValidatedHypothesis],
+    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
+    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
+) -> PredictedDecision:
+    """Decide among hypotheses; veto the named effects if they predict the motion worse.
+
+    After a veto the decision is repeated without the vetoed hypothesis, among those likelier than `RIVAL_PROBABILITY`
+    whose strengths exclude their neutral values, until one is not vetoed. If all are, the first decision stays, with
+    its veto. decide takes hypotheses, and whether their named effects are vetoed.
+    """
+    first = outcome = _decision_with_rollout(ranked, decide, predict)
+    rivals = [item.validated for item in first.decision.weighted if item.probability > RIVAL_PROBABILITY]
+    rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
+    ruled_out: list[ValidatedHypothesis] = []
+    while outcome.vetoed:
+        vetoed = outcome.decision.named
+        ruled_out += [hypothesis for hypothesis in outcome.ranked if hypothesis is vetoed]
+        rivals = [rival for rival in rivals if rival is not vetoed]
+        if not rivals:
+            return first
+        outcome = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
+    return replace(outcome, ruled_out=tuple(ruled_out)) if outcome.decision.corrects_rig else first
+
+
+def _decision_with_rollout(
+    ranked: Sequence[ValidatedHypothesis],
+    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
+    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
+) -> PredictedDecision:
+    decision = decide(ranked, False)
+    if not decision.corrects_rig or decision.named is None:
+        return PredictedDecision(ranked, decision)
+    outcome = PredictedDecision(ranked, decision, predict(decision.named))
+    return PredictedDecision(ranked, decide(ranked, True), outcome.rollout) if outcome.vetoed else outcome

@@ -1,4 +1,4 @@
-"""Side analyses of a diagnosis: one that fails is a note beside the answer, never its loss."""
+"""Side analyses of a diagnosis: a failure becomes a note beside the answer."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Attempt(Generic[Result]):
-    """The result of a side analysis, or the note that says why there is none."""
+    """Result of a side analysis, or the note that says why there is none."""
 
     value: Result | None = None
     notes: tuple[Note, ...] = ()
 
 
 def attempted(analysis: Analysis, compute: Callable[[], Result]) -> Attempt[Result]:
-    """Whatever ends it: the answer does not rest on it."""
+    """Result of a side analysis, or a note on any exception, as the answer does not rest on it."""
     try:
         return Attempt(compute())
     except RigError as error:

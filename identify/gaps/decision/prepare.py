@@ -1,20 +1,25 @@
-"""The first stage of a diagnosis: recordings of one rig with their spectra, and what its tolerances and noise leave."""
+"""Preparation and search: recordings of one rig with spectra and null references, and hypotheses that explain them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
-from identify.gaps.decision.null_reference import NullReference, Simulate, null_key, null_reference_of
-from identify.gaps.decision.recordings import parts_of, sound
-from identify.gaps.decision.release import released
+from identify.gaps.decision.null_reference import NullReference, null_key, null_reference_of
+from identify.gaps.decision.null_simulations import Simulate, free_decay_simulator
+from identify.gaps.decision.recordings import ordered_recordings, without_faulty_channels
 from identify.gaps.residual.likelihood import Reference, reference_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.windows import Predict
+from identify.gaps.search.candidates import Candidate, candidates, scale_of
+from identify.gaps.search.hypothesis import Hypothesis, Search
+from identify.gaps.search.nominal import fit_nuisance
+from identify.gaps.search.pooled import fitted_together
+from identify.gaps.search.sparse import search as search_sets
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -22,7 +27,7 @@ from rig.recording import Recording
 
 @dataclass(frozen=True)
 class Simulator:
-    """Simulator of a rig under a measured force, its name, and the predictor from measured states, if there is one."""
+    """Simulator of a rig under a measured force, its name, and a predictor from measured states, if there is one."""
 
     name: str
     simulate: Simulate
@@ -30,13 +35,13 @@ class Simulator:
 
 
 SIMULATORS, PREDICTORS = "identify.simulators", "identify.predictors"
-"""The entry points by which packages offer what simulates a rig, and what predicts it from measured states."""
+"""Entry point groups under which packages offer simulators, and predictors from measured states."""
 PREDICTOR = "modal"
-"""Predicts where the simulator's package offers no predictor of the same name."""
+"""Predictor for simulators whose package offers none of the same name."""
 
 
 def simulator_named(name: str) -> Simulator:
-    """The simulator that an installed package offers under this name; raises RigError if none does."""
+    """Simulator that an installed package offers under this name; raises RigError if none does."""
     offered = {point.name: point for point in entry_points(group=SIMULATORS)}
     if name not in offered:
         raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
@@ -47,7 +52,7 @@ def simulator_named(name: str) -> Simulator:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """A recording with what belongs to it: its spectra, and the variances in which hypotheses are compared on it."""
+    """Recording with its spectra and the reference variances in which hypotheses are compared on it."""
 
     recording: Recording
     record: Record
@@ -55,16 +60,16 @@ class PreparedRecording:
 
     @property
     def force_rms_n(self) -> float:
-        """Rms of all forces together, N."""
+        """Root mean square of all forces together, N."""
         return float(np.sqrt(np.sum(np.var(self.recording.forces_n, axis=1))))
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """Observations of one rig in the order of their time; the one at `validating` is fitted by no effect.
+    """Recordings of one rig in chronological order, each with the null reference of its level and length.
 
-    simulate makes recordings of that rig under a force, or of its free decay where no force was measured; predict runs
-    it from measured states. Each observation has the null reference of its level and length.
+    The one at index `validating` is not fitted. simulate makes recordings of that rig under a force, or of its free
+    decay where no force was measured; predict runs it from measured states.
     """
 
     observations: tuple[PreparedRecording, ...]
@@ -76,7 +81,7 @@ class Prepared:
 
     @property
     def null_reference(self) -> NullReference:
-        """Null reference of the record that validates."""
+        """Null reference of the validation record."""
         return self.null_references[self.validating]
 
     @property
@@ -85,23 +90,23 @@ class Prepared:
 
     @property
     def fitted(self) -> tuple[PreparedRecording, ...]:
-        return tuple(one for k, one in enumerate(self.observations) if k != self.validating)
+        return tuple(observation for k, observation in enumerate(self.observations) if k != self.validating)
 
     @property
     def searched(self) -> PreparedRecording:
-        """Recording of the strongest force among those that are fitted."""
-        return max(self.fitted, key=lambda one: one.force_rms_n)
+        """Fitted recording of the strongest force, on which effects are searched."""
+        return max(self.fitted, key=lambda observation: observation.force_rms_n)
 
     @property
-    def several(self) -> bool:
+    def fits_several(self) -> bool:
         """True if more than one recording is fitted."""
         return len(self.observations) > 2
 
     @property
     def titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{k + 1}, {one.force_rms_n:.3g} N{', validates' * (k == self.validating)}"
-            for k, one in enumerate(self.observations)
+            f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validating)}"
+            for k, observation in enumerate(self.observations)
         )
 
 
@@ -109,38 +114,78 @@ def prepare(
     recordings: Recording | Sequence[Recording],
     validation: Recording | None,
     simulator: Simulator,
-    kept: Path | None,
+    null_reference_path: Path | None,
     tolerances: Tolerances | None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Prepared:
     """Recordings without faulty channels, their spectra, and the null reference of each.
 
-    Tolerances say how exactly the rig is believed (else the rig itself does, else they are a laboratory's). Raises
-    RigError if the recordings do not fit together or allow no diagnosis.
+    Tolerances default to those of the rig, then to a laboratory's. Raises RigError if the recordings do not fit
+    together or allow no diagnosis.
     """
-    parts, validating = parts_of(recordings, validation)
-    believed = tolerances or parts[0].rig.tolerances or LABORATORY
-    parts, channel_faults = sound(*parts)
-    observations = tuple(observed(part, believed) for part in parts)
-    simulates = [
-        simulator.simulate if one.record.forced else released(one.recording, simulator.simulate) for one in observations
+    ordered, validating = ordered_recordings(recordings, validation)
+    rig_tolerances = tolerances or ordered[0].rig.tolerances or LABORATORY
+    ordered, channel_faults = without_faulty_channels(*ordered)
+    observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered)
+    simulators = [
+        simulator.simulate
+        if observation.record.forced
+        else free_decay_simulator(observation.recording, simulator.simulate)
+        for observation in observations
     ]
-    keys = [null_key(one.recording, one.record.counted_until_s, believed, simulator.name) for one in observations]
-    known: dict[str, NullReference] = {}
-    first = {key: k for k, key in reversed(list(enumerate(keys)))}
-    for number, (key, k) in enumerate(first.items()):
+    keys = [
+        null_key(observation.recording, observation.record.counted_until_s, rig_tolerances, simulator.name)
+        for observation in observations
+    ]
+    references_by_key: dict[str, NullReference] = {}
+    first_indices = {key: index for index, key in reversed(list(enumerate(keys)))}
+    for number, (key, index) in enumerate(first_indices.items()):
 
-        def told(share: float, number: int = number) -> None:
-            progress((number + share) / len(first))
+        def report(share: float, number: int = number) -> None:
+            progress((number + share) / len(first_indices))
 
-        recording, simulate = observations[k].recording, simulates[k]
-        known[key] = null_reference_of(
-            recording, believed, simulate, simulator.name, told, kept, predict=simulator.predict
+        recording, simulate = observations[index].recording, simulators[index]
+        references_by_key[key] = null_reference_of(
+            recording, rig_tolerances, simulate, simulator.name, report, null_reference_path, predict=simulator.predict
         )
-    references = tuple(known[key] for key in keys)
-    return Prepared(observations, validating, channel_faults, simulates[validating], simulator.predict, references)
+    references = tuple(references_by_key[key] for key in keys)
+    return Prepared(observations, validating, channel_faults, simulators[validating], simulator.predict, references)
 
 
-def observed(recording: Recording, tolerances: Tolerances) -> PreparedRecording:
+def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedRecording:
+    """Spectra and reference variances of a recording."""
     record = record_of(recording, tolerances=tolerances)
     return PreparedRecording(recording, record, reference_of(linearized(record, record.rig)))
+
+
+@dataclass(frozen=True)
+class Searched:
+    """Hypotheses, the nominal rig among them, and the candidates from which they were selected."""
+
+    hypotheses: tuple[Hypothesis, ...]
+    candidates: tuple[Candidate, ...]
+
+
+def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: None) -> Searched:
+    """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
+    parameters."""
+    strongest, share = prepared.searched, 0.6 if prepared.fits_several else 1.0
+    searched = search_record(strongest.record, strongest.reference, lambda x: progress(share * x))
+    if not prepared.fits_several:
+        return searched
+    records = [observation.record for observation in prepared.fitted]
+    references = [observation.reference for observation in prepared.fitted]
+    return replace(
+        searched,
+        hypotheses=tuple(fitted_together(records, references, hypothesis) for hypothesis in searched.hypotheses),
+    )
+
+
+def search_record(record: Record, reference: Reference, progress: Callable[[float], None] = lambda _: None) -> Searched:
+    """Hypotheses from the search on one record, and its candidates."""
+    linearization, residual = fit_nuisance(record, record.rig)
+    library = candidates(
+        scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.forced
+    )
+    hypotheses = search_sets(Search(reference, linearization, residual, tuple(library)), progress)
+    return Searched(tuple(hypotheses), tuple(library))

@@ -1,76 +1,198 @@
-"""Recordings of one rig: their sound channels, and which of them validates."""
+"""Recordings of one rig: sound channels, free decays, and the recording that validates.
+
+Channels that are dead or clipped are named and left out.
+"""
 
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
 
-from identify.gaps.faults import check_decay, sound_channels
+from identify.gaps.residual.extent import read_sensors, sensor_densities
+from identify.gaps.residual.ringing import highest_ringing_hz
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
-from rig.recording import Recording, Signals
+from rig.recording import Recording, Signals, channel_groups
 
-FIT_SHARE = 0.55
-"""Of a single record, what is fitted on; the rest validates."""
+CLIPPED_SHARE = 1e-3
+"""Share of the samples at the largest or smallest value above which a channel is clipped."""
+LEVEL_RISE = 1.2
+LEVEL_FLOOR_SHARE = 0.03
+"""Largest ratio of the level of a second to that of an earlier one in a free decay, whose energy only falls; levels
+below this share of the loudest count as that share."""
+DECAYED_SHARE = 0.5
+"""Largest ratio of the quietest to the loudest second of a free decay."""
+MIN_INTERVALS = 4
+"""Number of intervals of a record shorter than so many seconds, in place of the seconds."""
+BAND_FACTOR = 1.6
+"""Band in which a free decay is judged, as a multiple of the frequency up to which it rings."""
+UNFORCED_MIXED_BODIES = (
+    "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
+    "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
+)
+UNFORCED_WITHOUT_DISPLACEMENTS = (
+    "the exciting force is zero throughout: in a free decay of elastic bodies identify gap reads displacement sensors, "
+    "as accelerometers do not show the slow motion well enough; measure displacements or the force, or take identify "
+    "contact, which reads accelerometers"
+)
+NO_DECAY = (
+    "the exciting force is zero throughout, and this is no free decay, whose motion only falls; measure the force (of "
+    "one mass on a shaking base: minus its mass times the base's acceleration), or let the record begin when the rig "
+    "has been released"
+)
+
+FITTED_SHARE = 0.55
+"""Fitted share of a single record; the rest validates."""
 
 
-def sound(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
-    """All recordings without the channels that are dead or clipped in any.
+def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
+    """All recordings without the channels that are dead or clipped in any of them, and those faults.
 
-    Raises RigError if one that has no force is no free decay.
+    Raises RigError if a recording without a force is no free decay.
     """
     faults: dict[str, str] = {}
-    for one in recordings:
-        faults |= sound_channels(one, without=tuple(faults))[1]
-    found = [sound_channels(one, without=tuple(faults))[0] for one in recordings]
-    for one in found:
-        if not np.any(one.forces_n):
-            check_decay(one)
-    return found, faults
+    for recording in recordings:
+        faults |= sound_channels(recording, excluded=tuple(faults))[1]
+    sound_recordings = [sound_channels(recording, excluded=tuple(faults))[0] for recording in recordings]
+    for recording in sound_recordings:
+        if not np.any(recording.forces_n):
+            check_decay(recording)
+    return sound_recordings, faults
 
 
-def parts_of(recordings: Recording | Sequence[Recording], validation: Recording | None) -> tuple[list[Recording], int]:
-    """All recordings in their order, and which of them validates."""
-    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not parts:
+def ordered_recordings(
+    recordings: Recording | Sequence[Recording], validation: Recording | None
+) -> tuple[list[Recording], int]:
+    """All recordings in their order, and the index of the one that validates."""
+    ordered = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not ordered:
         raise RigError("no recording to diagnose; give one or more of the rig")
-    if validation is None and len(parts) == 1:
-        return list(_halves(parts[0])), 1
-    if validation is not None and not any(validation is one for one in parts):
-        parts.append(validation)
-    _check_shaken(parts[0].rig)
-    for k, one in enumerate(parts):
-        if to_json(one.rig) != to_json(parts[0].rig):
-            raise RigError(f"recording {k + 1} is of another rig (their rig.json differ); give recordings of one rig")
-        if any(_same(one, earlier) for earlier in parts[:k]):
-            raise RigError(f"recording {k + 1} is the same as an earlier one; give each recording once")
-    last = next((k for k, one in enumerate(parts) if one is validation), len(parts) - 1)
-    if len(parts) == 1:
+    if validation is None and len(ordered) == 1:
+        return list(_fitted_and_validating(ordered[0])), 1
+    if validation is not None and not any(validation is recording for recording in ordered):
+        ordered.append(validation)
+    _check_base_motion(ordered[0].rig)
+    for index, recording in enumerate(ordered):
+        if to_json(recording.rig) != to_json(ordered[0].rig):
+            raise RigError(
+                f"recording {index + 1} is of another rig (their rig.json differ); give recordings of one rig"
+            )
+        if any(_have_same_samples(recording, earlier) for earlier in ordered[:index]):
+            raise RigError(f"recording {index + 1} is the same as an earlier one; give each recording once")
+    validating = next((index for index, recording in enumerate(ordered) if recording is validation), len(ordered) - 1)
+    if len(ordered) == 1:
         raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
-    return parts, last
+    return ordered, validating
 
 
-def _check_shaken(rig: Rig) -> None:
-    """Raises RigError if the null reference cannot shake a body: by its modes, as it is drawn there, a held one."""
-    held = [b.name for b in rig.bodies if not b.is_mass and b.rigid_modes < 2] if rig.base_motion else []
-    if held:
+def _check_base_motion(rig: Rig) -> None:
+    """Raise RigError if a body is held to a moving base: the null reference describes it by its modes, which cannot
+    follow."""
+    held_bodies = (
+        [body.name for body in rig.bodies if not body.is_mass and body.rigid_modes < 2] if rig.base_motion else []
+    )
+    if held_bodies:
         raise RigError(
-            f"rig.json of {rig.name!r} has base_motion, and {held[0]!r} is held to the base: identify gap knows how "
-            "single masses and free bodies follow a base; leave base_motion out of rig.json, and it is looked for"
+            f"rig.json of {rig.name!r} has base_motion, and {held_bodies[0]!r} is held to the base: identify gap knows "
+            "how single masses and free bodies follow a base; leave base_motion out of rig.json, and it is looked for"
         )
 
 
-def _same(one: Recording, other: Recording) -> bool:
+def _have_same_samples(first: Recording, second: Recording) -> bool:
     """True if two recordings hold the same samples."""
-    return all(np.array_equal(s.values, other.signals[name].values) for name, s in one.signals.items())
+    return all(
+        np.array_equal(channels.values, second.signals[quantity].values) for quantity, channels in first.signals.items()
+    )
 
 
-def _halves(recording: Recording) -> tuple[Recording, Recording]:
-    """One record cut in two."""
-    cut = round(FIT_SHARE * recording.samples)
-    return part_of(recording, slice(0, cut)), part_of(recording, slice(cut, None))
+def _fitted_and_validating(recording: Recording) -> tuple[Recording, Recording]:
+    """Two parts of a single record: the fitted one, and the one that validates."""
+    cut = round(FITTED_SHARE * recording.samples)
+    return cut_recording(recording, slice(0, cut)), cut_recording(recording, slice(cut, None))
 
 
-def part_of(recording: Recording, keep: slice) -> Recording:
-    """The samples of a recording that are kept, from time zero on."""
-    signals = {n: Signals(s.channels, 0.0, s.values[:, keep]) for n, s in recording.signals.items()}
+def cut_recording(recording: Recording, samples: slice) -> Recording:
+    """Slice of the samples of a recording, with time zero at its start."""
+    signals = {
+        quantity: Signals(group.channels, 0.0, group.values[:, samples])
+        for quantity, group in recording.signals.items()
+    }
     return Recording(recording.rig, signals, recording.provenance)
+
+
+def sound_channels(recording: Recording, excluded: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
+    """Recording without its faulty channels and those of `excluded`, and the fault of each of the former.
+
+    Raises RigError if the force channel is clipped, or no sensor is left.
+    """
+    faults: dict[str, str] = {}
+    for name, signals in recording.signals.items():
+        for channel, row in zip(signals.channels.names, signals.values, strict=True):
+            fault = fault_of(row)
+            if name == "force" and not np.any(row):
+                continue
+            if fault and name == "force":
+                raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
+            if fault and channel not in excluded:
+                faults[channel] = fault
+    dropped = {*faults, *excluded}
+    if not dropped:
+        return recording, faults
+    sensors = tuple(s for s in recording.rig.sensors if s.name not in dropped)
+    if not sensors:
+        raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
+    rig = replace(recording.rig, sensors=sensors)
+    sound_signals = {}
+    for name, channels in channel_groups(rig).items():
+        group = recording.signals[name]
+        sound_signals[name] = Signals(
+            channels, group.start_s, group.values[[group.channels.names.index(n) for n in channels.names]]
+        )
+    return Recording(rig, sound_signals, recording.provenance), faults
+
+
+def check_decay(recording: Recording) -> None:
+    """Raise RigError if a record without a force is no free decay, by the level of all sensors of a quantity.
+
+    So does a decay with contacts of masses beside other bodies, or of elastic bodies without displacement sensors.
+    Displacements are judged by their velocity within the band in which the rig rings, as slow swings between stops may
+    grow while the energy falls, and noise does not decay.
+    """
+    rig = recording.rig
+    elastic = not any(body.is_mass for body in rig.bodies)
+    if rig.contacts and len(rig.bodies) > 1 and not elastic:
+        raise RigError(UNFORCED_MIXED_BODIES)
+    if rig.contacts and elastic and "displacement" not in recording.signals:
+        raise RigError(UNFORCED_WITHOUT_DISPLACEMENTS)
+    sensors = read_sensors(recording)
+    rate_hz, order = rig.sample_rate_hz, sensors[0].measures.order
+    rows = np.stack([recording.values_of(sensor) for sensor in sensors])
+    highest_hz = BAND_FACTOR * highest_ringing_hz(rows, rate_hz, order, sensor_densities(recording, sensors, 0))
+    rows = _velocities(rows, rate_hz, order, highest_hz)
+    interval_samples = round(min(1.0, recording.duration_s / MIN_INTERVALS) * rate_hz)
+    intervals = rows[:, : rows.shape[1] // interval_samples * interval_samples].reshape(len(rows), -1, interval_samples)
+    levels = np.linalg.norm(intervals.std(axis=2), axis=0)
+    lowest_earlier = np.maximum(np.minimum.accumulate(levels), LEVEL_FLOOR_SHARE * levels.max())
+    if np.any(levels > LEVEL_RISE * lowest_earlier) or levels.min() > DECAYED_SHARE * levels.max():
+        raise RigError(NO_DECAY)
+
+
+def _velocities(
+    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, order: int, highest_hz: float
+) -> Float[np.ndarray, "sensors fewer"]:
+    """Derivatives of displacements, or other motion as it is, low-passed at highest_hz."""
+    if order == 0:
+        rows = np.diff(rows) * rate_hz
+    spectra = np.fft.rfft(rows)
+    spectra[:, np.fft.rfftfreq(rows.shape[1], 1 / rate_hz) > highest_hz] = 0.0
+    return np.fft.irfft(spectra, rows.shape[1])
+
+
+def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:
+    """ "dead" if a channel never moves, "clipped" if it stands at its extremes, None if it is sound."""
+    low, high = float(row.min()), float(row.max())
+    if low == high:
+        return "dead"
+    extreme_share = max(np.mean(row == high), np.mean(row == low))
+    return "clipped" if extreme_share > CLIPPED_SHARE else None

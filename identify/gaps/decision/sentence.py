@@ -1,61 +1,75 @@
-"""The verdict in sentences, made from what gap.json says alone."""
+"""Sentences of a diagnosis, made from the content of gap.json alone."""
 
-from identify.gaps.decision_table import USUAL, Bounded, Verdict
+from identify.gaps.decision_table import USUAL_P_VALUE, Bounded, Verdict
 from identify.gaps.results import Cause, Diagnosis
-from identify.gaps.wording import LEAST, MOST, alternatives, between_records, capital, chance, joined, leaves, quantity
+from identify.gaps.wording import (
+    DESCRIPTION_EXPLAINED,
+    HINT_EXPLAINED,
+    between_records,
+    bound_words,
+    capitalised,
+    joined,
+    look_alikes_of,
+    p_value_words,
+    unexplained_words,
+)
 from identify.pages.wording import number, percent
 
 UNSCALED = (
     "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
     "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
 )
-WORSE = {
+VETO_SENTENCES = {
     "worse": "With that the rig predicts the measured motion worse than without.",
     "no_improvement": "With that the rig predicts the measured motion no better, as it would if that were all.",
 }
-"""By the code of the rollout that vetoes."""
-STRAINED = 3.0
-"""Standard deviations by which a tolerance is told to be off."""
+"""Sentences by the code of the rollout that vetoes."""
+STRAINED_DEVIATIONS = 3.0
+"""Standard deviations from which a strained tolerance is mentioned."""
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """The diagnosis in words: the verdict, what stands in the place of names, what was not seen."""
-    said = [*_VERDICTS[diagnosis.verdict](diagnosis), *_alternatives(diagnosis), *_limits(diagnosis)]
-    said += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
-    said += _ruled_out(diagnosis)
-    said += [UNSCALED] if diagnosis.free_decay else []
-    said += [between_records(diagnosis.between)] if diagnosis.between else []
-    said += [f"Channel {name} is {what} and was left out." for name, what in diagnosis.channel_faults.items()]
-    return " ".join(said)
+    """Diagnosis in words: the verdict, look-alikes, parameters at their limits, what was not seen."""
+    sentences = [
+        *_VERDICTS[diagnosis.verdict](diagnosis),
+        *_look_alike_words(diagnosis),
+        *_parameters_at_limit(diagnosis),
+    ]
+    sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
+    sentences += _ruled_out(diagnosis)
+    sentences += [UNSCALED] if diagnosis.free_decay else []
+    sentences += [between_records(diagnosis.between)] if diagnosis.between else []
+    sentences += [f"Channel {name} is {fault} and was left out." for name, fault in diagnosis.channel_faults.items()]
+    return " ".join(sentences)
 
 
 def _consistent(gap: Diagnosis) -> list[str]:
     return [
-        f"The machine is as rig.json says, as far as it matters: at most {_bounds(gap.evidence.quantities)} may be "
-        f"otherwise, and what is left is what tolerances and noise leave ({chance(gap.evidence.p_value)})."
+        "The machine is as rig.json says, as far as it matters: at most "
+        f"{_upper_bound_words(gap.evidence.quantities)} may be otherwise, and what is left is what tolerances and "
+        f"noise leave ({p_value_words(gap.evidence.p_value)})."
     ]
 
 
 def _cannot_tell(gap: Diagnosis) -> list[str]:
-    begin = (
-        f"These records do not tell whether rig.json is right: no difference is certain ({chance(gap.before.p_value)})"
-    )
-    exceeding = [q for q in gap.evidence.quantities if not q.holds and not q.not_seen]
+    p_value = p_value_words(gap.before.p_value)
+    clause = f"These records do not tell whether rig.json is right: no difference is certain ({p_value})"
+    exceeding = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
     if exceeding:
-        begin += f", though {joined([quantity(q) for q in exceeding])}"
-    said = [f"{begin}."]
-    if named := _named(gap):
-        said.append(f"{capital(joined(named.named))} would explain what is left, as tolerances and noise do.")
-    return said + _not_seen(gap)
+        clause += f", though {joined([bound_words(bound) for bound in exceeding])}"
+    sentences = [f"{clause}."]
+    if named := _named_cause(gap):
+        sentences.append(f"{capitalised(joined(named.named))} would explain what is left, as tolerances and noise do.")
+    return sentences + _not_seen(gap)
 
 
 def _small(gap: Diagnosis) -> list[str]:
-    small = f"at most {_bounds(gap.evidence.quantities)}, less than what matters"
-    if named := _named(gap):
-        return [f"{capital(joined(named.named))} {_is(named)} certain, and too small to matter: {small}."]
+    small = f"at most {_upper_bound_words(gap.evidence.quantities)}, less than what matters"
+    if named := _named_cause(gap):
+        return [f"{capitalised(joined(named.named))} {_verb_be(named)} certain, and too small to matter: {small}."]
     return [
-        f"The machine differs from rig.json ({chance(gap.before.p_value)}), by too little to matter: {small}. No "
-        "effect of the library is named for it."
+        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {small}. "
+        "No effect of the library is named for it."
     ]
 
 
@@ -64,25 +78,29 @@ def _explained(gap: Diagnosis) -> list[str]:
     explain = "explains" if len(named.named) == 1 else "explain"
     if not gap.evidence.held_back_shows:
         return [
-            f"{capital(joined(named.named))} {explain} the difference ({chance(gap.evidence.p_value)}), by all records "
-            "together: the one that was not fitted shows too little of it."
+            f"{capitalised(joined(named.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
+            "all records together: the one that was not fitted shows too little of it."
         ]
-    rest = "" if gap.after.p_value < USUAL else f", as tolerances and noise do ({chance(gap.after.p_value)})"
+    chance_words = (
+        ""
+        if gap.after.p_value < USUAL_P_VALUE
+        else f", as tolerances and noise do ({p_value_words(gap.after.p_value)})"
+    )
     return [
-        f"{capital(joined(named.named))} {explain} the difference: with {_them(named)} rig.json leaves "
-        f"{leaves(gap.after)} unexplained{rest}; without {_them(named)} {leaves(gap.before)}"
-        f"{_strained(gap)}."
+        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} rig.json leaves "
+        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
+        f"{unexplained_words(gap.before)}{_strain_if_bounded(gap)}."
     ]
 
 
-def _strained(gap: Diagnosis) -> str:
-    """The tolerance that is off by most without the named effects, where what is left does not tell that they lack."""
-    shares_hold = all(one.holds for one in gap.evidence.quantities if one.unit == "1")
-    return _strained_by(gap) if shares_hold else ""
+def _strain_if_bounded(gap: Diagnosis) -> str:
+    """Clause on the most strained tolerance, where all shares without the named effects are bounded."""
+    shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
+    return _strain_words(gap) if shares_hold else ""
 
 
-def _strained_by(gap: Diagnosis) -> str:
-    if gap.before.largest_pull < STRAINED:
+def _strain_words(gap: Diagnosis) -> str:
+    if gap.before.largest_pull < STRAINED_DEVIATIONS:
         return ""
     return f", with a tolerance off by {number(gap.before.largest_pull, 2)} of its standard deviations"
 
@@ -91,27 +109,27 @@ def _partly_explained(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
     return [
-        f"{capital(joined(named.named))} {explain} the difference in part: "
-        f"{'it' if len(named.named) == 1 else 'they'} {_removes(gap)}, and {leaves(gap.after)} "
+        f"{capitalised(joined(named.named))} {explain} the difference in part: "
+        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap)}, and {unexplained_words(gap.after)} "
         "stay unexplained.",
         *_veto(gap),
-        _looks(gap, "The rest"),
+        _force_description(gap, "The rest"),
     ]
 
 
 def _unexplained(gap: Diagnosis) -> list[str]:
-    differs = f"The machine differs from rig.json ({chance(gap.evidence.p_value)})"
-    said = [
-        f"{differs}, by what noise hides: no share of the motion is left beyond it{_strained_by(gap)}."
+    differs = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
+    sentences = [
+        f"{differs}, by what noise hides: no share of the motion is left beyond it{_strain_words(gap)}."
         if _is_hidden(gap)
-        else f"{differs}, which leaves {leaves(gap.before)} unexplained."
+        else f"{differs}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
-    if named := _named(gap):
-        said.append(f"{capital(joined(named.named))} {_is(named)} likely, and {_removes(gap)}.")
-        said += _veto(gap)
+    if named := _named_cause(gap):
+        sentences.append(f"{capitalised(joined(named.named))} {_verb_be(named)} likely, and {_removal_words(gap)}.")
+        sentences += _veto(gap)
     else:
-        said.append("No effect of the library is named for it.")
-    return [*said, _looks(gap, "It")]
+        sentences.append("No effect of the library is named for it.")
+    return [*sentences, _force_description(gap, "It")]
 
 
 _VERDICTS = {
@@ -124,20 +142,20 @@ _VERDICTS = {
 }
 
 
-def _named(gap: Diagnosis) -> Cause | None:
-    """The first cause, if an effect of it is named."""
+def _named_cause(gap: Diagnosis) -> Cause | None:
+    """First cause, if an effect of it is named."""
     return gap.causes[0] if gap.causes and gap.causes[0].named else None
 
 
-def _is(cause: Cause) -> str:
+def _verb_be(cause: Cause) -> str:
     return "is" if len(cause.named) == 1 else "are"
 
 
-def _them(cause: Cause) -> str:
+def _pronoun(cause: Cause) -> str:
     return "it" if len(cause.named) == 1 else "them"
 
 
-def _removes(gap: Diagnosis) -> str:
+def _removal_words(gap: Diagnosis) -> str:
     """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
     verb = "removes" if len(cause.named) == 1 else "remove"
@@ -148,16 +166,16 @@ def _removes(gap: Diagnosis) -> str:
 
 
 def _is_hidden(gap: Diagnosis) -> bool:
-    """True if nothing beyond noise is left of the motion and of any contact force, whatever the p-value says."""
+    """True if no motion and no contact force is unexplained beyond noise, whatever the p-value says."""
     return gap.before.share == 0 and not any(gap.before.contact_shares.values())
 
 
 def _veto(gap: Diagnosis) -> list[str]:
-    return [WORSE[gap.rollout.code]] if gap.rollout and gap.rollout.vetoed else []
+    return [VETO_SENTENCES[gap.rollout.code]] if gap.rollout and gap.rollout.vetoed else []
 
 
 def _ruled_out(gap: Diagnosis) -> list[str]:
-    """The likeliest of the hypotheses that prediction rules out."""
+    """Sentence on the likeliest hypothesis that prediction rules out."""
     if not gap.ruled_out:
         return []
     words = gap.ruled_out[0]
@@ -167,43 +185,46 @@ def _ruled_out(gap: Diagnosis) -> list[str]:
     ]
 
 
-def _bounds(quantities: tuple[Bounded, ...]) -> str:
+def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
     """Upper bounds of the shares: "0.3 % of the motion and 1.2 % of the force of contact_1"."""
-    shares = [q for q in quantities if q.unit == "1"]
-    text = joined([f"{percent(q.upper)} of the {q.name}" for q in shares if q.upper is not None])
-    further = (
+    shares = [bound for bound in quantities if bound.unit == "1"]
+    text = joined([f"{percent(bound.upper)} of the {bound.name}" for bound in shares if bound.upper is not None])
+    parameter_words = (
         " and every clearance, stiffness and damping within three tolerances" if len(quantities) > len(shares) else ""
     )
-    return text + further
+    return text + parameter_words
 
 
 def _not_seen(gap: Diagnosis) -> list[str]:
-    """Clause on what the records neither bound nor show, and on what would show it."""
-    said = []
-    for one in gap.not_seen:
-        what = quantity(one)
-        said.append(f"Not seen: {what}{f'; {one.remedy}' if one.remedy else ''}.")
-    return said
+    """Sentences on quantities that the records neither bound nor show, and on what would show them."""
+    sentences = []
+    for bound in gap.not_seen:
+        words = bound_words(bound)
+        sentences.append(f"Not seen: {words}{f'; {bound.remedy}' if bound.remedy else ''}.")
+    return sentences
 
 
-def _looks(gap: Diagnosis, what: str) -> str:
-    """Clause on an unmeasured force that describes the difference, or its rest, and its share if that is small."""
-    if gap.unknown is None or gap.unknown.explained < LEAST:
-        return f"{what} has no form that was recognised."
-    if gap.unknown.explained >= MOST:
-        return f"{what} looks like {gap.unknown.sentence}."
+def _force_description(gap: Diagnosis, subject: str) -> str:
+    """Sentence on an unmeasured force that describes the difference, or its rest, with its share if that is small."""
+    if gap.unknown is None or gap.unknown.explained < HINT_EXPLAINED:
+        return f"{subject} has no form that was recognised."
+    if gap.unknown.explained >= DESCRIPTION_EXPLAINED:
+        return f"{subject} looks like {gap.unknown.sentence}."
     share = percent(gap.unknown.explained)
-    return f"{what} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
+    return f"{subject} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
 
 
-def _alternatives(gap: Diagnosis) -> list[str]:
-    """Clause on what may stand in the place of a named effect."""
-    return [f"These records hardly tell {words} from {joined(others, 'or')}." for words, others in alternatives(gap)]
+def _look_alike_words(gap: Diagnosis) -> list[str]:
+    """Sentences on candidates that may replace a named effect."""
+    return [
+        f"These records hardly tell {words} from {joined(look_alikes, 'or')}."
+        for words, look_alikes in look_alikes_of(gap)
+    ]
 
 
-def _limits(gap: Diagnosis) -> list[str]:
-    """A parameter that stands at the end of what was searched may be larger, or its effect wrong."""
-    named = _named(gap)
+def _parameters_at_limit(gap: Diagnosis) -> list[str]:
+    """Sentence on parameters at the limit of their range: their true value or their effect may be another."""
+    named = _named_cause(gap)
     if not named:
         return []
     at_limit = [name for name, value in named.parameters.items() if value.at_limit]

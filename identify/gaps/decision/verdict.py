@@ -1,4 +1,4 @@
-"""Probabilities of hypotheses judged on the validation record, the names that follow, what they leave, the verdict."""
+"""Decision from validated hypotheses: their probabilities, the named effects, the evidence and its verdict."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -7,13 +7,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, share_bounds
-from identify.gaps.decision.comparison import PRIOR_UNKNOWN, TEMPERATURE, Judged, probabilities, removed
+from identify.gaps.decision.comparison import (
+    PRIOR_UNKNOWN,
+    TEMPERATURE,
+    ValidatedHypothesis,
+    nominal_of,
+    probabilities,
+    removed_share,
+)
 from identify.gaps.decision.null_reference import NullReference, p_value
-from identify.gaps.decision_table import DIFFERS, USUAL, Evidence, Strength, Verdict
+from identify.gaps.decision_table import DIFFERENCE_P_VALUE, USUAL_P_VALUE, Evidence, Strength, Verdict
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
-from identify.gaps.search.attached import ATTACHED
-from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.candidates import ATTACHED_FIELDS, Candidate
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force.force import SAME_M
 from identify.gaps.unmeasured_force.location import ForcePlace
@@ -21,146 +27,148 @@ from identify.pages.wording import COVERED
 from rig.model.description import Rig
 
 UNKNOWN_PLACES = 100
-"""An unknown force may act at so many places that a record tells apart (bodies of some metres, 20 mm each)."""
-ALIKE = 0.05
-"""Hypotheses that are likelier than this beside the best one cannot be told apart from it."""
-HELPS = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
+"""Distinguishable places of an unknown force (bodies of some metres, 20 mm each)."""
+RIVAL_PROBABILITY = 0.05
+"""Probability from which a hypothesis cannot be told from the likeliest one."""
+CORRECTING_VERDICTS = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)
 """Verdicts with which named effects correct the rig."""
 
 
 @dataclass(frozen=True)
-class Weighed:
-    """A hypothesis judged on the validation record, and its probability."""
+class WeightedHypothesis:
+    """A validated hypothesis and its posterior probability."""
 
-    judged: Judged
+    validated: ValidatedHypothesis
     probability: float
 
 
 @dataclass(frozen=True)
-class Rivals:
-    """-2 ln p of the validation record with the unmeasured force that explains it best in the nominal rig; of the
-    hypothesis `accompanied`, with the one that explains best what it leaves. None where none was looked for."""
+class ForceRivals:
+    """-2 ln p of the validation record with an unmeasured force: with the best one in the nominal rig, and with the
+    best one beside the hypothesis `accompanied`. None where no force was looked for."""
 
-    in_nominal: float | None = None
-    accompanied: Judged | None = None
-    in_accompanied: float | None = None
-
-
-def nominal_of(ranked: Sequence[Judged]) -> Judged:
-    """The nominal rig among hypotheses."""
-    return next(j for j in ranked if not j.hypothesis.parts)
+    minus_two_log_nominal: float | None = None
+    accompanied: ValidatedHypothesis | None = None
+    minus_two_log_accompanied: float | None = None
 
 
 @dataclass(frozen=True)
 class Decision:
-    """The evidence with its verdict, the hypotheses, likeliest first, and the probability of something unmeasured.
+    """Evidence with its verdict, the hypotheses, likeliest first, and the probability of something unmeasured.
 
-    named is the hypothesis of the named effects alone, if it was judged, else the likeliest one with effects.
+    named is the hypothesis of the named effects alone, if it was validated, else the likeliest one with effects.
     """
 
     evidence: Evidence
-    weighed: tuple[Weighed, ...]
-    unknown: float
-    named: Judged | None
+    weighted: tuple[WeightedHypothesis, ...]
+    probability_unmeasured: float
+    named: ValidatedHypothesis | None
 
     @property
     def verdict(self) -> Verdict:
         return self.evidence.verdict
 
     @property
-    def nothing(self) -> Judged:
-        """The nominal rig."""
-        return nominal_of([w.judged for w in self.weighed])
+    def nominal(self) -> ValidatedHypothesis:
+        """Hypothesis of the nominal rig."""
+        return nominal_of([item.validated for item in self.weighted])
 
     @property
     def probability_nothing(self) -> float:
-        return next(w.probability for w in self.weighed if w.judged is self.nothing)
+        return next(item.probability for item in self.weighted if item.validated is self.nominal)
 
     @property
-    def helps(self) -> bool:
-        """True if effects are named that correct the rig."""
-        return self.verdict in HELPS and bool(self.evidence.named) and not self.evidence.vetoed
+    def corrects_rig(self) -> bool:
+        """True if named effects correct the rig."""
+        return self.verdict in CORRECTING_VERDICTS and bool(self.evidence.named) and not self.evidence.vetoed
 
     @property
     def likeliest_rig(self) -> Rig | None:
-        """Rig with the named effects and what was fitted beside them, whatever the verdict."""
-        return self.named.corrected if self.named else None
+        """Rig with the named effects and the fitted nuisance parameters, whatever the verdict."""
+        return self.named.corrected_rig if self.named else None
 
     @property
     def corrected_rig(self) -> Rig | None:
-        return self.likeliest_rig if self.helps else None
+        return self.likeliest_rig if self.corrects_rig else None
 
     @property
-    def after(self) -> Misfit:
-        """Misfit with the named effects."""
-        return self.named.misfit if self.named else self.nothing.misfit
+    def named_misfit(self) -> Misfit:
+        """Misfit with the named effects, or of the nominal rig without any."""
+        return self.named.misfit if self.named else self.nominal.misfit
 
     @property
-    def left_to_describe(self) -> Misfit:
-        """Misfit of the named effects if they explain a part, else of the nominal rig."""
-        return self.after if self.verdict == Verdict.PARTLY_EXPLAINED else self.nothing.misfit
+    def misfit_to_describe(self) -> Misfit:
+        """Misfit with the named effects if they explain a part, else of the nominal rig."""
+        return self.named_misfit if self.verdict == Verdict.PARTLY_EXPLAINED else self.nominal.misfit
 
 
-def decided(
-    ranked: Sequence[Judged],
+def decide(
+    ranked: Sequence[ValidatedHypothesis],
     difference: Difference,
     null_reference: NullReference,
     matters: Matters,
-    rivals: Rivals | None = None,
+    rivals: ForceRivals | None = None,
     vetoed: bool = False,
 ) -> Decision:
-    """Decision by hypotheses judged on the validation record, likeliest first.
+    """Decide from validated hypotheses, likeliest first.
 
-    Something unmeasured is a rival of effects; as their companion, it makes them as likely as they are alone or with
-    it. Where the records differ from the nominal rig and the one that validates alone does not show it, it tells too
-    little to judge by: then the record that was fitted counts too.
+    An unmeasured force is a rival of the effects; a force beside them adds its likelihood to theirs. Where the records
+    differ from the nominal rig but the validation record alone does not show it, the fitted record counts too.
     """
-    rivals, nominal = rivals or Rivals(), nominal_of(ranked)
-    held_back_shows = difference.p_value >= DIFFERS or p_value(null_reference, nominal.misfit) < USUAL
-    scores = [j.log_posterior if held_back_shows else j.log_posterior_of_both for j in ranked]
-    for k, judged in enumerate(ranked):
-        if judged is rivals.accompanied:
-            with_force = _log_posterior(judged.log_prior, rivals.in_accompanied)
+    rivals, nominal = rivals or ForceRivals(), nominal_of(ranked)
+    held_back_shows = (
+        difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal.misfit) < USUAL_P_VALUE
+    )
+    scores = [item.log_posterior if held_back_shows else item.log_posterior_of_both for item in ranked]
+    for k, validated in enumerate(ranked):
+        if validated is rivals.accompanied:
+            with_force = _force_log_posterior(validated.log_prior, rivals.minus_two_log_accompanied)
             scores[k] = float(np.logaddexp(scores[k], with_force))
-    scores.append(_log_posterior(0.0, rivals.in_nominal))
-    *shares, unknown = (float(p) for p in probabilities(np.array(scores)))
-    weighed = tuple(Weighed(*pair) for pair in sorted(zip(ranked, shares, strict=True), key=lambda pair: -pair[1]))
-    likeliest = next((w.judged for w in weighed if w.judged.hypothesis.parts), None)
-    strengths = strengths_of(likeliest.hypothesis, weighed) if likeliest else ()
-    named = _named(likeliest, strengths, ranked) if likeliest else None
-    after = named or nominal
+    scores.append(_force_log_posterior(0.0, rivals.minus_two_log_nominal))
+    *shares, probability_unmeasured = (float(p) for p in probabilities(np.array(scores)))
+    weighted = tuple(
+        WeightedHypothesis(*pair) for pair in sorted(zip(ranked, shares, strict=True), key=lambda pair: -pair[1])
+    )
+    likeliest = next((item.validated for item in weighted if item.validated.hypothesis.candidates), None)
+    strengths = strengths_of(likeliest.hypothesis, weighted) if likeliest else ()
+    named = _named_hypothesis(likeliest, strengths, ranked) if likeliest else None
+    named_or_nominal = named or nominal
     contacts = [quantity.name for quantity in difference.contacts]
     evidence = Evidence(
         p_value=difference.p_value,
         quantities=difference.quantities,
         strengths=strengths,
-        p_value_after=p_value(null_reference, after.misfit),
-        quantities_after=share_bounds(after.misfit, contacts, matters),
-        removed=removed(nominal.misfit, after.without, after.misfit, matters),
+        p_value_after=p_value(null_reference, named_or_nominal.misfit),
+        quantities_after=share_bounds(named_or_nominal.misfit, contacts, matters),
+        removed=removed_share(nominal.misfit, named_or_nominal.nominal_misfit, named_or_nominal.misfit, matters),
         vetoed=vetoed,
         held_back_shows=held_back_shows,
     )
-    return Decision(evidence, weighed, unknown, named)
+    return Decision(evidence, weighted, probability_unmeasured, named)
 
 
-def strengths_of(hypothesis: Hypothesis, weighed: Sequence[Weighed]) -> tuple[Strength, ...]:
-    """The strength of every effect of a hypothesis, and how probably it, or a look-alike in its place, is there.
+def strengths_of(hypothesis: Hypothesis, weighted: Sequence[WeightedHypothesis]) -> tuple[Strength, ...]:
+    """Strength of every effect of a hypothesis, and the inclusion probability of it or a look-alike in its place.
 
-    Of several strengths the one that is off its neutral value by most standard errors.
+    Of several strengths of an effect, the one that is most standard errors from its neutral value.
     """
-    strengths, first = [], 0
+    strengths, first_column = [], 0
     errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
-    for part in hypothesis.parts:
-        columns = range(first, first := first + len(part.parameters))
-        look_alikes = _look_alikes(hypothesis, part, weighed)
-        neutral_values = {k: p.neutral for k, p in zip(columns, part.parameters, strict=True) if p.neutral is not None}
-        significance = {k: abs(hypothesis.values[k] - x) / max(errors[k], 1e-300) for k, x in neutral_values.items()}
+    for candidate in hypothesis.candidates:
+        columns = range(first_column, first_column := first_column + len(candidate.parameters))
+        look_alikes = _look_alikes(hypothesis, candidate, weighted)
+        neutral_values = {
+            k: p.neutral for k, p in zip(columns, candidate.parameters, strict=True) if p.neutral is not None
+        }
+        significance = {
+            k: abs(hypothesis.values[k] - neutral) / max(errors[k], 1e-300) for k, neutral in neutral_values.items()
+        }
         k = max(significance, key=lambda column: float(significance[column]))
-        value, half = float(hypothesis.values[k]), float(COVERED * errors[k])
-        names = {part.name, *look_alikes}
-        probability = sum(w.probability for w in weighed if names & set(w.judged.hypothesis.key))
-        interval = (value - half, value + half)
-        strengths.append(Strength(part.name, probability, interval, float(neutral_values[k]), look_alikes))
+        value, half_width = float(hypothesis.values[k]), float(COVERED * errors[k])
+        names = {candidate.name, *look_alikes}
+        probability = sum(item.probability for item in weighted if names & set(item.validated.hypothesis.key))
+        interval = (value - half_width, value + half_width)
+        strengths.append(Strength(candidate.name, probability, interval, float(neutral_values[k]), look_alikes))
     return tuple(strengths)
 
 
@@ -170,41 +178,50 @@ def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
     return bool(strengths) and all(not s.interval_95[0] <= s.neutral <= s.interval_95[1] for s in strengths)
 
 
-def _look_alikes(hypothesis: Hypothesis, part: Candidate, weighed: Sequence[Weighed]) -> tuple[str, ...]:
-    """Candidates that stand in an effect's place in other hypotheses that are likely too, by their names."""
+def _look_alikes(
+    hypothesis: Hypothesis, candidate: Candidate, weighted: Sequence[WeightedHypothesis]
+) -> tuple[str, ...]:
+    """Names of candidates that replace an effect in other hypotheses above `RIVAL_PROBABILITY`."""
     key = Counter(hypothesis.key)
     look_alikes: list[str] = []
-    for other in (w.judged.hypothesis for w in weighed if w.probability > ALIKE):
-        more, less = Counter(other.key) - key, key - Counter(other.key)
-        if less == Counter([part.name]) and more.total() == 1:
-            look_alikes += more
+    for rival in (item.validated.hypothesis for item in weighted if item.probability > RIVAL_PROBABILITY):
+        added, removed = Counter(rival.key) - key, key - Counter(rival.key)
+        if removed == Counter([candidate.name]) and added.total() == 1:
+            look_alikes += added
     return tuple(dict.fromkeys(look_alikes))
 
 
-def _named(likeliest: Judged, strengths: Sequence[Strength], ranked: Sequence[Judged]) -> Judged:
-    """The hypothesis of the named effects alone; the likeliest one where none is named, or that was not judged."""
+def _named_hypothesis(
+    likeliest: ValidatedHypothesis, strengths: Sequence[Strength], ranked: Sequence[ValidatedHypothesis]
+) -> ValidatedHypothesis:
+    """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated."""
     key = tuple(sorted(s.effect for s in strengths if s.is_named))
-    return next((j for j in ranked if key and j.hypothesis.key == key), likeliest)
+    return next((item for item in ranked if key and item.hypothesis.key == key), likeliest)
 
 
-def acts_where_they_do(force: ForcePlace, believed: Rig, rig: Rig) -> bool:
-    """True if an unmeasured force acts where effects do: at what they attached, at a contact or in a sensor that they
-    changed. One force of another law is no companion of theirs, but their rival."""
+def acts_at_effects(force: ForcePlace, nominal: Rig, corrected: Rig) -> bool:
+    """True if an unmeasured force acts at an attachment, or at a contact or in a sensor that effects changed.
+
+    One force of another law is then a rival of the effects, no companion.
+    """
     if force.kind == "sensor":
-        changed = [b.name for a, b in zip(believed.sensors, rig.sensors, strict=True) if a != b]
+        changed = [
+            after.name for before, after in zip(nominal.sensors, corrected.sensors, strict=True) if before != after
+        ]
         return changed == [force.sensor]
-    there = [c.at for c, d in zip(rig.contacts, believed.contacts, strict=True) if c.law != d.law]
-    for kind in ATTACHED:
-        there += [one.station for one in getattr(rig, kind)[len(getattr(believed, kind)) :]]
+    pairs = zip(corrected.contacts, nominal.contacts, strict=True)
+    effect_stations = [contact.at for contact, nominal_contact in pairs if contact.law != nominal_contact.law]
+    for kind in ATTACHED_FIELDS:
+        effect_stations += [item.station for item in getattr(corrected, kind)[len(getattr(nominal, kind)) :]]
     return any(
-        one.body == other.body and abs(one.position_m - other.position_m) <= SAME_M
-        for one in force.stations
-        for other in there
+        force_station.body == station.body and abs(force_station.position_m - station.position_m) <= SAME_M
+        for force_station in force.stations
+        for station in effect_stations
     )
 
 
-def _log_posterior(log_prior: float, cost: float | None) -> float:
-    """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; without any: impossible."""
+def _force_log_posterior(log_prior: float, cost: float | None) -> float:
+    """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; -inf without one."""
     if cost is None:
         return -np.inf
     return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - cost / (2 * TEMPERATURE)

@@ -1,1 +1,1 @@
-"""A diagnosis for people: a page that stands alone, its pictures, and the table on the screen."""
+"""Presentation of a diagnosis: gap.html with its pictures, and the table on the screen."""

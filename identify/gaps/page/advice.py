@@ -1,22 +1,29 @@
-"""Next steps, in concrete sentences by verdict."""
+"""Advice: the next steps after a diagnosis, in concrete sentences, by its verdict."""
 
 import math
 
-from identify.gaps.decision_table import USUAL, Verdict
+from identify.gaps.decision_table import USUAL_P_VALUE, Verdict
 from identify.gaps.results import Gap
-from identify.gaps.wording import LEAST, MOST, alternatives, capital, closes_some, joined, leaves
+from identify.gaps.wording import (
+    DESCRIPTION_EXPLAINED,
+    HINT_EXPLAINED,
+    capitalised,
+    is_effective,
+    joined,
+    look_alikes_of,
+    unexplained_words,
+)
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
 
-WIDEST = 3
-"""Ranges of frequency that are named."""
-
-EVERYWHERE = 0.8
-"""Of the band: what is left there is left everywhere."""
+MAX_RANGES = 3
+"""Frequency ranges that are named at most."""
+BROADBAND_SHARE = 0.8
+"""Share of the band from which an unexplained range counts as all frequencies."""
 BRIDGED_HZ = 10.0
-"""Ranges closer than this are one."""
-MILLION = 13.8
-"""Its logarithm."""
+"""Distance below which two frequency ranges count as one."""
+LOG_MILLION = 13.8
+"""Natural logarithm of the odds above which no number is written."""
 
 _BY_DEPENDENCE = {
     "displacement": "The force grows with the displacement: push there with known weights and measure the way.",
@@ -28,19 +35,19 @@ _BY_DEPENDENCE = {
 
 
 def next_steps(gap: Gap) -> list[str]:
-    """Next steps of a reader of the diagnosis, most useful first."""
+    """Next steps after a diagnosis, most useful first."""
     by_verdict = {
         Verdict.CONSISTENT: _consistent,
         Verdict.CANNOT_TELL: _cannot_tell,
         Verdict.SMALL: _small,
         Verdict.EXPLAINED: _explained,
-        Verdict.PARTLY_EXPLAINED: _partly,
+        Verdict.PARTLY_EXPLAINED: _partly_explained,
         Verdict.UNEXPLAINED: _unexplained,
     }
-    return [*_between(gap), *by_verdict[gap.verdict](gap)]
+    return [*_record_difference_steps(gap), *by_verdict[gap.verdict](gap)]
 
 
-def _between(gap: Gap) -> list[str]:
+def _record_difference_steps(gap: Gap) -> list[str]:
     if gap.between is None or not gap.between.differing:
         return []
     if gap.between.level_dependence:
@@ -49,109 +56,117 @@ def _between(gap: Gap) -> list[str]:
             "the end: a joint then gives the first values again, wear does not. What follows holds for the validation "
             "record."
         ]
-    names = joined(list(dict.fromkeys(one.parameter.split(".")[0] for one in gap.between.differing)))
+    effects = joined(list(dict.fromkeys(comparison.parameter.split(".")[0] for comparison in gap.between.differing)))
     return [
-        f"The machine was not the same in all records ({names}): find out what changed, and diagnose the records of "
+        f"The machine was not the same in all records ({effects}): find out what changed, and diagnose the records of "
         "one state by themselves; what follows holds for the validation record."
     ]
 
 
-def rest_hz(gap: Gap) -> list[tuple[float, float]]:
-    """Ranges of frequency, widest first, in which what is left exceeds what matters and what null simulations leave."""
+def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
+    """Frequency ranges, widest first, whose unexplained share exceeds what matters and what null simulations leave."""
     ranges: list[tuple[float, float]] = []
     for band in gap.bands:
         if band.after <= max(band.usual, gap.matters.motion):
             continue
-        near = ranges and band.low_hz - ranges[-1][1] < BRIDGED_HZ
-        ranges.append((ranges.pop()[0] if near else band.low_hz, band.high_hz))
+        adjacent = ranges and band.low_hz - ranges[-1][1] < BRIDGED_HZ
+        ranges.append((ranges.pop()[0] if adjacent else band.low_hz, band.high_hz))
     return sorted(ranges, key=lambda r: r[0] - r[1])
 
 
-SMALLER = (
+SENSITIVITY_ADVICE = (
     "To find smaller differences, state tighter tolerances where you have measured them (--tolerances), record for "
     "longer, or excite more strongly."
 )
 
 
-def _as_it_is(gap: Gap) -> list[str]:
-    same = not (gap.between and gap.between.differing)
-    return ["Nothing needs to be done: simulate with rig.json as it is."] if same else []
+def _unchanged_rig_steps(gap: Gap) -> list[str]:
+    unchanged = not (gap.between and gap.between.differing)
+    return ["Nothing needs to be done: simulate with rig.json as it is."] if unchanged else []
 
 
 def _consistent(gap: Gap) -> list[str]:
-    return [*_as_it_is(gap), SMALLER, *_proposed(gap)]
+    return [*_unchanged_rig_steps(gap), SENSITIVITY_ADVICE, *_experiment_steps(gap)]
 
 
 def _cannot_tell(gap: Gap) -> list[str]:
-    """Steps that would show what was not seen."""
-    remedies = dict.fromkeys(capital(one.remedy) for one in gap.not_seen if one.remedy)
+    """Steps that would show the quantities that were not seen."""
+    remedies = dict.fromkeys(capitalised(quantity.remedy) for quantity in gap.not_seen if quantity.remedy)
     steps = [f"{remedy}, and diagnose again." for remedy in remedies]
     return [
         "Do not rely on rig.json yet.",
         *(steps or ["Record for longer or excite more strongly, and diagnose again."]),
-        *_proposed(gap),
+        *_experiment_steps(gap),
     ]
 
 
 def _small(gap: Gap) -> list[str]:
     if gap.causes and gap.causes[0].named:
         step = "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine."
-        return [step, *_tell_apart(gap)]
-    return [*_as_it_is(gap), "To see its cause, lower --matters and --matters-contact and diagnose again."]
+        return [step, *_discriminating_steps(gap)]
+    return [*_unchanged_rig_steps(gap), "To see its cause, lower --matters and --matters-contact and diagnose again."]
 
 
 def _explained(gap: Gap) -> list[str]:
-    best = gap.causes[0]
-    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {joined(best.named)}."]
-    if gap.after.p_value < USUAL:
+    likeliest = gap.causes[0]
+    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {joined(likeliest.named)}."]
+    if gap.after.p_value < USUAL_P_VALUE:
         steps.append(
-            f"What is left is {leaves(gap.after)}: more than tolerances and noise leave, too little to matter."
+            f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, too little to "
+            "matter."
         )
     else:
         steps.append("Look for no further cause: what is left is what tolerances and noise leave.")
-    return steps + _tell_apart(gap)
+    return steps + _discriminating_steps(gap)
 
 
-def _partly(gap: Gap) -> list[str]:
-    best = gap.causes[0]
+def _partly_explained(gap: Gap) -> list[str]:
+    likeliest = gap.causes[0]
     steps = [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
-        f"{joined(best.named)} it still leaves {leaves(gap.after)} unexplained."
+        f"{joined(likeliest.named)} it still leaves {unexplained_words(gap.after)} unexplained."
     ]
-    return steps + _rest(gap) + (_where_to_look(gap.unknown) if gap.unknown else []) + _tell_apart(gap)
+    return (
+        steps
+        + _unexplained_steps(gap)
+        + (_inspection_steps(gap.unknown) if gap.unknown else [])
+        + _discriminating_steps(gap)
+    )
 
 
 def _unexplained(gap: Gap) -> list[str]:
     steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
-    steps += (_where_to_look(gap.unknown) if gap.unknown else []) or _rest(gap)
-    if gap.causes and closes_some(gap.causes[0]):
-        return steps + _tell_apart(gap)
-    return steps + _proposed(gap)
+    steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap)
+    if gap.causes and is_effective(gap.causes[0]):
+        return steps + _discriminating_steps(gap)
+    return steps + _experiment_steps(gap)
 
 
-def _rest(gap: Gap) -> list[str]:
-    ranges = rest_hz(gap)[:WIDEST]
+def _unexplained_steps(gap: Gap) -> list[str]:
+    ranges = unexplained_ranges_hz(gap)[:MAX_RANGES]
     if not ranges:
         share = max(gap.after.contact_shares.items(), key=lambda item: item[1], default=("", 0.0))
         if share[1] <= gap.matters.contact:
             return []
         return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
-    if sum(high - low for low, high in ranges) > EVERYWHERE * (gap.bands[-1].high_hz - gap.bands[0].low_hz):
+    if sum(high - low for low, high in ranges) > BROADBAND_SHARE * (gap.bands[-1].high_hz - gap.bands[0].low_hz):
         return [
             "What is left is spread over all frequencies: check what acts on all of them, such as gains, stations, "
             "cables and cross-axis sensitivity."
         ]
-    said = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
-    return [f"Look for something that acts from {said}: there more is left than what matters and what noise leaves."]
+    band_words = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
+    return [
+        f"Look for something that acts from {band_words}: there more is left than what matters and what noise leaves."
+    ]
 
 
-def _where_to_look(unknown: UnmeasuredForce) -> list[str]:
-    """Place, and what to measure there."""
-    if unknown.explained < LEAST:
+def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
+    """Steps that inspect the place of an unmeasured force."""
+    if unknown.explained < HINT_EXPLAINED:
         return []
-    if unknown.explained < MOST:
+    if unknown.explained < DESCRIPTION_EXPLAINED:
         hint = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
-        return [f"{hint}look at {_what(unknown)}."]
+        return [f"{hint}look at {_suspect_words(unknown)}."]
     if unknown.kind == "sensor":
         return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "contact":
@@ -182,7 +197,7 @@ def _where_to_look(unknown: UnmeasuredForce) -> list[str]:
     return steps
 
 
-def _what(unknown: UnmeasuredForce) -> str:
+def _suspect_words(unknown: UnmeasuredForce) -> str:
     if unknown.kind == "sensor":
         return f"sensor {unknown.sensor}"
     if unknown.kind == "distributed":
@@ -191,30 +206,36 @@ def _what(unknown: UnmeasuredForce) -> str:
 
 
 def place(unknown: UnmeasuredForce) -> str:
-    """Place in words, such as "the barrel near 0.89 m"."""
-    at = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
+    """Place of an unmeasured force in words: "the barrel near 0.89 m"."""
+    position = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
     if unknown.against_body:
-        return f"{at} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
-    return at
+        return f"{position} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
+    return position
 
 
-def _tell_apart(gap: Gap) -> list[str]:
-    steps = [f"This record hardly tells {joined([words, *others], 'from')}." for words, others in alternatives(gap)]
-    return steps + _proposed(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
+def _discriminating_steps(gap: Gap) -> list[str]:
+    steps = [
+        f"This record hardly tells {joined([words, *look_alikes], 'from')}."
+        for words, look_alikes in look_alikes_of(gap)
+    ]
+    return steps + _experiment_steps(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
 
 
-def _proposed(gap: Gap) -> list[str]:
-    """The experiment that was computed, and the next best."""
+def _experiment_steps(gap: Gap) -> list[str]:
+    """Proposed recordings: the best, and the two next best."""
     if not gap.next_experiments:
         return []
-    best, *others = gap.next_experiments
+    best_experiment, *alternatives = gap.next_experiments
     return [
-        f"To tell {joined(gap.next_between, 'from')}, {best.words}: that is expected to raise the odds of the true one "
-        f"by a factor of {_odds(best.log_odds)}."
-        + "".join(f" {one.words[:1].upper()}{one.words[1:]}: {_odds(one.log_odds)}." for one in others[:2])
+        f"To tell {joined(gap.next_between, 'from')}, {best_experiment.words}: that is expected to raise the odds of "
+        f"the true one by a factor of {_odds_factor(best_experiment.log_odds)}."
+        + "".join(
+            f" {experiment.words[:1].upper()}{experiment.words[1:]}: {_odds_factor(experiment.log_odds)}."
+            for experiment in alternatives[:2]
+        )
     ]
 
 
-def _odds(logarithm: float) -> str:
-    """The factor; what is beyond a million is no more than that."""
-    return "a million or more" if logarithm > MILLION else number(math.exp(max(logarithm, 0.0)), 2)
+def _odds_factor(logarithm: float) -> str:
+    """Factor of the odds in words, "a million or more" at most."""
+    return "a million or more" if logarithm > LOG_MILLION else number(math.exp(max(logarithm, 0.0)), 2)

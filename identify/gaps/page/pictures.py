@@ -1,24 +1,26 @@
-"""The pictures of a diagnosis. Computes no estimate."""
+"""Pictures of a diagnosis: causes, bands, experiments, curves, and where the mismatch lies. Computes no estimate."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from identify.gaps.page import attribution_pictures, unknown_pictures
-from identify.gaps.page.axes import lying_bars, stacked
-from identify.gaps.results import AGAIN, Curve, Gap
-from identify.gaps.wording import cause_name, closes, closes_some, others, probability
-from identify.pages.picture import Picture
-from identify.pages.style import BLUE, GREEN, GREY, INK, RED, picture
+from identify.gaps.page.unknown_pictures import drawings
+from identify.gaps.results import SAME_EXPERIMENT, Attribution, Curve, Gap, ResidualMap, Share
+from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
+from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from rig.model.description import Rig
 from rig.model.quantities import printed_unit
 
 Draw = Callable[[Any], None]
 
-MOST_CAUSES = 6
-DECIDED = np.log(19)
+MAX_CAUSES = 6
+MAX_LABELS = 12
+MAX_NAME_CHARACTERS = 34
+"""Length above which a name beside a bar is shortened."""
+LOG_ODDS_95 = np.log(19)
+"""Gain of log odds that turns even odds into 95 %."""
 _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 
 
@@ -27,25 +29,25 @@ def pictures(gap: Gap, rig: Rig) -> dict[str, Picture]:
 
     What the diagnosis lacks is left out; the rig gives the bodies that an unknown force is drawn on.
     """
-    return {name: picture(draw, *size) for name, size, draw in _drawn(gap, rig)}
+    return {name: picture(draw, *size) for name, size, draw in _drawings(gap, rig)}
 
 
-def _drawn(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
-    """Name, width and height in inches, and the function that draws."""
+def _drawings(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
+    """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
         height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
         yield "next_experiments", (_WIDE_IN, height), partial(_experiments, gap=gap)
     if any(b.before or b.after or b.usual for b in gap.bands):
         yield "large_bands", (_WIDE_IN, 3.6), partial(_bands, gap=gap)
     if gap.causes:
-        rows = 1.5 * min(len(gap.causes), MOST_CAUSES) + 2
+        rows = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
         yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_probability, gap=gap)
         yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_closes, gap=gap)
     if gap.unknown:
-        for name, height, draw in unknown_pictures.drawn(gap.unknown, rig):
-            wide = name == "place"
-            yield f"unknown_{name}", (_WIDE_IN if wide else _WIDTH_IN, height), draw
-    for name, height, draw in attribution_pictures.drawn(gap.attribution):
+        for name, height, draw in drawings(gap.unknown, rig):
+            is_wide = name == "place"
+            yield f"unknown_{name}", (_WIDE_IN if is_wide else _WIDTH_IN, height), draw
+    for name, height, draw in _attribution_drawings(gap.attribution):
         yield f"where_{name}", (_WIDTH_IN, height), draw
     for j, curve in enumerate(gap.curves, 1):
         yield f"far_curve_{j}", (_WIDTH_IN, _HEIGHT_IN), partial(_curve, curve=curve)
@@ -56,7 +58,7 @@ def _bands(figure: Any, gap: Gap) -> None:
     edges = [b.low_hz for b in gap.bands] + [gap.bands[-1].high_hz]
     axes = figure.subplots()
     rows = [("believed rig", RED, [b.before for b in gap.bands])]
-    if gap.causes and closes_some(gap.causes[0]):
+    if gap.causes and is_effective(gap.causes[0]):
         rows.append(("with the likeliest cause", BLUE, [b.after for b in gap.bands]))
     rows.append(("nineteen of twenty null simulations stay below", GREEN, [b.usual for b in gap.bands]))
     for label, colour, shares in rows:
@@ -70,42 +72,44 @@ def _bands(figure: Any, gap: Gap) -> None:
 
 
 def _probability(figure: Any, gap: Gap) -> None:
-    """Probabilities of the likeliest causes, the others together, none, and something unknown: they sum to one."""
-    shown, rest = gap.causes[:MOST_CAUSES], gap.causes[MOST_CAUSES:]
-    rows = [(stacked(cause_name(c)), c.probability) for c in shown]
-    if rest:
-        rows.append((f"{len(rest)} further causes", sum(c.probability for c in rest)))
-    rows += others(gap)
+    """Probabilities of the likeliest causes, all others, no cause, and something unmeasured; they sum to one."""
+    top_causes, remaining_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
+    rows = [(_cause_lines(cause_name(c)), c.probability) for c in top_causes]
+    if remaining_causes:
+        rows.append((f"{len(remaining_causes)} further causes", sum(c.probability for c in remaining_causes)))
+    rows += remaining_probabilities(gap)
     colours = [BLUE] * (len(rows) - 2) + [GREEN, GREY]
     names, sizes = [r[0] for r in rows], [100 * r[1] for r in rows]
-    axes = lying_bars(figure, names, sizes, [probability(r[1]) for r in rows], colours)
+    axes = _horizontal_bars(figure, names, sizes, [probability(r[1]) for r in rows], colours)
     axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
 
 def _closes(figure: Any, gap: Gap) -> None:
-    """The fraction of the gap that each of the likeliest causes closes, with its 95 % interval."""
-    shown = gap.causes[:MOST_CAUSES]
-    sizes = [100 * min(max(c.explained, 0.0), 1.0) for c in shown]
-    ends = 100 * np.clip([c.interval_95 for c in shown], 0, 1)
-    names = [stacked(cause_name(c)) for c in shown]
-    axes = lying_bars(figure, names, sizes, [""] * len(shown), BLUE)
-    for row, (cause, (low, high)) in enumerate(zip(shown, ends, strict=True)):
+    """Share of the mismatch that each of the likeliest causes removes, with its 95 % interval."""
+    top_causes = gap.causes[:MAX_CAUSES]
+    sizes = [100 * min(max(c.explained, 0.0), 1.0) for c in top_causes]
+    intervals_percent = 100 * np.clip([c.interval_95 for c in top_causes], 0, 1)
+    names = [_cause_lines(cause_name(c)) for c in top_causes]
+    axes = _horizontal_bars(figure, names, sizes, [""] * len(top_causes), BLUE)
+    for row, (cause, (low, high)) in enumerate(zip(top_causes, intervals_percent, strict=True)):
         axes.plot([low, high], [row, row], color=INK, lw=2.0, marker="|", ms=8)
-        axes.annotate(closes(cause), (max(high, sizes[row]), row), (6, 0), textcoords="offset points", va="center")
+        axes.annotate(
+            removed_share_words(cause), (max(high, sizes[row]), row), (6, 0), textcoords="offset points", va="center"
+        )
     axes.set(xlim=(0, 210), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
-    axes.set_ylim(len(shown) - 0.4, -0.6)
+    axes.set_ylim(len(top_causes) - 0.4, -0.6)
     figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
 
 
 def _experiments(figure: Any, gap: Gap) -> None:
-    """Expected gain by each further recording in the odds of the true one of two causes."""
-    shown = gap.next_experiments
-    sizes = [e.log_odds for e in shown]
-    names = [e.words + " (reference)" * (e.words == AGAIN) for e in shown]
-    colours = [GREY if e.words == AGAIN else BLUE for e in shown]
-    axes = lying_bars(figure, names, sizes, [f"{size:.1f}" for size in sizes], colours)
-    axes.axvline(DECIDED, color=INK, lw=1.2, ls="--", label="turns even odds into 95 %")
+    """Expected gain of each further recording in the log odds of the true one of two causes."""
+    experiments = gap.next_experiments
+    sizes = [e.log_odds for e in experiments]
+    names = [e.words + " (reference)" * (e.words == SAME_EXPERIMENT) for e in experiments]
+    colours = [GREY if e.words == SAME_EXPERIMENT else BLUE for e in experiments]
+    axes = _horizontal_bars(figure, names, sizes, [f"{size:.1f}" for size in sizes], colours)
+    axes.axvline(LOG_ODDS_95, color=INK, lw=1.2, ls="--", label="turns even odds into 95 %")
     axes.margins(x=0.12)
     axes.set(xlabel="expected gain of the log odds of the true one (natural logarithm)")
     figure.legend(loc="outside lower right")
@@ -125,3 +129,97 @@ def _curve(figure: Any, curve: Curve) -> None:
     figure.legend(loc="outside lower center", ncols=3, columnspacing=1.0, handlelength=1.6)
     axes.set(xlabel=curve.x_label, ylabel=printed_unit(curve.y_label))
     axes.set_title(curve.name, wrap=True)
+
+
+def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:
+    """Name, height in inches and drawing function of each picture of the mismatch's location.
+
+    Left out where all shares are zero, as those of the acceleration of a single mass, whose mismatch is in the contact
+    force.
+    """
+    if any(any(stations.values()) for stations in attribution.positions_m.values()):
+        yield "positions", 0.6 + 1.5 * len(attribution.positions_m), partial(_positions, bodies=attribution.positions_m)
+    if any(s.share for s in attribution.band_hz):
+        yield "band", _HEIGHT_IN, partial(_row, shares=attribution.band_hz, title="By frequency", x_label="band, Hz")
+    for name, shares, title in (
+        ("channels", attribution.channels, "By channel"),
+        ("modal_equations", attribution.modal_equations, "By modal equation"),
+        ("parts", attribution.parts, "Linear structure or contact laws"),
+        ("contact_state", attribution.contact_state, "By contact state"),
+    ):
+        if any(shares.values()):
+            yield name, _FRAME_IN + _ROW_IN * len(shares), partial(_bars, shares=shares, title=title)
+    if any(s.share for s in attribution.time_s):
+        yield "time", _HEIGHT_IN, partial(_row, shares=attribution.time_s, title="Over time", x_label="time, s")
+    for j, (contact, surface) in enumerate(attribution.surface.items(), 1):
+        yield f"surface_{j}", _HEIGHT_IN, partial(_surface, surface=surface, contact=contact)
+
+
+def _bars(figure: Any, shares: Mapping[str, float], title: str) -> None:
+    sizes = [100 * s for s in shares.values()]
+    axes = _horizontal_bars(figure, [_shortened(n) for n in shares], sizes, [f"{s:.1f}" for s in sizes], BLUE)
+    axes.margins(x=0.18)
+    axes.set(xlabel="share of the gap, %")
+    figure.suptitle(title, fontsize=10)
+
+
+def _row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
+    axes = figure.subplots()
+    axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
+    labelled = slice(None, None, -(-len(shares) // MAX_LABELS))
+    names = [_shortened(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
+    axes.set_xticks(np.arange(len(shares))[labelled], names[labelled], rotation=40, ha="right", rotation_mode="anchor")
+    axes.grid(axis="x", visible=False)
+    axes.set(xlabel=x_label, ylabel="share of the gap, %", title=title)
+
+
+def _positions(figure: Any, bodies: Mapping[str, Mapping[float, float]]) -> None:
+    """Each body as a thick line from its left end, a bar at every station."""
+    panels = figure.subplots(len(bodies), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    longest = max([position_m for stations in bodies.values() for position_m in stations], default=0.0) or 1.0
+    for axes, (body, stations) in zip(panels, bodies.items(), strict=True):
+        places = np.array(list(stations))
+        sizes = 100 * np.array(list(stations.values()))
+        axes.plot([0.0, max(places.max(initial=0.0), 0.02 * longest)], [0, 0], color=INK, lw=5, zorder=3)
+        bars = axes.bar(places, sizes, width=0.04 * longest, color=BLUE)
+        axes.plot(places, 0 * places, "^", ms=5, color="white", mec=INK, zorder=4, clip_on=False)
+        if places.size <= MAX_LABELS:
+            axes.bar_label(bars, [f"{s:.0f}" for s in sizes], padding=2)
+        axes.margins(y=0.22)
+        axes.set_title(_shortened(body), loc="left", fontsize=9)
+    panels[-1].set_xlabel("distance from the left end, m")
+    figure.supylabel("share of the gap, %", fontsize=9)
+    figure.suptitle("Along the bodies (stations marked)", fontsize=10)
+
+
+def _surface(figure: Any, surface: ResidualMap, contact: str) -> None:
+    axes = figure.subplots()
+    share = 100 * np.array(surface.share)
+    cells = axes.pcolormesh(
+        1e3 * np.array(surface.eta_m), surface.rate_m_per_s, np.where(share > 0, share, np.nan).T, cmap="viridis_r"
+    )
+    figure.colorbar(cells, label="share of the gap, %")
+    axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened(contact)}")
+
+
+def _shortened(name: str) -> str:
+    return name if len(name) <= MAX_NAME_CHARACTERS else f"{name[: MAX_NAME_CHARACTERS - 1]}…"
+
+
+def _cause_lines(name: str) -> str:
+    """Name of a cause with one effect per line."""
+    first, *further_effects = name.split(" + ")
+    return "\n".join([_shortened(first), *(_shortened(f"+ {effect}") for effect in further_effects)])
+
+
+def _horizontal_bars(
+    figure: Any, names: Sequence[str], sizes: Sequence[float], bar_labels: Sequence[str], colours: Any
+) -> Any:
+    """Axes with horizontal bars, the first on top, and a label at the end of each."""
+    axes = figure.subplots()
+    bars = axes.barh(np.arange(len(names)), sizes, height=0.62, color=colours)
+    axes.bar_label(bars, bar_labels, padding=4)
+    axes.set_yticks(np.arange(len(names)), names)
+    axes.invert_yaxis()
+    axes.grid(axis="y", visible=False)
+    return axes

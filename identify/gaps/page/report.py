@@ -1,25 +1,28 @@
-"""gap.html: a diagnosis as a page that stands alone, beside gap.json and the corrected rig.json."""
+"""Files of a diagnosis: gap.html (needs no other file), gap.json, the corrected rig.json, and its curves as tables."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from identify.gaps.decision_table import Verdict
-from identify.gaps.page.decided import decided
 from identify.gaps.page.screen import colour
 from identify.gaps.page.sections import (
-    between_records,
-    causes,
-    how_large,
+    cause_tables,
+    decision,
+    location,
+    mismatch_size,
+    next_steps_list,
     notes,
+    record_differences,
     response_comparison,
     unknown_force,
-    what_next,
-    where,
 )
-from identify.gaps.results import Gap
+from identify.gaps.results import Curve, Gap
 from identify.gaps.wording import verdict
 from identify.pages import page
-from identify.pages.picture import Picture
+from identify.pages.style import Picture
+from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import Rig, to_json
 
@@ -33,11 +36,11 @@ CAPTIONS = {
     "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double "
     "arrow along the direction in which it pushes and pulls.",
 }
-"""Of the pictures that are shown wide; the others carry their titles."""
+"""Captions of the wide pictures; the others carry their titles."""
 
 
 def write_all(gap: Gap, corrected: Rig, title: str, folder: Path, sources: Sequence[Path] = ()) -> None:
-    """gap.html, the corrected rig's rig.json, and gap.json, each whole or not at all."""
+    """Write gap.html, the corrected rig.json and gap.json, each atomically."""
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
@@ -47,19 +50,19 @@ def write_all(gap: Gap, corrected: Rig, title: str, folder: Path, sources: Seque
 
 
 def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path, sources: Sequence[Path] = ()) -> None:
-    """Writes the page, which needs no other file: beside first, then renamed.
+    """Write the page atomically, pictures included.
 
-    The first word of a figure's name says the section, as `identify.gaps.page.pictures` names them.
+    The first word of a picture's name is its section, as named in `identify.gaps.page.pictures`.
     """
-    rest = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
+    unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
     sections = [
-        ("What to do next", "next", what_next(gap)),
-        ("How large is the difference?", "large", how_large(gap)),
-        ("What causes it?", "why", causes(gap)),
-        ("How was it decided?", "decided", decided(gap)),
-        *([("What differs between the records?", "between", between_records(gap.between))] if gap.between else []),
-        *([(rest, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
-        ("Where does it lie?", "where", where(gap.attribution)),
+        ("What to do next", "next", next_steps_list(gap)),
+        ("How large is the difference?", "large", mismatch_size(gap)),
+        ("What causes it?", "why", cause_tables(gap)),
+        ("How was it decided?", "decided", decision(gap)),
+        *([("What differs between the records?", "between", record_differences(gap.between))] if gap.between else []),
+        *([(unknown_heading, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
+        ("Where does it lie?", "where", location(gap.attribution)),
         ("Simulated and measured", "far", response_comparison(gap)),
         *([("What could not be computed", "notes", notes(gap))] if gap.notes else []),
     ]
@@ -69,14 +72,44 @@ def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path,
         colour=colour(gap),
         verdict=verdict(gap),
         sentence=gap.sentence,
-        sections=[(heading, f"{text}\n{_images(figures, key)}") for heading, key, text in sections],
+        sections=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in sections],
         foot="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
     )
 
 
-def _images(figures: Mapping[str, Picture], section: str) -> str:
-    own = {name: shown for name, shown in figures.items() if name.split("_")[0] == section}
-    wide = "".join(page.figure(name, shown, CAPTIONS[name]) for name, shown in own.items() if name in CAPTIONS)
-    small = "".join(page.figure(name, shown) for name, shown in own.items() if name not in CAPTIONS)
-    return wide + (f'<div class="pictures">\n{small}</div>' if small else "")
+def _figures_html(figures: Mapping[str, Picture], section: str) -> str:
+    section_pictures = {name: picture for name, picture in figures.items() if name.split("_")[0] == section}
+    wide_figures = "".join(
+        page.figure(name, picture, CAPTIONS[name]) for name, picture in section_pictures.items() if name in CAPTIONS
+    )
+    small_figures = "".join(
+        page.figure(name, picture) for name, picture in section_pictures.items() if name not in CAPTIONS
+    )
+    return wide_figures + (f'<div class="pictures">\n{small_figures}</div>' if small_figures else "")
+
+
+def curves(gap: Gap) -> dict[str, Table]:
+    """Tables `bands` (unexplained shares of the acceleration by frequency) and `comparison_N` (simulated and measured
+    curves, numbered from 1), as far as the diagnosis has them."""
+    tables = {f"comparison_{number}": _comparison_table(curve) for number, curve in enumerate(gap.curves, start=1)}
+    return tables | ({"bands": _band_table(gap)} if gap.bands else {})
+
+
+def _band_table(gap: Gap) -> Table:
+    names = {
+        "low_hz": "from Hz",
+        "high_hz": "to Hz",
+        "before": "unexplained by the believed rig",
+        "after": "unexplained with the likeliest cause",
+        "usual": "nineteen of twenty null simulations stay below",
+    }
+    return {heading: np.array([getattr(band, name) for band in gap.bands]) for name, heading in names.items()}
+
+
+def _comparison_table(curve: Curve) -> Table:
+    """Table of a curve; each column is named by curve, kind, axis label and unit."""
+    table: Table = {curve.x_label: np.array(curve.x)}
+    for kind in ("measured", "believed", "corrected"):
+        table[f"{curve.name}: {kind}, {curve.y_label}"] = np.array(getattr(curve, kind))
+    return table

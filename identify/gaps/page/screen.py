@@ -1,4 +1,4 @@
-"""A diagnosis on the screen."""
+"""Diagnosis on the screen: sentence, table of causes, unmeasured force and next steps."""
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -7,7 +7,17 @@ from rich.text import Text
 from identify.gaps.decision_table import Verdict
 from identify.gaps.page.advice import next_steps
 from identify.gaps.results import Gap
-from identify.gaps.wording import WHEN, cause_name, closes, interval, leaves, not_computed, others, probability, verdict
+from identify.gaps.wording import (
+    WHEN,
+    cause_name,
+    interval,
+    not_computed,
+    probability,
+    remaining_probabilities,
+    removed_share_words,
+    unexplained_words,
+    verdict,
+)
 from identify.pages.page import Colour
 from identify.pages.wording import number, percent
 from rig.model.unmeasured_force import UnmeasuredForce
@@ -20,22 +30,24 @@ COLOURS: dict[Verdict, Colour] = {
     Verdict.PARTLY_EXPLAINED: "yellow",
     Verdict.UNEXPLAINED: "red",
 }
-MOST = 5
-"""Causes in the table."""
+MAX_CAUSES = 5
+"""Rows of causes in the table at most."""
 
 
 def colour(gap: Gap) -> Colour:
     return COLOURS[gap.verdict]
 
 
-def shown(gap: Gap) -> RenderableType:
-    """The sentence, the causes with what each closes and leaves, the unknown force, and what to do next."""
+def screen_view(gap: Gap) -> RenderableType:
+    """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
     lines: list[RenderableType] = [
         Text.assemble((verdict(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
-        _table(gap),
+        _cause_table(gap),
     ]
     if gap.unknown:
-        lines.append(Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {in_short(gap.unknown)}"))
+        lines.append(
+            Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {_unknown_summary(gap.unknown)}")
+        )
     lines += [Text(note) for note in not_computed(gap)]
     lines.append(Text("what to do next:", style="bold"))
     steps = Table.grid(padding=(0, 1))
@@ -44,8 +56,8 @@ def shown(gap: Gap) -> RenderableType:
     return Group(*lines, steps)
 
 
-def in_short(unknown: UnmeasuredForce) -> str:
-    """Its size, its band, when it acts, and how much it explains."""
+def _unknown_summary(unknown: UnmeasuredForce) -> str:
+    """Size, band, times and explained share of an unmeasured force."""
     low, high = unknown.band_hz
     unit = "m/s²" if unknown.kind == "sensor" else "N"
     when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
@@ -55,17 +67,23 @@ def in_short(unknown: UnmeasuredForce) -> str:
     )
 
 
-def _table(gap: Gap) -> Table:
-    """Probabilities sum to one."""
+def _cause_table(gap: Gap) -> Table:
+    """Table of causes, no cause and something unmeasured, whose probabilities sum to one."""
     table = Table("cause", "probability", "closes (95 %)", "leaves")
     table.add_column("parameters ± 95 %", overflow="fold")
-    for cause in gap.causes[:MOST]:
-        found = "\n".join(f"{name} {interval(value)}" for name, value in cause.parameters.items())
-        row = (cause_name(cause), probability(cause.probability), closes(cause), leaves(cause.left), found)
+    for cause in gap.causes[:MAX_CAUSES]:
+        parameter_lines = "\n".join(f"{name} {interval(value)}" for name, value in cause.parameters.items())
+        row = (
+            cause_name(cause),
+            probability(cause.probability),
+            removed_share_words(cause),
+            unexplained_words(cause.left),
+            parameter_lines,
+        )
         table.add_row(*(Text(cell) for cell in row))
-    if further := gap.causes[MOST:]:
+    if further := gap.causes[MAX_CAUSES:]:
         table.add_row(f"{len(further)} further", probability(sum(c.probability for c in further)), "", "", "")
-    (nominal, likely), unmeasured = others(gap)
-    table.add_row(nominal, probability(likely), "", Text(leaves(gap.before)), "")
+    (nominal_words, nominal_probability), unmeasured = remaining_probabilities(gap)
+    table.add_row(nominal_words, probability(nominal_probability), "", Text(unexplained_words(gap.before)), "")
     table.add_row(unmeasured[0], probability(unmeasured[1]), "", "", "")
     return table

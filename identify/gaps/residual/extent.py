@@ -1,57 +1,73 @@
-"""The part of a recording that the diagnosis looks at: beginning, length, and highest frequency."""
+"""Extent of a recording that the diagnosis reads: its sensors and their noise, the start and end of the samples that
+count, and the highest frequency."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+from scipy.signal import periodogram
 
 from identify.contacts.separation import driven_to_hz
-from identify.gaps.residual.ringing import rings_to_hz
-from identify.signals.beginning import QUIET_S, at_rest_until
+from identify.gaps.residual.ringing import highest_ringing_hz
+from identify.signals.beginning import QUIET_S, excitation_start
 from identify.signals.kinematics import kinematics
+from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
 from identify.signals.spectra import force_band
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
-from rig.model.sensing import PASSBAND
+from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
 TAPER_S = 0.5
-LEFT_OUT_S, SHARE_LEFT_OUT = 4.5, 0.45
-"""At the record's end, where the taper, and integration, falsify every residual; of a record at most this share."""
-FADED, SHARE_FADED = 1.5, 0.1
-"""What is left out at a faded end where nothing is integrated, and at a faded beginning where nothing rings either, as
-a multiple of the fade; which is no longer than this share of the record."""
-RELEASED_S = 2.0
-"""At the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`."""
-SETTLES_S = 0.05
-"""So long before the force a quiet start ends."""
+OMITTED_S, OMITTED_SHARE = 4.5, 0.45
+"""Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it."""
+OMITTED_FADES, FADE_SHARE = 1.5, 0.1
+"""Part omitted at a faded end without integration, and at a faded start where nothing rings, in lengths of the fade;
+and the largest share of a record that is a fade."""
+RELEASE_S = 2.0
+"""Seconds omitted at the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`."""
+QUIET_MARGIN_S = 0.05
+"""Time before the force at which a quiet start ends."""
 REACH = 1.6
-"""The diagnosis looks up to this multiple of the force's highest frequency."""
-OF_MOST, MOST = 2.0, 0.9
-"""But no further than this multiple of the frequency below which so much of the force's power lies: a hammer's falls
-slowly with the frequency."""
-SHORTEST_S, SHORTEST_WHOLE_S = 10.0, 1.0
-"""No record is shorter; the second holds of one that counts from its first sample on and is not integrated."""
-DECAYED, LEAST_S = 0.03, 4.0
-"""A record counts until its last second with more than this share of the loudest one's acceleration, and at least for
-so long: what contacts of a rig do that has come to rest, accelerometers do not show."""
+"""Highest frequency of the diagnosis, as a multiple of the force's highest frequency."""
+POWER_REACH, POWER_SHARE = 2.0, 0.9
+"""Its bound, as a multiple of the frequency below which this share of the force's power lies: that of a hammer falls
+slowly with frequency."""
+SHORTEST_S, SHORTEST_UNCUT_S = 10.0, 1.0
+"""Shortest record; the second for one that counts from its first sample and is not integrated."""
+DECAYED_SHARE, LEAST_COUNTED_S = 0.03, 4.0
+"""Share of the loudest second's acceleration below which a record ends, and the least time that counts: accelerometers
+do not show contacts of a rig at rest."""
+
+
+def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
+    """Sensors of the quantity that the diagnosis reads: accelerations, else velocities, else displacements; in reverse
+    order for a record without a force.
+
+    Raises RigError if there are no sensors of motion.
+    """
+    motion_sensors = [s for s in recording.rig.sensors if s.measures.translates]
+    if not motion_sensors:
+        raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
+    preferred = max if np.any(recording.forces_n) else min
+    return sensors_of(recording.rig, preferred(motion_sensors, key=lambda s: s.measures.order).quantity)
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """The beginning of a record, and what of it has to be integrated.
+    """Start of a record, and whether its signals are integrated.
 
-    integrates: the relative displacements at contacts follow from other derivatives. from_the_blow: a free motion that
-    is estimated with its beginning; it counts from the first sample on where there are no contacts. free: all bodies
-    are masses that nothing holds, so that nothing rings.
-    excited_from is the first sample at which a force acts; the quiet samples before it tell the noise.
+    zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
+    accelerations. counts_from_blow: a free motion whose initial state is estimated; without contacts it counts from the
+    first sample. free: all bodies are unsupported masses, so that nothing rings. excited_from is the first sample at
+    which a force acts; the quiet samples before it determine the noise.
     """
 
     zero_known: bool
     contacts: bool
     integrates: bool
-    from_the_blow: bool
+    counts_from_blow: bool
     free: bool
     excited_from: int
     quiet_samples: int
@@ -60,50 +76,52 @@ class Beginning:
 
     @property
     def quiet(self) -> bool:
+        """True if the record starts with quiet samples."""
         return self.quiet_samples > 0
 
     @property
-    def left_out_s(self) -> tuple[float, float]:
-        """Seconds left out at the beginning and at the end."""
-        rings = not self.free and (self.contacts or not self.from_the_blow)
-        at_end_s = min(LEFT_OUT_S, SHARE_LEFT_OUT * self.duration_s) if rings else FADED * self.faded_s
+    def omitted_s(self) -> tuple[float, float]:
+        """Seconds omitted at the start and at the end."""
+        rings = not self.free and (self.contacts or not self.counts_from_blow)
+        at_end_s = min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings else OMITTED_FADES * self.faded_s
         if self.quiet:
             return 0.0, at_end_s
-        if self.from_the_blow:
-            return RELEASED_S * self.contacts, at_end_s
-        return at_end_s if self.free else LEFT_OUT_S, at_end_s
+        if self.counts_from_blow:
+            return RELEASE_S * self.contacts, at_end_s
+        return at_end_s if self.free else OMITTED_S, at_end_s
 
 
 def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
+    """Start of a recording as given sensors show it."""
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     zero_known = all(s.measures.order == 0 for s in sensors)
     contacts, elastic = bool(rig.contacts), not any(b.is_mass for b in rig.bodies)
     integrates = contacts and not zero_known
-    excited_from = at_rest_until(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
-    before = excited_from - round(SETTLES_S * rate)
-    from_the_blow = not np.any(recording.forces_n) and not integrates and (elastic or not contacts)
-    faded_s = 2 * TAPER_S if zero_known and not from_the_blow else TAPER_S
+    excited_from = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
+    before = excited_from - round(QUIET_MARGIN_S * rate)
+    counts_from_blow = not np.any(recording.forces_n) and not integrates and (elastic or not contacts)
+    faded_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
     return Beginning(
         zero_known=zero_known,
         contacts=contacts,
         integrates=integrates,
-        from_the_blow=from_the_blow,
+        counts_from_blow=counts_from_blow,
         free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
         excited_from=excited_from,
         quiet_samples=before if before > QUIET_S * rate else 0,
-        faded_s=faded_s if contacts else min(faded_s, SHARE_FADED * recording.duration_s),
+        faded_s=faded_s if contacts else min(faded_s, FADE_SHARE * recording.duration_s),
         duration_s=recording.duration_s,
     )
 
 
 def check_length(recording: Recording, beginning: Beginning) -> None:
-    """Raises RigError if a record is too short."""
-    whole = not beginning.contacts and (beginning.quiet or beginning.from_the_blow)
-    shortest_s = SHORTEST_WHOLE_S if whole else SHORTEST_S
+    """Check a record's length; raises RigError if it is too short."""
+    is_uncut = not beginning.contacts and (beginning.quiet or beginning.counts_from_blow)
+    shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_S
     if recording.duration_s < shortest_s:
         raise RigError(
             f"the record lasts {recording.duration_s:.3g} s; the diagnosis needs {shortest_s:g} s, better "
-            f"{'some' if whole else '30'} s or more"
+            f"{'some' if is_uncut else '30'} s or more"
         )
 
 
@@ -114,7 +132,7 @@ def high_hz_of(
     tolerances: Tolerances,
     low_hz: float,
 ) -> float:
-    """Up to where the diagnosis looks; raises RigError if nothing above `low_hz` is excited."""
+    """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `low_hz` is excited."""
     rate = recording.rig.sample_rate_hz
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
@@ -122,7 +140,7 @@ def high_hz_of(
         excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
         rows = np.stack([recording.values_of(s) for s in sensors])
-        excited_hz = REACH * rings_to_hz(rows, rate, sensors[0].measures.order, densities)
+        excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
     if high_hz <= low_hz:
         raise RigError(
@@ -133,28 +151,65 @@ def high_hz_of(
 
 
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
-    """Up to where a force is taken to excite the rig."""
+    """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(REACH * force_band(row, rate_hz)[1], OF_MOST * force_band(row, rate_hz, 1 - MOST)[1])
+        min(REACH * force_band(row, rate_hz)[1], POWER_REACH * force_band(row, rate_hz, 1 - POWER_SHARE)[1])
         for row in forces_n
         if np.any(row)
     )
 
 
 def is_free(rig: Rig, body: str) -> bool:
-    """True if a body is a mass that nothing holds."""
-    own = rig.body(body)
-    held = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
-    return own.is_mass and bool(own.rigid_modes) and all(s.body != body for s in held)
+    """True if a body is an unsupported mass."""
+    mass = rig.body(body)
+    supports = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
+    return mass.is_mass and bool(mass.rigid_modes) and all(s.body != body for s in supports)
 
 
-def decayed_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
-    """End of the last second in which the rig still moves, s; raises RigError if it never does."""
-    second = max(1, round(min(1.0, rows.shape[1] / rate_hz / 4) * rate_hz))
-    whole = rows.shape[1] // second
-    power = (rows[:, : whole * second] ** 2).sum(axis=0).reshape(whole, second).mean(axis=1)
-    moving = np.flatnonzero(power > DECAYED**2 * power.max())
-    if not moving.size:
+def end_of_motion_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
+    """End of the last second with motion, s; inf for the whole record. Raises RigError if the sensors show none."""
+    second_samples = max(1, round(min(1.0, rows.shape[1] / rate_hz / 4) * rate_hz))
+    seconds = rows.shape[1] // second_samples
+    power = (rows[:, : seconds * second_samples] ** 2).sum(axis=0).reshape(seconds, second_samples).mean(axis=1)
+    moving_seconds = np.flatnonzero(power > DECAYED_SHARE**2 * power.max())
+    if not moving_seconds.size:
         raise RigError("the sensors show no motion; look at their channels")
-    last = int(moving[-1]) + 1
-    return np.inf if last == whole else last * second / rate_hz
+    moving_until = int(moving_seconds[-1]) + 1
+    return np.inf if moving_until == seconds else moving_until * second_samples / rate_hz
+
+
+def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
+    """Standard deviation of each force channel's noise, N: from the quiet start, else from the tolerances.
+
+    Zero in a free decay, in which no force acts.
+    """
+    forces_n = recording.forces_n
+    if not np.any(forces_n):
+        return np.zeros(len(forces_n))
+    if quiet_samples:
+        return np.asarray(np.std(forces_n[:, :quiet_samples], axis=1))
+    stated_n = tolerances.force_noise_density * np.sqrt(recording.rig.sample_rate_hz / 2)
+    return np.full(len(forces_n), stated_n)
+
+
+def sensor_densities(
+    recording: Recording, sensors: tuple[Sensor, ...], quiet_samples: int
+) -> Float[np.ndarray, " sensors"]:
+    """One-sided noise density of each sensor in its own unit per sqrt(Hz), from the quiet start, else from the record.
+
+    The quiet start gives the median power over frequency, as a running motor or a shaking floor raises part of it only;
+    the median of an exponential distribution is ln 2 times its mean. The record's own estimate is limited to the
+    described noise unless it is certain, or unless it is a free decay, between whose sharp modes the noise shows.
+    """
+    rate_hz, is_free_decay, densities = recording.rig.sample_rate_hz, not np.any(recording.forces_n), []
+    for sensor in sensors:
+        row = recording.values_of(sensor)
+        if quiet_samples:
+            hz, power = periodogram(row[:quiet_samples], rate_hz, "hann")
+            in_band = (hz > 0) & (hz < PASSBAND * rate_hz)
+            density = float(np.sqrt(np.median(power[in_band]) / np.log(2)))
+        else:
+            density, is_certain = spectrogram_noise_density(row, rate_hz)
+            density = density if is_certain or is_free_decay else min(density, sensor.noise_density)
+        densities.append(max(density, rounding_noise_density(row, rate_hz)))
+    return np.array(densities)

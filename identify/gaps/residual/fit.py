@@ -1,4 +1,8 @@
-"""Gauss-Newton on the residual: parameters of effects, with nuisance parameters, drifts and contact tolerances."""
+"""Gauss-Newton fit of an effect's parameters p, jointly with nuisance parameters, drifts and contact tolerances.
+
+The normal equations H d = g are those of `Residual.cost`, with the unknowns of each contact eliminated (Schur
+complement). Derivatives are finite differences of the effect's parameters and columns of everything else.
+"""
 
 from collections.abc import Callable
 from contextlib import suppress
@@ -6,46 +10,33 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
 from scipy.sparse.linalg import SuperLU
 
-from identify.gaps.residual.linear import sensor_response_of
-from identify.gaps.residual.nuisance import LIMIT, at_contacts, counted
-from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import (
-    Linearization,
-    Residual,
-    linear_of,
-    residual_of,
-    same_but_laws,
-    same_but_sensors,
-)
-from identify.signals.descent import Step, descended
+from identify.gaps.residual.nuisance import LIMIT
+from identify.gaps.residual.residual import Column, Linearization, Residual, derivative, residual_of
+from identify.signals.gauss_newton import Step, gauss_newton
 from rig.errors import RigError
 from rig.model.description import Rig
 
-STEPS = 12
-FINE = 1e-3
-"""Derivatives are by this share of a candidate's steps: little is left once nuisance parameters are eliminated."""
-ROUNDING, SINGLE = 1e-9, 1e-6
-SETTLED = 3e-5
-"""A step of Gauss-Newton is the last if the cost falls by a smaller share, a tenth of the errors; ..."""
-UNFIT = 1e-3
-"""... or by a smaller share of what no noise explains."""
+MAX_STEPS = 12
+DERIVATIVE_STEP = 1e-3
+"""Share of a candidate's steps over which derivatives are taken: eliminating nuisance parameters leaves little."""
+BOUND_SLACK, SINGLE_PRECISION = 1e-9, 1e-6
+COST_TOLERANCE = 3e-5
+"""Relative decrease of the cost that ends a fit, a tenth of a standard error; ..."""
+UNEXPLAINED_TOLERANCE = 1e-3
+"""... or the same decrease as a share of the cost beyond noise."""
 
-Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
 Values = Float[np.ndarray, " parameters"]
 Build = Callable[[Values], Rig]
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The parameters at which the residual is least, and their covariance.
-
-    The samples count for `Record.sample_ratio` times fewer.
-    """
+    """Parameters of least cost, and their covariance for 1 / `Record.sample_ratio` as many independent samples."""
 
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
@@ -58,160 +49,106 @@ class Fit:
 
 @dataclass(frozen=True)
 class NormalEquations:
-    """Normal equations of nuisance parameters and parameters with the contacts' own unknowns eliminated."""
+    """Normal equations H d = g of nuisance parameters and effect parameters; contact unknowns are eliminated.
+
+    eliminated holds each contact's solution u = a - B d as (a, B); decrease_by_unknowns is the decrease of the cost by
+    the contact unknowns alone.
+    """
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
     eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
-    without: float
-    """What the contacts' own unknowns alone lower the cost by."""
+    decrease_by_unknowns: float
 
-    def promised(self, step: Float[np.ndarray, " global"]) -> float:
-        """Decrease of the cost by a step, were the residual linear."""
-        return float(self.without + 2 * self.gradient @ step - step @ self.matrix @ step)
+    def predicted_decrease(self, step: Float[np.ndarray, " global"]) -> float:
+        """Decrease of the cost by a step d if the residual were linear, 2 g'd - d'Hd and that by the unknowns."""
+        return float(self.decrease_by_unknowns + 2 * self.gradient @ step - step @ self.matrix @ step)
 
-    def unknowns(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
-        """The steps of the contacts' unknowns that go with a step of the others."""
+    def unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
+        """Steps of each contact's unknowns that belong to a step of the other parameters."""
         return [start - coupled @ step for start, coupled in self.eliminated]
-
-
-def derivative(linearization: Linearization, moved: Rig, at: Residual) -> Column:
-    """Decrease of the linear and the contact residuals by a rig that differs by little.
-
-    Another law is evaluated. Another linear model changes the contact forces and the relative displacements, of which
-    the law at hand takes its slope. The contact forces are projected out with the weights of the rig at hand (Kaufman,
-    BIT 15, 1975), as for the nuisance parameters: a parameter that is the like of one of them then has its column.
-    """
-    record, old = linearization.record, at.model
-    if same_but_laws(at.rig, moved):
-        there = residual_of(linearization, moved, at.nuisance, tuple(c.unknowns for c in at.contacts), like=at)
-        contacts = [a.residual - b.residual for a, b in zip(at.contacts, there.contacts, strict=True)]
-        return at.linear - there.linear, contacts
-    if same_but_sensors(at.rig, moved):
-        return _by_sensors(linearization, moved, at)
-    new = linear_of(linearization, moved)
-    sensors = len(record.sensors)
-    change = old.residual - new.residual
-    inputs = np.concatenate([old.contact_n - new.contact_n, change[sensors:]])
-    less = change[:sensors] + np.einsum("isl,il->sl", old.by_input, inputs)
-    left, less_n = old.projection.of(less * old.deviation)
-    less_force = record.in_time(less_n) + (old.holding_n - new.holding_n)[:, None]
-    for by_one, contact in zip((new.slow_n_per_m - old.slow_n_per_m).T, at.contacts, strict=True):
-        less_force += np.outer(by_one, contact.slow_m)
-    contacts = _by_motion(record, at, less_force, old.eta_m - new.eta_m)
-    return counted(record, left), contacts
-
-
-def _by_sensors(linearization: Linearization, moved: Rig, at: Residual) -> Column:
-    """Other gains and delays: what the sensors would deliver of the same motion."""
-    record, model = linearization.record, at.model
-    ratio = sensor_response_of(record, moved) / sensor_response_of(record, at.rig) - 1
-    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
-    left, force = model.projection.of(ratio * explained)
-    less_eta = at_contacts(record, model, ratio * record.displaced / model.sensor_response)
-    contacts = _by_motion(record, at, record.in_time(force), less_eta)
-    return counted(record, left), contacts
-
-
-def _by_motion(
-    record: Record,
-    at: Residual,
-    less_force_n: Float[np.ndarray, "contacts times"],
-    less_eta_m: Complex[np.ndarray, "contacts lines"],
-) -> list[Float[np.ndarray, " _"]]:
-    """Decrease of the contact residuals by smaller contact forces and relative displacements, by the laws' slopes."""
-    less_m = record.sampled(less_eta_m, beyond=False) if np.any(less_eta_m) else None
-    found = []
-    for j, contact in enumerate(at.contacts):
-        less_n = less_force_n[j]
-        if less_m is not None:
-            less_n = less_n - contact.sloped_n(less_m[j])
-        column = np.zeros(contact.residual.size)
-        column[: less_n.size] = contact.seen.weights * less_n
-        found.append(column)
-    return found
 
 
 @dataclass(frozen=True)
 class Eliminated:
-    """One contact's own unknowns, eliminated from the normal equations of the nuisance parameters.
+    """Unknowns of one contact, eliminated from the normal equations of the nuisance parameters.
 
-    rows are the contact residual's derivatives by the nuisance parameters, coupled the products with those by the
-    unknowns, solved their solution and that of the gradient, free.
+    With J the contact residual's columns by its unknowns and r the residual: rows are its columns N by the nuisance
+    parameters, coupled = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r.
     """
 
     solver: SuperLU
     rows: Float[np.ndarray, "_ nuisances"]
     coupled: Float[np.ndarray, "unknowns nuisances"]
     solved: Float[np.ndarray, "unknowns nuisances"]
-    free: Float[np.ndarray, " unknowns"]
-    solved_free: Float[np.ndarray, " unknowns"]
+    gradient: Float[np.ndarray, " unknowns"]
+    solved_gradient: Float[np.ndarray, " unknowns"]
 
 
 @dataclass(frozen=True)
-class Reduced:
-    """Normal equations of the nuisance parameters at a residual; columns join them.
-
-    The contacts' own unknowns are eliminated.
-    """
+class ReducedEquations:
+    """Normal equations of the nuisance parameters at a residual, with the contact unknowns eliminated."""
 
     linearization: Linearization
-    at: Residual
+    residual: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
     contacts: tuple[Eliminated, ...]
 
-    def with_lines(self) -> "Reduced":
-        """Normal equations in which the lines that stand out count too, for what may explain them."""
-        at = replace(self.at, quiet=self.at.linear)
-        more = self.linearization.columns.products((at.quiet - self.at.quiet).ravel())
-        return replace(self, at=at, gradient=self.gradient + more)
+    def with_lines(self) -> "ReducedEquations":
+        """Equations whose gradient includes the outstanding lines, for effects that may explain them."""
+        residual = replace(self.residual, linear_without_lines=self.residual.linear)
+        gradient_of_lines = self.linearization.columns.products(
+            (residual.linear_without_lines - self.residual.linear_without_lines).ravel()
+        )
+        return replace(self, residual=residual, gradient=self.gradient + gradient_of_lines)
 
-    def joined(self, columns: list[Column]) -> NormalEquations:
-        """Over the nuisance parameters, then the columns."""
+    def with_columns(self, columns: list[Column]) -> NormalEquations:
+        """Normal equations of the nuisance parameters, followed by one parameter for each column."""
         count, size = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        own = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.at.linear.size)
-        matrix[:count, count:] = self.linearization.columns.products(own)
-        matrix[count:, count:] = own @ own.T
-        gradient[count:] = own @ self.at.quiet.ravel()
-        back = []
-        for j, (contact, eliminated) in enumerate(zip(self.at.contacts, self.contacts, strict=True)):
-            mine = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
-            coupled = contact.columns.T @ mine
+        linear = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.residual.linear.size)
+        matrix[:count, count:] = self.linearization.columns.products(linear)
+        matrix[count:, count:] = linear @ linear.T
+        gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
+        unknown_solutions = []
+        for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.contacts, strict=True)):
+            contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
+            coupled = contact.columns.T @ contact_columns
             solved = eliminated.solver.solve(coupled)
-            matrix[:count, count:] += eliminated.rows.T @ mine - eliminated.coupled.T @ solved
-            matrix[count:, count:] += mine.T @ mine - coupled.T @ solved
-            gradient[count:] += mine.T @ contact.residual - solved.T @ eliminated.free
-            back.append((eliminated.solved_free, np.concatenate([eliminated.solved, solved], axis=1)))
+            matrix[:count, count:] += eliminated.rows.T @ contact_columns - eliminated.coupled.T @ solved
+            matrix[count:, count:] += contact_columns.T @ contact_columns - coupled.T @ solved
+            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.gradient
+            unknown_solutions.append((eliminated.solved_gradient, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        without = float(sum(e.free @ e.solved_free for e in self.contacts))
-        return NormalEquations(matrix, gradient, tuple(back), without)
+        decrease_by_unknowns = float(sum(e.gradient @ e.solved_gradient for e in self.contacts))
+        return NormalEquations(matrix, gradient, tuple(unknown_solutions), decrease_by_unknowns)
 
 
-def reduced(linearization: Linearization, at: Residual) -> Reduced:
-    """The nuisance parameters' part of the normal equations."""
+def reduced_equations(linearization: Linearization, residual: Residual) -> ReducedEquations:
+    """Normal equations of the nuisance parameters, with their unit normal priors weighted by `sample_ratio`."""
     count = len(linearization.columns.parameters)
     matrix = linearization.gram + linearization.record.sample_ratio * np.eye(count)
-    gradient = linearization.columns.products(at.quiet.ravel()) - linearization.record.sample_ratio * at.nuisance
-    found = []
-    for j, contact in enumerate(at.contacts):
-        solver, rows = contact.solver(), by_nuisance(linearization, at, j)
-        free, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
+    gradient = linearization.columns.products(residual.linear_without_lines.ravel())
+    gradient = gradient - linearization.record.sample_ratio * residual.nuisance
+    eliminated = []
+    for j, contact in enumerate(residual.contacts):
+        solver, rows = contact.solver(), contact_jacobian(linearization, residual, j)
+        unknown_gradient, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
         solved = solver.solve(coupled)
         matrix = matrix + rows.T @ rows - coupled.T @ solved
-        gradient = gradient + rows.T @ contact.residual - solved.T @ free
-        found.append(Eliminated(solver, rows, coupled, solved, free, solver.solve(free)))
-    return Reduced(linearization, at, matrix, gradient, tuple(found))
+        gradient = gradient + rows.T @ contact.residual - solved.T @ unknown_gradient
+        eliminated.append(Eliminated(solver, rows, coupled, solved, unknown_gradient, solver.solve(unknown_gradient)))
+    return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
-def by_nuisance(linearization: Linearization, at: Residual, contact: int) -> Float[np.ndarray, "_ nuisances"]:
-    """Decrease of a contact's residual with each nuisance parameter."""
-    weights, one = linearization.seen[contact].weights, at.contacts[contact]
-    forces, eta = linearization.columns.contact_n[:, contact].T, linearization.columns.eta_m[:, contact].T
-    rows = np.zeros((one.residual.size, len(linearization.columns.parameters)))
-    rows[: weights.size] = weights[:, None] * forces - (weights * one.by_eta)[:, None] * eta
+def contact_jacobian(linearization: Linearization, residual: Residual, index: int) -> Float[np.ndarray, "_ nuisances"]:
+    """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
+    weights, contact = linearization.observations[index].weights, residual.contacts[index]
+    force_n, eta_m = linearization.columns.contact_n[:, index].T, linearization.columns.eta_m[:, index].T
+    rows = np.zeros((contact.residual.size, len(linearization.columns.parameters)))
+    rows[: weights.size] = weights[:, None] * force_n - (weights * contact.tangent_n_per_m)[:, None] * eta_m
     return rows
 
 
@@ -221,26 +158,26 @@ def fit(
     values: Values,
     steps: Values,
     bounds: tuple[Values, Values],
-    start: Residual | None = None,
-    most: int = STEPS,
+    initial: Residual | None = None,
+    max_steps: int = MAX_STEPS,
 ) -> Fit:
-    """Descends from `values`, each parameter within its bounds; `steps` are small changes of each for derivatives.
+    """Minimise the cost over parameters within bounds, from `values`; `steps` scale the differences for derivatives.
 
-    `start` gives nuisance parameters and contact unknowns to begin at.
+    `initial` gives the nuisance parameters and contact unknowns to start from.
     """
-    nuisance, unknowns = _state(start) if start else (None, None)
+    nuisance, unknowns = (initial.nuisance, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
     if nuisance is not None and linearization.tuned.pulls and not nuisance.any():
-        nuisance = None  # those of the modes are where the record asks for them
-    first = _At(values, residual_of(linearization, build(values), nuisance, unknowns))
+        nuisance = None  # the modes' parameters start at the values that the record's modes give
+    start = _Point(values, residual_of(linearization, build(values), nuisance, unknowns))
     step_from = partial(_step, linearization, build, steps, bounds)
-    at, step = descended(first, step_from, _settled, most)
-    if linearization.record.modes:  # a part of a sharp mode's width further the nuisance parameters' columns are others
-        step = step_from(first)
-    return Fit(at.values, step.covariance, at.residual)
+    optimum, step = gauss_newton(start, step_from, _negligible_decrease, max_steps)
+    if linearization.record.modes:  # within a sharp mode's width the nuisance columns change already
+        step = step_from(start)
+    return Fit(optimum.values, step.covariance, optimum.residual)
 
 
 @dataclass(frozen=True)
-class _At:
+class _Point:
     values: Values
     residual: Residual
 
@@ -250,94 +187,99 @@ class _At:
 
 
 @dataclass(frozen=True)
-class _Step(Step[_At]):
+class _Step(Step[_Point]):
     covariance: Float[np.ndarray, "parameters parameters"]
 
 
-def _settled(at: _At) -> float:
-    return max(SETTLED * at.cost, UNFIT * (at.cost - at.residual.rows))
+def _negligible_decrease(point: _Point) -> float:
+    return max(COST_TOLERANCE * point.cost, UNEXPLAINED_TOLERANCE * (point.cost - point.residual.rows))
 
 
-def _step(linearization: Linearization, build: Build, steps: Values, bounds: tuple[Values, Values], at: _At) -> _Step:
-    """The step within bounds, and the covariance of the parameters by this linearisation."""
-    values, residual, count = at.values, at.residual, len(linearization.columns.parameters)
-    inside = FINE * np.where(values + steps > bounds[1], -steps, steps)
-    along = [_along(linearization, build, values, s, residual) for s in np.eye(values.size) * inside]
-    normal = reduced(linearization, residual).joined(along)
-    held = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
-    ends = [
-        np.concatenate([sign * LIMIT - residual.nuisance, np.sort((np.stack(bounds) - values) / inside, axis=0)[k]])
-        for k, sign in enumerate((-1.0, 1.0))
-    ]
-    whole = bounded(held, normal.gradient, ends[0], ends[1])
+def _step(
+    linearization: Linearization, build: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
+) -> _Step:
+    """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
+    values, residual, count = point.values, point.residual, len(linearization.columns.parameters)
+    inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
+    columns = [_step_column(linearization, build, values, s, residual) for s in np.eye(values.size) * inward_steps]
+    normal = reduced_equations(linearization, residual).with_columns(columns)
+    regularized_matrix = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
+    ranges = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
+    low = np.concatenate([-LIMIT - residual.nuisance, ranges[0]])
+    high = np.concatenate([LIMIT - residual.nuisance, ranges[1]])
+    full_step = bounded_minimum(regularized_matrix, normal.gradient, low, high)
 
-    def after(share: float) -> _At | None:
-        part = share * whole
-        moved = np.clip(values + part[count:] * inside, *bounds)
-        part[count:] = (moved - values) / inside
+    def point_after(share: float) -> _Point | None:
+        step = share * full_step
+        step_values = np.clip(values + step[count:] * inward_steps, *bounds)
+        step[count:] = (step_values - values) / inward_steps
         unknowns = [
-            c.unknowns + share * u for c, u in zip(residual.contacts, normal.unknowns(part / share), strict=True)
+            c.unknowns + share * u for c, u in zip(residual.contacts, normal.unknown_steps(step / share), strict=True)
         ]
         try:
-            rig = build(moved)
-            return _At(
-                moved, residual_of(linearization, rig, residual.nuisance + part[:count], tuple(unknowns), like=residual)
+            rig = build(step_values)
+            return _Point(
+                step_values,
+                residual_of(linearization, rig, residual.nuisance + step[:count], tuple(unknowns), base=residual),
             )
         except RigError:  # no such rig
             return None
 
     inverse = scaled_inverse(normal.matrix)[count:, count:]
-    covariance = linearization.record.sample_ratio * inverse * np.outer(inside, inside)
-    return _Step(after, normal.promised(whole), covariance)
+    covariance = linearization.record.sample_ratio * inverse * np.outer(inward_steps, inward_steps)
+    return _Step(point_after, normal.predicted_decrease(full_step), covariance)
 
 
-def _along(linearization: Linearization, build: Build, values: Values, step: Values, at: Residual) -> Column:
-    """Decrease of the residuals by a step; where sharp modes ring, from two rigs, 2 r(x) - r(2 x) / 2.
+def _step_column(
+    linearization: Linearization, build: Build, values: Values, step: Values, residual: Residual
+) -> Column:
+    """Decrease of the residuals by a step; where sharp modes ring, by extrapolation, 2 d(step) - d(2 step) / 2.
 
-    A shift by a part of a resonance's width is bent, and what is bent nuisance parameters would not take up.
+    A shift by a fraction of a resonance's width is nonlinear, and nuisance parameters cannot absorb its curvature.
     """
-    first = derivative(linearization, build(values + step), at)
+    single_step = derivative(linearization, build(values + step), residual)
     if not linearization.record.modes:
-        return first
-    linear, contacts = derivative(linearization, build(values + 2 * step), at)
-    return 2 * first[0] - linear / 2, [2 * one - other / 2 for one, other in zip(first[1], contacts, strict=True)]
+        return single_step
+    linear, contacts = single_step
+    double_linear, double_contacts = derivative(linearization, build(values + 2 * step), residual)
+    contacts = [2 * single - double / 2 for single, double in zip(contacts, double_contacts, strict=True)]
+    return 2 * linear - double_linear / 2, contacts
 
 
 def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """The inverse of normal equations whose unknowns differ by orders of magnitude; zero where nothing is known."""
+    """Pseudo-inverse of normal equations after scaling to a unit diagonal; zero for parameters without information."""
     size = np.sqrt(np.diag(matrix))
     scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    both = np.outer(scale, scale)
-    return np.asarray(np.linalg.pinv(matrix * both, hermitian=True) * both)
+    scaling = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(matrix * scaling, hermitian=True) * scaling)
 
 
-def bounded(
+def bounded_minimum(
     matrix: Float[np.ndarray, "n n"],
     gradient: Float[np.ndarray, " n"],
     low: Float[np.ndarray, " n"],
     high: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """The x within bounds at which x'Mx/2 - g'x is least."""
+    """Minimise x'Mx/2 - g'x over low <= x <= high.
+
+    Raises RigError if M or g is not finite, or if M is singular beyond single-precision rounding.
+    """
     if not (np.isfinite(matrix).all() and np.isfinite(gradient).all()):
         raise RigError(
             "rig.json's contacts or modes are beyond any that this recording can be compared with; check its numbers"
         )
     factor = _cholesky(matrix)
-    wanted = solve_triangular(factor, gradient, lower=True)
-    low = np.minimum(low, 0.0) - ROUNDING
-    return np.asarray(lsq_linear(factor.T, wanted, (low, np.maximum(high, 0.0) + ROUNDING), "bvls").x)
+    target = solve_triangular(factor, gradient, lower=True)
+    low = np.minimum(low, 0.0) - BOUND_SLACK
+    return np.asarray(lsq_linear(factor.T, target, (low, np.maximum(high, 0.0) + BOUND_SLACK), "bvls").x)
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
-    """Cholesky factor of products in single precision, whose rounding may hide the priors where a mismatch is large."""
-    for rounding in (0.0, SINGLE):
+    """Cholesky factor of a matrix of single-precision products; a diagonal shift if rounding made it indefinite."""
+    for rounding in (0.0, SINGLE_PRECISION):
         with suppress(np.linalg.LinAlgError):
             return np.asarray(np.linalg.cholesky(matrix + rounding * np.diag(np.diag(matrix))))
     raise RigError(
         "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
         "describe fewer contacts in rig.json"
     )
-
-
-def _state(start: Residual) -> tuple[Float[np.ndarray, " nuisances"], tuple[Float[np.ndarray, " _"], ...]]:
-    return start.nuisance, tuple(c.unknowns for c in start.contacts)

@@ -1,6 +1,9 @@
-"""Each separated contact force against the law that the rig has at its relative displacement: the contact residual.
+"""Contact residual: separated contact force less the rig's law at the relative displacement, in standard deviations.
 
-A law is evaluated without aliasing and low-passed to the band of the force.
+    r = W (f - law(eta + b, eta' + b') - k b)
+
+W are the weights of the observation, b the slow motion that integration loses, k the stiffness of the bodies against
+it. A law is evaluated without aliasing and low-passed to the band of the force.
 """
 
 from collections.abc import Callable
@@ -15,121 +18,87 @@ from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord
-from identify.contacts.initial_guess import regressed
-from identify.gaps.residual.linear import Linear
+from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.observation import ContactObservation
-from identify.gaps.residual.record import Record
+from identify.gaps.residual.observation import ContactObservation, ContactSignals, Results, Signal
 from identify.linear.joined import JoinedLaw
-from identify.signals.law_evaluation import evaluated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
-WALL = 100.0
-"""Beyond `LIMIT` standard deviations these weigh so many times more: something else is wrong."""
-DEEP, DEPTHS = 3.0, 2000
-"""Penetrations at which a law is inverted: up to so many times that of a linear stop, and how many."""
-
-Signal = Float[np.ndarray, "*shape"]
-Results = Float[np.ndarray, "..."]
+EXCESS_WEIGHT = 100.0
+"""Extra weight of a contact tolerance's excess beyond `LIMIT` standard deviations: something else is wrong."""
+DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
+"""Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
 
 
-@dataclass(frozen=True)
-class ContactSignals:
-    """Force (N) of one contact, and its relative displacement and velocity at the recording's rate, as a linear model
-    has them.
-
-    factor is how much lower the rate of the force is.
-    """
-
-    force_n: Float[np.ndarray, " times"]
-    eta_m: Float[np.ndarray, " samples"]
-    rate_m_per_s: Float[np.ndarray, " samples"]
-    time_s: Float[np.ndarray, " samples"]
-    sample_rate_hz: float
-    factor: int
-    spring_n_per_m: float
-
-    def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """Law evaluated on signals at the recording's rate, low-passed to the rate of the force."""
-        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
-
-
-def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
-    """Signals of every contact that its law has to explain."""
-    eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
-    time_s = record.taken.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
-    forces = record.in_time(model.contact_n) + model.holding_n[:, None]
-    return tuple(
-        ContactSignals(f, e, r, time_s, record.sample_rate_hz, record.factor, s)
-        for f, e, r, s in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
-    )
-
-
-def start_of(
-    signals: ContactSignals, seen: ContactObservation, law: JoinedLaw, rate_hz: float
+def initial_unknowns(
+    signals: ContactSignals, observation: ContactObservation, law: JoinedLaw, rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
-    """The drift by the samples at which the contact is clearly closed; zero where they do not tell it.
+    """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
 
-    Clearance and stiffness are regressed along with it; the law gives its other terms.
+    Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
-    start = np.zeros(seen.curve.knots + len(seen.trusted) * len(law.laws))
-    first, (lower, upper) = law.laws[0], law.clearances_m
-    eta, rate, time_s = (x[:: signals.factor] for x in (signals.eta_m, signals.rate_m_per_s, signals.time_s))
-    force = signals.force_n - law.force_n(np.zeros_like(eta), rate)  # what acts in the gap too
-    shifted = (upper - lower) / 2 + np.sign(force) * first.wear_m_per_s * time_s
-    depth = _depth_m(law, force)
-    if len(law.laws) > 1:  # what rings while they are open would be deep in a soft one
-        depth *= np.abs(force) > CLEAR_SHARE * np.quantile(np.abs(force), 0.995)
-    observed = ContactRecord(
-        eta_m=eta - shifted,
-        velocity_m_per_s=rate,
+    unknowns = np.zeros(observation.curve.knots + len(observation.prior_deviations) * len(law.laws))
+    first_law, (lower, upper) = law.laws[0], law.clearances_m
+    eta_m, velocity_m_per_s, time_s = (
+        x[:: signals.factor] for x in (signals.eta_m, signals.rate_m_per_s, signals.time_s)
+    )
+    elastic_n = signals.force_n - law.force_n(
+        np.zeros_like(eta_m), velocity_m_per_s
+    )  # less what acts in the open contact too
+    middle_m = (upper - lower) / 2 + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
+    depth_m = _depth_m(law, elastic_n)
+    if len(law.laws) > 1:  # ringing of an open contact would penetrate a soft one deeply
+        depth_m *= np.abs(elastic_n) > CLEAR_SHARE * np.quantile(np.abs(elastic_n), 0.995)
+    contact_record = ContactRecord(
+        eta_m=eta_m - middle_m,
+        velocity_m_per_s=velocity_m_per_s,
         sample_rate_hz=rate_hz,
-        force_n=first.stiffness_n_per_m * depth,
+        force_n=first_law.stiffness_n_per_m * depth_m,
         factor=1,
         quiet_n=0.0,
         noise_n=0.0,
         unmodelled=0.0,
         drift=None,
-        nuisance_n=np.zeros((0, force.size)),
+        nuisance_n=np.zeros((0, elastic_n.size)),
         noise_in_n=np.zeros(0),
         moving=np.zeros(0, dtype=bool),
         noise_in_m=np.zeros(0),
-        nuisance_m=np.zeros((0, force.size)),
+        nuisance_m=np.zeros((0, elastic_n.size)),
         initial=np.zeros(0, dtype=bool),
     )
-    if seen.curve.knots:
+    if observation.curve.knots:
         with suppress(RigError):
-            start[: seen.curve.knots] = regressed(observed, seen.curve)[1]
-    return start
+            unknowns[: observation.curve.knots] = regressed_guess(contact_record, observation.curve)[1]
+    return unknowns
 
 
 def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-    """The penetration at which the law's force at rest is as large; zero for a law without stiffness."""
-    slopes = [slope for slope, _ in (one.steepest for one in law.laws) if slope]
-    found = np.zeros_like(force_n)
-    if slopes:
-        deepest = DEEP * np.max(np.abs(force_n)) / np.array(slopes)
-        depth = np.sort(np.linspace(0.0, deepest, DEPTHS).ravel())
+    """Penetration at which the law's force at rest equals a force; zero for laws without stiffness."""
+    slopes_n_per_m = [slope for slope, _ in (single_law.steepest for single_law in law.laws) if slope]
+    penetration_m = np.zeros_like(force_n)
+    if slopes_n_per_m:
+        deepest_m = DEPTH_REACH * np.max(np.abs(force_n)) / np.array(slopes_n_per_m)
+        depth_grid_m = np.sort(np.linspace(0.0, deepest_m, DEPTH_COUNT).ravel())
         for sign, clearance in zip((-1, 1), law.clearances_m, strict=True):
-            elastic = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth)))
-            found += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic, depth)
-    return found
+            elastic_n = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth_grid_m)))
+            penetration_m += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic_n, depth_grid_m)
+    return penetration_m
 
 
 @dataclass(frozen=True)
 class ContactResidual:
-    """A contact's law laid against its separated force, with its drift and the law's own tolerances as unknowns.
+    """Residual of a contact force against its law, with the drift and the law's tolerances as unknowns.
 
-    unknowns are the drift's knots (m), then clearance, stiffness and damping in their tolerances, of every contact
-    between the same places. within is the law with the first two. eta_m is the relative displacement with the drift,
-    rate_m_per_s its rate. residual is force less law, in standard deviations, above the residuals of the prior.
+    unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
+    the same places. adjusted_law has the first two of these. eta_m is the relative displacement with the drift,
+    rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the priors.
     """
 
-    seen: ContactObservation
+    observation: ContactObservation
     signals: ContactSignals
     law: JoinedLaw
-    within: JoinedLaw
+    adjusted_law: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
     eta_m: Float[np.ndarray, " samples"]
     rate_m_per_s: Float[np.ndarray, " samples"]
@@ -141,200 +110,220 @@ class ContactResidual:
 
     @cached_property
     def slopes(self) -> Float[np.ndarray, "3 laws times"]:
-        """Slopes of every contact: the law's slope (N/m), the same with the sign of the relative displacement, and the
-        force at rest per stiffness (m).
-        """
-        laws = [changed(law, damping_n_s_per_m=0.0) for law in self.within.laws]
+        """Derivatives of each law: by eta (N/m), by clearance, i.e. times the sign of eta (N/m), and the force at rest
+        per stiffness (m)."""
+        laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
 
-        def of(eta: Signal, *time_s: Signal) -> Results:
+        def slope_rows(eta: Signal, *time_s: Signal) -> Results:
             tangents = self._tangents(eta, *time_s)
             per_stiffness = [
-                sign * more_n(one, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
-                for one, sign in zip(laws, self.within.signs, strict=True)
+                sign * force_increase_n(law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
+                for law, sign in zip(laws, self.adjusted_law.signs, strict=True)
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness)])
 
-        return self.signals.low_passed(of, self.eta_m, *_times(self.within, self.signals))
+        return self._low_passed(slope_rows, self.eta_m)
 
-    def sloped_n(self, more_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
-        """Change of the law's force by a small relative displacement, by its slope."""
+    def force_change_n(self, change_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
+        """Change of the law's force under a small change of relative displacement, by its slope."""
 
-        def of(eta: Signal, more: Signal, *time_s: Signal) -> Signal:
-            return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * more)
+        def linear_change(eta: Signal, change: Signal, *time_s: Signal) -> Signal:
+            return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * change)
 
-        return self.signals.low_passed(of, self.eta_m, more_m, *_times(self.within, self.signals))
+        return self._low_passed(linear_change, self.eta_m, change_m)
+
+    def _low_passed(self, function: Callable[..., Results], *signals: Signal) -> Results:
+        """Low-passed function of signals, and of the time where the law wears."""
+        return self.signals.low_passed(function, *signals, *_wear_times(self.adjusted_law, self.signals))
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
+        """Tangent stiffness of each law at a relative displacement, N/m."""
         return np.stack(
             [
                 law.by_eta_n_per_m(sign * eta, *time_s)
-                for law, sign in zip(self.within.laws, self.within.signs, strict=True)
+                for law, sign in zip(self.adjusted_law.laws, self.adjusted_law.signs, strict=True)
             ]
         )
 
     @cached_property
-    def damped_n(self) -> Float[np.ndarray, "laws times"]:
-        """Change of the force by one tolerance of each damping."""
-        *_, damping_s = self.seen.trusted
+    def force_by_damping_n(self) -> Float[np.ndarray, "laws times"]:
+        """Change of the force per tolerance of each law's damping, N."""
+        *_, damping_s = self.observation.prior_deviations
 
-        def of(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
-            each = zip(self.law.signs, self.within.laws, self.law.laws, strict=True)
+        def increase(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
+            laws = zip(self.law.signs, self.adjusted_law.laws, self.law.laws, strict=True)
             return np.stack(
                 [
-                    sign * more_n(own, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping_s * k)
-                    for sign, own, k in ((sign, own, one.stiffness_n_per_m) for sign, own, one in each)
+                    sign * force_increase_n(adjusted, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping)
+                    for sign, adjusted, damping in (
+                        (sign, adjusted, damping_s * law.stiffness_n_per_m) for sign, adjusted, law in laws
+                    )
                 ]
             )
 
-        return self.signals.low_passed(of, self.eta_m, self.rate_m_per_s, *_times(self.within, self.signals))
+        return self._low_passed(increase, self.eta_m, self.rate_m_per_s)
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
-        """Pulls of clearance, stiffness and damping of each contact, in tolerances."""
-        return self.unknowns[self.seen.tolerances]
+        """Pulls of clearance, stiffness and damping of each law, in tolerances."""
+        return self.unknowns[self.observation.tolerance_slice]
 
     @property
-    def believed(self) -> Float[np.ndarray, " unknowns"]:
-        """Its unknowns with none of the tolerances used."""
-        found = self.unknowns.copy()
-        found[self.seen.tolerances] = 0.0
-        return found
+    def unknowns_without_pulls(self) -> Float[np.ndarray, " unknowns"]:
+        """Unknowns with the drift as fitted and all pulls of the law zero."""
+        unknowns = self.unknowns.copy()
+        unknowns[self.observation.tolerance_slice] = 0.0
+        return unknowns
 
     @property
-    def fitted(self) -> tuple[ContactLaw, ...]:
-        """The laws with clearance, stiffness and damping as they were fitted within their tolerances."""
-        *_, damping_s = self.seen.trusted
-        more = self.pulls[2::3] * damping_s
+    def fitted_laws(self) -> tuple[ContactLaw, ...]:
+        """Laws with clearance, stiffness and damping as fitted within their tolerances."""
+        *_, damping_s = self.observation.prior_deviations
+        damping_increase_s = self.pulls[2::3] * damping_s
         return tuple(
-            changed(one, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + by * law.stiffness_n_per_m)))
-            for one, law, by in zip(self.within.laws, self.law.laws, more, strict=True)
+            changed(
+                adjusted, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m))
+            )
+            for adjusted, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, damping_increase_s, strict=True)
         )
 
     @property
-    def slow_m(self) -> Float[np.ndarray, " times"]:
-        return np.asarray(self.seen.curve.value @ self.unknowns[: self.seen.curve.knots])
+    def drift_m(self) -> Float[np.ndarray, " times"]:
+        """Slow part of the relative displacement that integration loses, m."""
+        return np.asarray(self.observation.curve.value @ self.unknowns[: self.observation.curve.knots])
 
     @cached_property
-    def by_eta(self) -> Float[np.ndarray, " times"]:
-        """The law's derivative by slow changes of the relative displacement, N/m."""
+    def tangent_n_per_m(self) -> Float[np.ndarray, " times"]:
+        """Derivative of the force by slow changes of relative displacement, laws and bodies together, N/m."""
         return np.asarray(self.slopes[0].sum(axis=0) + self.signals.spring_n_per_m)
 
     @cached_property
     def columns(self) -> csr_matrix:
-        """Decrease of the residual with each unknown."""
-        weights, curve = self.seen.weights, self.seen.curve
-        by_clearance, by_stiffness, _ = self.seen.trusted
+        """Decrease of the residual per unit of each unknown, rows x unknowns."""
+        weights, curve = self.observation.weights, self.observation.curve
+        by_clearance, by_stiffness, _ = self.observation.prior_deviations
         rows = []
-        for law, sided, per_stiffness, damped in zip(self.law.laws, *self.slopes[1:], self.damped_n, strict=True):
-            of_clearance = -by_clearance * law.clearance_m * sided
-            rows += [of_clearance, by_stiffness * law.stiffness_n_per_m * per_stiffness, damped]
+        for law, signed_slope, per_stiffness, force_by_damping in zip(
+            self.law.laws, *self.slopes[1:], self.force_by_damping_n, strict=True
+        ):
+            clearance_column = -by_clearance * law.clearance_m * signed_slope
+            rows += [clearance_column, by_stiffness * law.stiffness_n_per_m * per_stiffness, force_by_damping]
         by_law = np.stack(rows, axis=1)
-        beside = _beside(curve.value, weights * self.by_eta, weights[:, None] * by_law)
-        firm = self.seen.firm * (1 + WALL * (_beyond(self.pulls) != 0))
-        return vstack([beside, block_diag([curve.curvature, np.diag(firm)], "csr")], "csr")
+        contact_rows = _append_dense_columns(curve.value, weights * self.tangent_n_per_m, weights[:, None] * by_law)
+        prior_weight = self.observation.prior_weight * (1 + EXCESS_WEIGHT * (_limit_excess(self.pulls) != 0))
+        return vstack([contact_rows, block_diag([curve.curvature, np.diag(prior_weight)], "csr")], "csr")
 
     def solver(self) -> SuperLU:
+        """Factorised normal matrix of the unknowns."""
         return splu(csc_matrix(self.columns.T @ self.columns))
 
     @cached_property
     def drift_columns(self) -> csr_matrix:
-        """The columns of the slow motion alone."""
-        return self.columns[:, : self.seen.curve.knots]
+        """Columns of the drift's knots alone."""
+        return self.columns[:, : self.observation.curve.knots]
 
     @cached_property
     def drift_solver(self) -> SuperLU:
+        """Factorised normal matrix of the drift's knots."""
         return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
 
 
 def contact_residual(
     signals: ContactSignals,
-    seen: ContactObservation,
+    observation: ContactObservation,
     law: JoinedLaw,
     unknowns: Float[np.ndarray, " unknowns"],
     added_n: float | Float[np.ndarray, " times"] = 0.0,
     added_m: float | Float[np.ndarray, " times"] = 0.0,
 ) -> ContactResidual:
-    """The residual at some drift and tolerances; added_n and added_m come on top of force and relative displacement."""
-    curve, knots = seen.curve, unknowns[: seen.curve.knots]
-    slow, slow_rate = curve.value @ knots + added_m, curve.rate @ knots
-    eta = signals.eta_m + _between(np.broadcast_to(slow, signals.force_n.shape), signals.factor)
-    rate = signals.rate_m_per_s + _between(slow_rate, signals.factor)
-    pulls = unknowns[seen.tolerances]
-    *_, damping_s = seen.trusted
-    laws, more_damping = [], []
-    for one, own in zip(law.laws, pulls.reshape(-1, len(seen.trusted)), strict=True):
-        clearance, stiffness, _ = (own * seen.trusted).tolist()
-        more_damping.append(float(own[2] * damping_s * one.stiffness_n_per_m))
+    """Residual at given unknowns; added_n and added_m are added to the force and to the relative displacement."""
+    curve, knots = observation.curve, unknowns[: observation.curve.knots]
+    drift_m, drift_m_per_s = curve.value @ knots + added_m, curve.rate @ knots
+    eta = signals.eta_m + _interpolated(np.broadcast_to(drift_m, signals.force_n.shape), signals.factor)
+    rate = signals.rate_m_per_s + _interpolated(drift_m_per_s, signals.factor)
+    pulls = unknowns[observation.tolerance_slice]
+    *_, damping_s = observation.prior_deviations
+    laws, damping_increases = [], []
+    for single_law, law_pulls in zip(law.laws, pulls.reshape(-1, len(observation.prior_deviations)), strict=True):
+        clearance, stiffness, _ = (law_pulls * observation.prior_deviations).tolist()
+        damping_increases.append(float(law_pulls[2] * damping_s * single_law.stiffness_n_per_m))
         laws.append(
             changed(
-                one,
-                lower_clearance_m=one.lower_clearance_m * max(0.0, 1 + clearance),
-                upper_clearance_m=one.upper_clearance_m * max(0.0, 1 + clearance),
-                stiffness_n_per_m=one.stiffness_n_per_m * max(0.01, 1 + stiffness),
+                single_law,
+                lower_clearance_m=single_law.lower_clearance_m * max(0.0, 1 + clearance),
+                upper_clearance_m=single_law.upper_clearance_m * max(0.0, 1 + clearance),
+                stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness),
             )
         )
-    within = JoinedLaw(tuple(laws), law.signs)
+    adjusted_law = JoinedLaw(tuple(laws), law.signs)
 
     def force_n(eta: Signal, rate: Signal, *time_s: Signal) -> Signal:
-        each = zip(within.signs, within.laws, more_damping, strict=True)
-        return np.asarray(sum(sign * damped_n(one, more, sign * eta, sign * rate, *time_s) for sign, one, more in each))
+        terms = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
+        return np.asarray(
+            sum(
+                sign * force_with_damping_n(single_law, damping_increase, sign * eta, sign * rate, *time_s)
+                for sign, single_law, damping_increase in terms
+            )
+        )
 
-    force = signals.low_passed(force_n, eta, rate, *_times(within, signals))
-    residual = signals.force_n + added_n - force - signals.spring_n_per_m * slow
-    held = -seen.firm * (pulls + WALL * _beyond(pulls))
+    force = signals.low_passed(force_n, eta, rate, *_wear_times(adjusted_law, signals))
+    residual_n = signals.force_n + added_n - force - signals.spring_n_per_m * drift_m
+    prior_rows = -observation.prior_weight * (pulls + EXCESS_WEIGHT * _limit_excess(pulls))
     return ContactResidual(
-        seen=seen,
+        observation=observation,
         signals=signals,
         law=law,
-        within=within,
+        adjusted_law=adjusted_law,
         unknowns=unknowns,
         eta_m=eta,
         rate_m_per_s=rate,
-        residual=np.concatenate([seen.weights * residual, curve.target - curve.curvature @ knots, held]),
+        residual=np.concatenate([observation.weights * residual_n, curve.target - curve.curvature @ knots, prior_rows]),
     )
 
 
-def damped_n(law: ContactLaw, more: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal) -> Signal:
-    """The force with more damping, N s/m, of which it is a linear function and which may so fall below zero."""
-    damping = law.damping_n_s_per_m + more
-    whole = changed(law, damping_n_s_per_m=abs(damping)).force_n(eta_m, rate_m_per_s, *time_s)
+def force_with_damping_n(
+    law: ContactLaw, increase_n_s_per_m: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal
+) -> Signal:
+    """Force of a law with increased damping; linear in the damping, which the increase may make negative."""
+    damping = law.damping_n_s_per_m + increase_n_s_per_m
+    force_n = changed(law, damping_n_s_per_m=abs(damping)).force_n(eta_m, rate_m_per_s, *time_s)
     if damping >= 0:
-        return whole
-    return 2 * changed(law, damping_n_s_per_m=0.0).force_n(eta_m, rate_m_per_s, *time_s) - whole
+        return force_n
+    return 2 * changed(law, damping_n_s_per_m=0.0).force_n(eta_m, rate_m_per_s, *time_s) - force_n
 
 
-def more_n(
+def force_increase_n(
     law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **numbers: float
 ) -> Signal:
-    """Increase of the force where numbers that it is proportional to grow by these shares."""
-    more = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
-    return more.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
+    """Increase of the force as fields that it is proportional to grow by these amounts."""
+    increased = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
+    return increased.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
-def _times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
-    """The time, where a law wears; else it is left out."""
-    return [signals.time_s] if any(one.wear_m_per_s for one in law.laws) else []
+def _wear_times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
+    """Sample times as an extra argument of a law that wears; empty for other laws."""
+    return [signals.time_s] if any(single_law.wear_m_per_s for single_law in law.laws) else []
 
 
-def _beside(
+def _append_dense_columns(
     sparse: csr_matrix, weights: Float[np.ndarray, " rows"], dense: Float[np.ndarray, "rows columns"]
 ) -> csr_matrix:
-    """Weighted rows of a spline, each with as many values as any other, with dense columns behind: `hstack`, faster."""
+    """Weighted sparse rows of equal length with dense columns appended: a faster `hstack` for splines."""
     (rows, knots), columns = sparse.shape, dense.shape[1]
-    each = sparse.nnz // rows
-    values = np.concatenate([sparse.data.reshape(rows, each) * weights[:, None], dense], axis=1)
-    behind = np.broadcast_to(knots + np.arange(columns), (rows, columns))
-    places = np.concatenate([sparse.indices.reshape(rows, each), behind], axis=1)
-    ends = (each + columns) * np.arange(rows + 1)
-    return csr_matrix((values.ravel(), places.ravel(), ends), shape=(rows, knots + columns))
+    per_row = sparse.nnz // rows
+    values = np.concatenate([sparse.data.reshape(rows, per_row) * weights[:, None], dense], axis=1)
+    dense_indices = np.broadcast_to(knots + np.arange(columns), (rows, columns))
+    indices = np.concatenate([sparse.indices.reshape(rows, per_row), dense_indices], axis=1)
+    row_starts = (per_row + columns) * np.arange(rows + 1)
+    return csr_matrix((values.ravel(), indices.ravel(), row_starts), shape=(rows, knots + columns))
 
 
-def _beyond(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
-    """Excess of the law's tolerances beyond their limits."""
+def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:
+    """Excess of pulls beyond `LIMIT`, zero within it."""
     return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 
 
-def _between(values: Float[np.ndarray, " times"], factor: int) -> Float[np.ndarray, " samples"]:
-    """Linear between samples, which slow motion is."""
-    between = values[:-1, None] + np.diff(values)[:, None] * (np.arange(factor) / factor)
-    return np.append(between, values[-1])
+def _interpolated(values: Float[np.ndarray, " times"], factor: int) -> Float[np.ndarray, " samples"]:
+    """Slow motion interpolated linearly to the recording's rate."""
+    interpolated = values[:-1, None] + np.diff(values)[:, None] * (np.arange(factor) / factor)
+    return np.append(interpolated, values[-1])

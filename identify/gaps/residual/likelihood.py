@@ -1,16 +1,16 @@
-"""The one statistic of the diagnosis: how likely a record is under a rig whose model errs by an unknown scale.
+"""Likelihood of a record under a rig whose model error has an unknown scale: the statistic that compares hypotheses.
 
-With L_bi the mean square of the linear residual of sensor i in band b and L_j that of contact j, both in the variances
-that noise and the tolerated shares of the unmodelled make, and an inverse-gamma prior of the true variances around,
+With L_bi the mean square of the linear residual of sensor i in band b, L_j that of contact j, both relative to the
+variance by noise and the tolerated unmodelled shares, and an inverse-gamma prior of the true variances around that,
 
-    -2 ln p = sum_bi N_b ln((1 + L_bi) / 2) + sum_j N_j ln((1 + L_j) / 2) + pulls^2 + drift + freedom + sharp
+    -2 ln p = sum_bi N_b ln((1 + L_bi) / 2) + sum_j N_j ln((1 + L_j) / 2) + pulls^2 + drift + freedom + line_cost
 
-A variance that is not known makes a residual ten times too large cost N ln 100 / 2, not N * 50: what lasts (a shape
-that is slightly wrong, a cable) is one error, however many samples show it. N are the samples that count as
-independent; drift is what the prior of the slow motion costs, freedom what inputs cost that are known by their spectrum
-alone (their own squares, and the determinant of their marginal likelihood). No error of a model is as sharp as one
-line: sharp is what lines cost that stand out of those beside them. Kennedy and O'Hagan, J. R. Stat. Soc. B 63,
-2001; the Student form is that of Lange et al., J. Am. Stat. Assoc. 84, 1989.
+With an unknown variance a residual ten times too large costs N ln 100 / 2, not N * 50: a lasting error (a slightly
+wrong shape, a cable) is one error, however many samples show it. N is the number of independent samples. drift is the
+prior cost of the slow motion, freedom that of inputs known by their spectrum alone (their squares and the determinant
+of their marginal likelihood). line_cost is that of outstanding lines, as no model error is as sharp as one line.
+Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001; the Student form is that of Lange et al., J. Am. Stat. Assoc. 84,
+1989.
 """
 
 from dataclasses import dataclass, replace
@@ -26,113 +26,117 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
 
-NOISY = 0.5
-"""Where noise is more than this share of the power, a band tells no share of the motion."""
+NOISE_LIMIT = 0.5
+"""Share of noise in the power above which a band is not used to measure shares of the motion."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """The variances that noise and tolerated shares make, by the believed rig: what all models of a record share.
+    """Variances by band and sensor under the nominal rig, shared by all models of a record.
 
-    By band and sensor: usual is that variance, noise the noise's part, power the size of the acceleration; lines the
-    number of lines of each band.
+    expected_variance is that by noise and tolerated shares, noise its part by noise, power the acceleration's mean
+    square, all per line in the sensors' unit; lines is the number of lines in each band.
     """
 
-    usual: Float[np.ndarray, "bands sensors"]
+    expected_variance: Float[np.ndarray, "bands sensors"]
     noise: Float[np.ndarray, "bands sensors"]
     power: Float[np.ndarray, "bands sensors"]
     lines: Float[np.ndarray, " bands"]
-    seen: tuple[ContactObservation, ...]
+    observations: tuple[ContactObservation, ...]
 
     @property
     def has_signal(self) -> Bool[np.ndarray, "bands sensors"]:
-        """Mask of bands and sensors of which more than half the power is no noise."""
-        return self.noise < NOISY * self.power
+        """Mask of bands and sensors with less than half of their power from noise."""
+        return self.noise < NOISE_LIMIT * self.power
 
 
 def reference_of(linearization: Linearization) -> Reference:
-    """Reference by a linearisation at the scales that the tolerances state."""
+    """Reference from a linearisation at the scales of the tolerances."""
     record = linearization.record
-    bands = second_levels(record, np.zeros((len(record.sensors), record.taken.stop - record.taken.start))).shape[1]
-    usual, noise, power = (
+    times = record.counted_samples.stop - record.counted_samples.start
+    bands = second_levels(record, np.zeros((len(record.sensors), times))).shape[1]
+    expected_variance, noise, power = (
         by_band(record, x, bands) for x in (linearization.model.deviation**2, record.noise, record.power)
     )
     lines = np.bincount(band_of_lines(record, bands), minlength=bands).astype(float)
-    return Reference(usual, noise, power, lines, linearization.seen)
+    return Reference(expected_variance, noise, power, lines, linearization.observations)
 
 
 @dataclass(frozen=True)
 class Misfit:
     """Misfit of a rig to a record, second by second.
 
-    left is the variance of the linear residual (as `Reference.usual`), measured what it is in the sensors' unit as a
-    share of that, as variances change within a band (`scales.measured_levels`), contact_left the square of each
-    contact's residual in the reference's variances, contact_n2 its mean square beyond noise and force_n2 that of the
-    contact force (N^2). sharp is what the lines cost that stand out (`lines.cost_of_lines`).
+    variance_by_second is the level of the linear residual times `Reference.expected_variance`;
+    variance_correction accounts for variances that change within a band (`scales.measured_levels`).
+    contact_level_by_second is the mean square of each contact's residual relative to the reference's variance,
+    contact_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is `lines.cost_of_lines`,
+    samples the number of independent samples.
     """
 
     reference: Reference
-    left: Float[np.ndarray, "seconds bands sensors"]
-    measured: Float[np.ndarray, "bands sensors"]
-    contact_left: Float[np.ndarray, "seconds contacts"]
+    variance_by_second: Float[np.ndarray, "seconds bands sensors"]
+    variance_correction: Float[np.ndarray, "bands sensors"]
+    contact_level_by_second: Float[np.ndarray, "seconds contacts"]
     contact_n2: Float[np.ndarray, "seconds contacts"]
     force_n2: Float[np.ndarray, "seconds contacts"]
     pulls: Float[np.ndarray, " pulls"]
     drift: float
     freedom: float
-    sharp: float
+    line_cost: float
     samples: float
 
     @property
     def levels(self) -> Float[np.ndarray, "bands sensors"]:
-        """Levels of the linear residual: 1 where noise and tolerated shares alone are left."""
-        return np.asarray(self.left.mean(axis=0) / self.reference.usual)
+        """Levels L_bi of the linear residual: 1 for noise and tolerated shares alone."""
+        return np.asarray(self.variance_by_second.mean(axis=0) / self.reference.expected_variance)
 
     @property
     def contacts(self) -> Float[np.ndarray, " contacts"]:
-        """Levels of the contacts' residuals."""
-        return np.asarray(self.contact_left.mean(axis=0))
+        """Levels L_j of the contacts' residuals."""
+        return np.asarray(self.contact_level_by_second.mean(axis=0))
 
     @property
     def per_cell(self) -> float:
-        """N_b: the independent samples of each band and sensor."""
-        return self.samples / self.left.shape[1]
+        """Independent samples N_b of each band and sensor."""
+        return self.samples / self.variance_by_second.shape[1]
 
     @cached_property
     def linear(self) -> float:
-        """The part of the bands."""
+        """Cost of the bands, sum_bi N_b ln((1 + L_bi) / 2)."""
         return float(self.per_cell * np.sum(np.log(posterior_level(self.levels))))
 
     @cached_property
     def peak(self) -> float:
-        """The largest part of any one band."""
+        """Largest cost of a single band, over all sensors."""
         return float(self.per_cell * np.max(np.sum(np.log(posterior_level(self.levels)), axis=1)))
 
     @cached_property
     def law(self) -> float:
-        """The part of the contacts."""
+        """Cost of the contacts, sum_j N_j ln((1 + L_j) / 2)."""
         return float(self.samples * np.sum(np.log(posterior_level(self.contacts))))
 
     @property
     def minus_two_log(self) -> float:
         """-2 ln p, up to a constant of the record."""
-        return self.linear + self.law + float(self.pulls @ self.pulls) + self.drift + self.freedom + self.sharp
+        return self.linear + self.law + float(self.pulls @ self.pulls) + self.drift + self.freedom + self.line_cost
 
     @property
     def excess(self) -> float:
-        """The part of -2 ln p above noise and tolerated shares: N ln L of the cells and contacts whose L is above 1.
+        """Part of -2 ln p above noise and tolerated shares: N ln L over cells and contacts with L > 1, and line_cost.
 
-        Logarithms, so that closing a gap means closing it everywhere: a mean square would be content with its peaks.
+        Logarithms demand that a mismatch is removed everywhere; a mean square would weigh its peaks alone.
         """
         cells = self.per_cell * np.sum(np.log(np.maximum(self.levels, 1.0)))
-        return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0)))) + self.sharp
+        return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0)))) + self.line_cost
 
     @property
     def beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
-        """Mean square of what is left by line, beyond noise, in the sensors' unit; zero where noise is most of the
-        signal, so that it decides nothing."""
-        left = np.maximum(self.left.mean(axis=0) * self.measured - self.reference.noise, 0.0)
-        return np.asarray(left * self.reference.has_signal)
+        """Mean square of the linear residual per line beyond noise, in the sensors' unit; zero where noise
+        dominates."""
+        variance = np.maximum(
+            self.variance_by_second.mean(axis=0) * self.variance_correction - self.reference.noise, 0.0
+        )
+        return np.asarray(variance * self.reference.has_signal)
 
     @property
     def shares(self) -> Float[np.ndarray, " bands"]:
@@ -141,69 +145,74 @@ class Misfit:
 
     @property
     def share(self) -> float:
-        """The same over all bands."""
-        beyond = self.beyond_noise.sum(axis=1)
-        whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        return float(np.sqrt(self.reference.lines @ beyond / whole))
+        """Unexplained share of the acceleration's root mean square over all bands, beyond noise."""
+        excess = self.beyond_noise.sum(axis=1)
+        power = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
+        return float(np.sqrt(self.reference.lines @ excess / power))
 
     @property
     def share_by_second(self) -> Float[np.ndarray, " seconds"]:
-        """Its square as each second alone has it, beyond noise; below zero where a second is quieter than noise."""
-        whole = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        beyond = (self.left * self.measured - self.reference.noise) * self.reference.has_signal
-        return np.einsum("sbi,b->s", beyond, self.reference.lines) / whole
+        """Square of `share` for each second; negative where a second is quieter than the noise."""
+        power = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
+        excess = (self.variance_by_second * self.variance_correction - self.reference.noise) * self.reference.has_signal
+        return np.einsum("sbi,b->s", excess, self.reference.lines) / power
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
         """Unexplained share of each contact force's root mean square, beyond noise."""
-        left = np.maximum(self.contact_n2.mean(axis=0), 0.0)
-        return np.asarray(np.sqrt(left / np.maximum(self.force_n2.mean(axis=0), 1e-300)))
+        excess_n2 = np.maximum(self.contact_n2.mean(axis=0), 0.0)
+        return np.asarray(np.sqrt(excess_n2 / np.maximum(self.force_n2.mean(axis=0), 1e-300)))
 
-    def drawn(self, seconds: Int[np.ndarray, " seconds"]) -> "Misfit":
-        """Misfit of some seconds of the record: for a bootstrap."""
+    def resampled(self, seconds: Int[np.ndarray, " seconds"]) -> "Misfit":
+        """Misfit over a selection of seconds, for a bootstrap."""
         return replace(
             self,
-            left=self.left[seconds],
-            contact_left=self.contact_left[seconds],
+            variance_by_second=self.variance_by_second[seconds],
+            contact_level_by_second=self.contact_level_by_second[seconds],
             contact_n2=self.contact_n2[seconds],
             force_n2=self.force_n2[seconds],
         )
 
 
-def misfit(record: Record, reference: Reference, at: Residual) -> Misfit:
-    """Misfit of a fitted residual, whatever scales it was fitted at."""
-    levels = second_levels(record, at.linear)
+def misfit(record: Record, reference: Reference, residual: Residual) -> Misfit:
+    """Misfit of a fitted residual, in the reference's variances whatever the scales of the fit."""
+    levels = second_levels(record, residual.linear)
     seconds, bands = levels.shape[:2]
-    usual = by_band(record, at.model.deviation**2, bands)
-    contacts = [_of_contact(seen, contact, seconds) for contact, seen in zip(at.contacts, reference.seen, strict=True)]
-    rows = np.array(contacts).reshape(len(contacts), 3, seconds)
-    drift = sum(float(np.sum(c.residual[c.seen.weights.size : -c.pulls.size] ** 2)) for c in at.contacts)
-    lines = at.model.deviation.shape[1]
-    inputs = float(np.sum(at.linear[len(record.sensors) :] ** 2))
-    sharp = 0.0  # a free decay rings as sharply as tones
+    expected_variance = by_band(record, residual.model.deviation**2, bands)
+    contacts = [
+        _contact_misfit(observation, contact, seconds)
+        for contact, observation in zip(residual.contacts, reference.observations, strict=True)
+    ]
+    contact_rows = np.array(contacts).reshape(len(contacts), 3, seconds)
+    drift = sum(float(np.sum(c.residual[c.observation.weights.size : -c.pulls.size] ** 2)) for c in residual.contacts)
+    line_count = residual.model.deviation.shape[1]
+    input_cost = float(np.sum(residual.linear[len(record.sensors) :] ** 2))
+    line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.forced:
-        directions = len(record.sensors) - len(at.contacts)
-        sharp = cost_of_lines(at.linear[: len(record.sensors)], directions, record.repeats)
+        directions = len(record.sensors) - len(residual.contacts)
+        line_cost = cost_of_lines(residual.linear[: len(record.sensors)], directions, record.repeats)
     return Misfit(
         reference=reference,
-        left=levels * usual,
-        measured=measured_levels(record, at.linear, at.model.deviation, bands) / usual,
-        contact_left=rows[:, 0].T,
-        contact_n2=rows[:, 1].T,
-        force_n2=rows[:, 2].T,
-        pulls=at.pulls,
+        variance_by_second=levels * expected_variance,
+        variance_correction=measured_levels(record, residual.linear, residual.model.deviation, bands)
+        / expected_variance,
+        contact_level_by_second=contact_rows[:, 0].T,
+        contact_n2=contact_rows[:, 1].T,
+        force_n2=contact_rows[:, 2].T,
+        pulls=residual.pulls,
         drift=drift / record.sample_ratio,
-        freedom=(inputs + at.model.log_determinant * at.linear.shape[1] / lines) / record.sample_ratio,
-        sharp=sharp,
-        samples=at.linear.shape[1] / record.sample_ratio,
+        freedom=(input_cost + residual.model.log_determinant * residual.linear.shape[1] / line_count)
+        / record.sample_ratio,
+        line_cost=line_cost,
+        samples=residual.linear.shape[1] / record.sample_ratio,
     )
 
 
-def _of_contact(seen: ContactObservation, contact: ContactResidual, seconds: int) -> list[list[float]]:
-    """Second by second: the level of its residual, its mean square beyond noise, and that of the force (N^2)."""
-    weights = contact.seen.weights
+def _contact_misfit(observation: ContactObservation, contact: ContactResidual, seconds: int) -> list[list[float]]:
+    """Level of a contact's residual, its mean square beyond noise (N^2) and that of the force (N^2), by second."""
+    weights = contact.observation.weights
     moving = weights > 0
-    left_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=moving)
-    usual_n = np.divide(1.0, seen.weights, out=np.zeros(weights.size), where=moving)
-    rows = (left_n * seen.weights) ** 2, left_n**2 - usual_n**2, contact.signals.force_n**2
-    return [[float(np.mean(part)) for part in np.array_split(row, seconds)] for row in rows]
+    residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=moving)
+    deviation_n = np.divide(1.0, observation.weights, out=np.zeros(weights.size), where=moving)
+    rows = (residual_n * observation.weights) ** 2, residual_n**2 - deviation_n**2, contact.signals.force_n**2
+    return [[float(np.mean(second)) for second in np.array_split(row, seconds)] for row in rows]

@@ -1,4 +1,4 @@
-"""Lines that stand out of a residual: no error of a model is as sharp as one line."""
+"""Outstanding spectral lines of a residual, with far more power than their neighbours: no model error is as sharp."""
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -6,90 +6,89 @@ from scipy.ndimage import maximum_filter1d, median_filter
 from scipy.signal import find_peaks, zoom_fft
 from scipy.signal.windows import hann
 
-BESIDE, OUTSTANDING = (3, 8), 100.0
-"""A sensor's line is compared with those from the third to the eighth on either side: a Hann window keeps them apart,
-and a resonance of 1 % damping at 8 Hz lifts them all. Above so many times their median power it stands out."""
-FINER = 32
-"""A line's frequency is found on a grid so many times finer: a tone off by half a step keeps 0.1 % of its power."""
+NEIGHBOURS, OUTSTANDING = (3, 8), 100.0
+"""Neighbours of a line, the third to the eighth on either side, and the multiple of their median power above which it
+stands out: a Hann window separates them, and a resonance of 1 % damping at 8 Hz raises them all."""
+REFINEMENT = 32
+"""Refinement of the frequency grid of a line: a tone off by half a step keeps 0.1 % of its power."""
 
-NEAR = 2
-"""A line so near (in lines) to a multiple of the frequency at which a force repeats is one of that force."""
+FORCE_LINE_REACH = 2
+"""Distance (lines) from a multiple of the force's repetition frequency within which a line belongs to the force."""
 
 Rows = Float[np.ndarray, "rows times"]
 
 
 def cost_of_lines(rows: Rows, directions: int, repeats: float = 0.0) -> float:
-    """2 R/rows ln(power over `OUTSTANDING` times that of the lines beside), over sensors and lines that stand out.
+    """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
 
-    A line is two real values of an unknown variance; R directions of the sensors are not free to follow the contacts.
-    `repeats` is the frequency, per sample, at which the measured force repeats (0: it does not): whatever the rig, its
-    response has lines at all multiples, which tell of no tone.
+    A line is two real values of an unknown variance; R, `directions`, is the number of directions of the sensors that
+    contact forces cannot follow. `repeats` is the frequency, per sample, at which the measured force repeats (0: it
+    does not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
-    return float(2 * directions / len(rows) * np.sum(np.log(np.maximum(_outstanding(rows, repeats), 1.0))))
+    return float(2 * directions / len(rows) * np.sum(np.log(np.maximum(_outstanding_ratio(rows, repeats), 1.0))))
 
 
-def standing_out(rows: Rows, repeats: float = 0.0) -> tuple[float, ...]:
-    """The frequencies, per sample, of the lines that stand out in any of the rows; without those of the force."""
-    times = rows.shape[1]
-    found: list[float] = []
-    for line in np.flatnonzero(np.any(_outstanding(rows, repeats) > 1, axis=0)):
-        refined = _refined(rows, line / times, 1 / times)
-        if all(abs(refined - other) > 1 / times for other in found):
-            found.append(refined)
-    return tuple(found)
+def outstanding_frequencies(rows: Rows, repeats: float = 0.0) -> tuple[float, ...]:
+    """Frequencies, per sample, of lines that stand out in any row, without those of a repeating force."""
+    samples = rows.shape[1]
+    frequencies: list[float] = []
+    for line in np.flatnonzero(np.any(_outstanding_ratio(rows, repeats) > 1, axis=0)):
+        refined = _refined(rows, line / samples, 1 / samples)
+        if all(abs(refined - frequency) > 1 / samples for frequency in frequencies):
+            frequencies.append(refined)
+    return tuple(frequencies)
 
 
 def without_lines(rows: Rows, frequencies: tuple[float, ...]) -> Rows:
-    """The rows, where they are not zero, less the harmonic waves of these frequencies, of any amplitude and phase."""
-    there = np.any(rows, axis=0)
+    """Rows less their least-squares harmonics at the given frequencies, where the rows are not all zero."""
+    is_nonzero = np.any(rows, axis=0)
     for frequency in frequencies:
-        turned = 2 * np.pi * frequency * np.arange(rows.shape[1])
-        wave = there * np.stack([np.cos(turned), np.sin(turned)])
+        phase = 2 * np.pi * frequency * np.arange(rows.shape[1])
+        wave = is_nonzero * np.stack([np.cos(phase), np.sin(phase)])
         rows = rows - rows @ np.linalg.pinv(wave) @ wave
     return rows
 
 
-def sharpest(rows: Rows, count: int, around: float, repeats: float = 0.0) -> Float[np.ndarray, " lines"]:
-    """The frequencies (per sample) of the lines that stand out most of the spectrum `around` them, the first most.
+def sharpest_frequencies(rows: Rows, count: int, bandwidth: float, repeats: float = 0.0) -> Float[np.ndarray, " lines"]:
+    """Frequencies, per sample, of the lines with most power relative to the median within `bandwidth`, in that order.
 
-    Without those of a force that repeats, unless there are no others.
-
-    The squares of the rows' spectra add up, under a Hann window, four times finer than one over the duration.
+    The power is summed over the rows under a Hann window, on a grid four times finer than one over the duration; lines
+    of a repeating force are left out.
     """
-    times = rows.shape[1]
-    power = np.sum(np.abs(np.fft.rfft(rows * hann(times), 4 * times)) ** 2, axis=0)
-    level = median_filter(power, max(3, round(around * 4 * times)))
+    samples = rows.shape[1]
+    power = np.sum(np.abs(np.fft.rfft(rows * hann(samples), 4 * samples)) ** 2, axis=0)
+    level = median_filter(power, max(3, round(bandwidth * 4 * samples)))
     ratio = power / np.maximum(level, 1e-12 * power.max())
-    ratio[_of_force(np.arange(ratio.size) / 4, times, repeats)] = 0.0
-    found, _ = find_peaks(ratio, distance=4)
-    most = found[np.argsort(-ratio[found])[:count]]
-    return np.array([_refined(rows, line / (4 * times), 1 / (4 * times)) for line in most])
+    ratio[_force_lines(np.arange(ratio.size) / 4, samples, repeats)] = 0.0
+    peaks, _ = find_peaks(ratio, distance=4)
+    sharpest = peaks[np.argsort(-ratio[peaks])[:count]]
+    return np.array([_refined(rows, line / (4 * samples), 1 / (4 * samples)) for line in sharpest])
 
 
-def _of_force(lines: Float[np.ndarray, " lines"], times: int, repeats: float) -> Bool[np.ndarray, " lines"]:
-    """Mask of lines at multiples of the frequency at which the force repeats, per sample."""
+def _force_lines(lines: Float[np.ndarray, " lines"], samples: int, repeats: float) -> Bool[np.ndarray, " lines"]:
+    """Mask of lines within FORCE_LINE_REACH of multiples of the force's repetition frequency."""
     if not repeats:
         return np.zeros(lines.size, dtype=bool)
-    apart = repeats * times
-    return np.abs(lines - apart * np.round(lines / apart)) <= NEAR
+    spacing = repeats * samples
+    return np.abs(lines - spacing * np.round(lines / spacing)) <= FORCE_LINE_REACH
 
 
-def _outstanding(rows: Rows, repeats: float) -> Float[np.ndarray, "rows lines"]:
-    """The power of a peak over `OUTSTANDING` times that beside; zero elsewhere, at the ends, at the force's lines."""
+def _outstanding_ratio(rows: Rows, repeats: float) -> Float[np.ndarray, "rows lines"]:
+    """Power of each peak over OUTSTANDING times its neighbours'; zero off peaks, at the ends, on the force's lines."""
     power = np.abs(np.fft.rfft(rows * hann(rows.shape[1]))) ** 2
-    peaks = power == maximum_filter1d(power, 2 * BESIDE[0] - 1, axis=1)
-    peaks[:, : BESIDE[1]] = peaks[:, -BESIDE[1] :] = False
-    peaks[:, _of_force(np.arange(float(peaks.shape[1])), rows.shape[1], repeats)] = False
+    peaks = power == maximum_filter1d(power, 2 * NEIGHBOURS[0] - 1, axis=1)
+    peaks[:, : NEIGHBOURS[1]] = peaks[:, -NEIGHBOURS[1] :] = False
+    peaks[:, _force_lines(np.arange(float(peaks.shape[1])), rows.shape[1], repeats)] = False
     row, line = np.nonzero(peaks)
-    apart = np.arange(BESIDE[0], BESIDE[1] + 1)
-    beside = np.median(power[row[:, None], line[:, None] + np.concatenate([-apart, apart])], axis=1)
+    offsets = np.arange(NEIGHBOURS[0], NEIGHBOURS[1] + 1)
+    neighbour_power = np.median(power[row[:, None], line[:, None] + np.concatenate([-offsets, offsets])], axis=1)
     ratio = np.zeros_like(power)
-    ratio[peaks] = power[peaks] / np.maximum(OUTSTANDING * beside, 1e-300)
+    ratio[peaks] = power[peaks] / np.maximum(OUTSTANDING * neighbour_power, 1e-300)
     return ratio
 
 
 def _refined(rows: Rows, frequency: float, spacing: float) -> float:
-    """The frequency, up to so far from another, at which the power of all rows is largest; per sample."""
-    grid = frequency + spacing * np.linspace(-1, 1, 2 * FINER + 1)
+    """Frequency of largest power of all rows within `spacing` of a frequency; per sample."""
+    grid = frequency + spacing * np.linspace(-1, 1, 2 * REFINEMENT + 1)
     spectra = zoom_fft(rows * hann(rows.shape[1]), grid[[0, -1]], grid.size, fs=1.0, endpoint=True)
     return float(grid[np.argmax(np.sum(np.abs(spectra) ** 2, axis=0))])

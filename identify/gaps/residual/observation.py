@@ -1,6 +1,7 @@
-"""Observation of contacts, whatever their laws: when they are closed, how exactly their forces are known."""
+"""Contacts as a record shows them, independent of their laws: separated forces and relative displacements, the times of
+closure, the forces' standard deviations and the slow drift that integration loses."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,93 +11,130 @@ from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.record import Record
 from identify.linear.joined import JoinedLaw
 from identify.signals.drift import Spline, spline
+from identify.signals.law_evaluation import evaluated
 
-CLOSED = 5.0
-"""A contact force is more than noise where it exceeds this many standard deviations; ..."""
-STRUCK = 0.1
-"""... where it also exceeds this share of its root mean square, which no open contact's error does, it is closed."""
+CLOSED_DEVIATIONS = 5.0
+"""Standard deviations beyond which a contact force is not noise; ..."""
+CLOSED_SHARE = 0.1
+"""... and the share of its rms that it must exceed too where the contact is closed: an open one's error stays below."""
 
-EDGE = 8
-"""A contact force so few samples before a record ends rings on: the low-pass of its law lacks what follows."""
+EDGE_SAMPLES = 8
+"""Samples at a record's end whose contact force rings on: the law's low-pass lacks what follows them."""
+
+Signal = Float[np.ndarray, "*shape"]
+Results = Float[np.ndarray, "..."]
+
+
+@dataclass(frozen=True)
+class ContactSignals:
+    """Separated force of one contact, and its relative displacement and velocity at the recording's rate.
+
+    factor is the ratio of the recording's rate to that of the force, spring_n_per_m the stiffness of the bodies against
+    slow relative motion.
+    """
+
+    force_n: Float[np.ndarray, " times"]
+    eta_m: Float[np.ndarray, " samples"]
+    rate_m_per_s: Float[np.ndarray, " samples"]
+    time_s: Float[np.ndarray, " samples"]
+    sample_rate_hz: float
+    factor: int
+    spring_n_per_m: float
+
+    def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
+        """Law evaluated on signals at the recording's rate and low-passed to the rate of the force."""
+        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
+
+
+def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
+    """Signals of every contact by a linear model: the data that its law has to explain."""
+    eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
+    time_s = record.counted_samples.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
+    forces = record.in_time(model.contact_n) + model.static_contact_n[:, None]
+    return tuple(
+        ContactSignals(force, contact_eta, contact_rate, time_s, record.sample_rate_hz, record.factor, spring)
+        for force, contact_eta, contact_rate, spring in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
+    )
 
 
 @dataclass(frozen=True)
 class ContactObservation:
-    """Observation of one contact, whatever its law: how exactly its force is known, and its slow drift.
+    """Observation of one contact, independent of its law.
 
-    trusted are the standard deviations of clearance and stiffness (relative) and of damping over stiffness (s).
+    weights are reciprocal standard deviations of its force (1/N), closed is 1 where it is closed, curve the spline of
+    its drift. prior_deviations are those of clearance and stiffness (relative) and of damping over stiffness (s).
     """
 
     weights: Float[np.ndarray, " times"]
     closed: Float[np.ndarray, " times"]
     curve: Spline
     sample_ratio: float
-    trusted: tuple[float, float, float]
+    prior_deviations: tuple[float, float, float]
 
     @property
-    def tolerances(self) -> slice:
-        """Slice of the law's tolerances among a contact's unknowns: behind the knots of the drift."""
+    def tolerance_slice(self) -> slice:
+        """Slice of the law's tolerances among a contact's unknowns, after the knots of the drift."""
         return slice(self.curve.knots, None)
 
     @property
-    def firm(self) -> float:
-        """The weight of a tolerance's standard deviation."""
+    def prior_weight(self) -> float:
+        """Weight of a pull of one standard deviation, sqrt(sample_ratio)."""
         return float(self.sample_ratio**0.5)
 
 
-def seen_contacts(
+def contact_observations(
     record: Record, model: Linear, laws: Sequence[JoinedLaw], levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
-    """Observations of a record's contacts, by the linear model and the laws of the nominal rig.
+    """Observations of a record's contacts by the linear model and the laws of the nominal rig.
 
-    levels are the variances of the contact residuals, in units of what noise and unmodelled share make of them.
+    levels are the variances of the contact residuals relative to those by noise and the unmodelled share.
     """
-    forces, spreads = record.in_time(model.contact_n), model.open_n(record)
-    found = []
-    believed = record.tolerances
-    trusted = believed.clearance, believed.stiffness, believed.contact_damping_s
-    for force, open_n, law, drift, level in zip(forces, spreads, laws, record.drifts, levels, strict=True):
-        loud = np.abs(force) > CLOSED * open_n
-        fast_m = 0.0 if drift is None else drift.unfollowed_m
-        stiffness = sum(one.stiffness_n_per_m for one in law.laws)
-        moving = record.time_s > record.excited_s  # at rest nothing tells on which side of a stop it rests
+    forces, force_errors = record.in_time(model.contact_n), model.contact_force_error_n(record)
+    observations = []
+    tolerances = record.tolerances
+    prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
+    for force, force_error_n, law, drift, level in zip(forces, force_errors, laws, record.drifts, levels, strict=True):
+        is_clear = np.abs(force) > CLOSED_DEVIATIONS * force_error_n
+        unfollowed_m = 0.0 if drift is None else drift.unfollowed_m
+        stiffness = sum(single_law.stiffness_n_per_m for single_law in law.laws)
+        is_moving = record.time_s > record.excited_s  # at rest the side of a stop is unknown
         weights = (
-            moving
+            is_moving
             / np.sqrt(level)
             / np.sqrt(
-                open_n**2
-                + (stiffness * fast_m * loud) ** 2
-                + (believed.unmodelled_contact * force) ** 2
+                force_error_n**2
+                + (stiffness * unfollowed_m * is_clear) ** 2
+                + (tolerances.unmodelled_contact * force) ** 2
                 + _ringing(record, force) ** 2
             )
         )
-        slow = drift
+        record_drift = drift
         if drift is not None:
-            at = np.arange(record.taken.start, record.taken.stop) * record.factor
-            slow = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[at])
-        found.append(
+            samples = np.arange(record.counted_samples.start, record.counted_samples.stop) * record.factor
+            record_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[samples])
+        observations.append(
             ContactObservation(
                 weights,
-                is_closed(force, open_n).astype(float),
-                spline(force.size, record.rate_hz, slow),
+                is_closed(force, force_error_n).astype(float),
+                spline(force.size, record.rate_hz, record_drift),
                 record.sample_ratio,
-                trusted,
+                prior_deviations,
             )
         )
-    return tuple(found)
+    return tuple(observations)
 
 
 def is_closed(
-    force_n: Float[np.ndarray, " times"], open_n: float | Float[np.ndarray, " times"]
+    force_n: Float[np.ndarray, " times"], force_error_n: float | Float[np.ndarray, " times"]
 ) -> Bool[np.ndarray, " times"]:
-    """Mask of a closed contact: its force exceeds the error of an open one, open_n, and a share of its rms."""
-    return np.abs(force_n) > np.maximum(CLOSED * open_n, STRUCK * np.sqrt(np.mean(force_n**2)))
+    """Mask of closure: the force exceeds its error, and a share of its root mean square."""
+    return np.abs(force_n) > np.maximum(CLOSED_DEVIATIONS * force_error_n, CLOSED_SHARE * np.sqrt(np.mean(force_n**2)))
 
 
 def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-    """Ringing F / (pi n) that an ideal low-pass makes n samples from where a force is cut off."""
-    after = np.arange(force_n.size) + 1.0
-    rings = np.max(np.abs(force_n[-EDGE:])) / (np.pi * after[::-1])
-    if record.taken.start > 0:
-        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE])) / (np.pi * after))
+    """Ringing F / (pi n) of an ideal low-pass n samples from where a force is cut off, N."""
+    samples_after = np.arange(force_n.size) + 1.0
+    rings = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples_after[::-1])
+    if record.counted_samples.start > 0:
+        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples_after))
     return np.asarray(rings)

@@ -1,4 +1,4 @@
-"""A recording as the diagnosis reads it: what its lines hold, and the same over time; `spectra.record_of` makes it."""
+"""Record: spectra of a recording that the diagnosis reads, and their transforms to time (see `spectra.record_of`)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,19 +18,21 @@ from rig.model.tolerances import Tolerances
 
 @dataclass(frozen=True)
 class Record:
-    """Spectra of one recording, on the lines 0 to `high_hz`; `taken` are the samples in time that count.
+    """Spectra of one recording on the lines from 0 to `highest_hz`, and the samples that count.
 
-    delivered is what each sensor gave, turned into an acceleration by powers of i omega, its believed gain and
-    delay still in it; displaced the same as a displacement, high-passed where it had to be integrated. Where a free
-    mass is displaced, delivered is the windowed acceleration, and faded what its windowed velocity is more than
-    that of the windowed displacement; elsewhere both are those of what was windowed, as bodies answer it. noise is
-    the variance of each of its lines by the sensor's noise alone, power its smoothed size; force_noise the variance
-    of each force's lines by its channel's noise. eta_beyond is each relative displacement as measured on the lines
-    from `high_hz` on, drifts what is known of its slow part (None where nothing is lost; the linear model has the
-    springs). window is what samples were multiplied by, excited_s when the force begins, period_s after what it
-    repeats (None: it does not), tolerances how exactly the rig is believed. windows_responses: without contacts it
-    is the response of what is held, not the force, that is windowed. from_the_blow: a free motion that counts from
-    the first sample on; modes are those that it tells of a rig without contacts.
+    length and factor: samples of the transform with padding, and the recording's samples per time of the residuals;
+    counted_samples is the slice of these times that counts. window multiplied the recording's samples.
+    delivered: signals as accelerations, by powers of i omega, with the nominal gain and delay still in them; displaced:
+    as displacements, high-passed where integrated. For a free mass with measured displacement, delivered is the
+    windowed acceleration, and faded its windowed velocity less the derivative of its windowed displacement; for other
+    bodies, whose response is windowed, faded is zero.
+    noise: variance of each line of delivered by sensor noise; power: its smoothed mean square; force_noise: variance of
+    each force's lines by noise of its channel.
+    eta_beyond: measured relative displacements on the lines from `highest_hz` on; drifts: what is known of their slow
+    parts (None where integration loses nothing).
+    excited_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the rig.
+    windows_responses: without contacts, the response of held bodies is windowed instead of the force.
+    counts_from_blow: a free motion that counts from its first sample; modes: its measured modes without contacts.
     """
 
     rig: Rig
@@ -51,9 +53,9 @@ class Record:
     power: Float[np.ndarray, "sensors lines"]
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
-    from_the_blow: bool
+    counts_from_blow: bool
     modes: tuple[MeasuredMode, ...]
-    taken: slice
+    counted_samples: slice
     windows_responses: bool
     excited_s: float
     period_s: float | None
@@ -61,22 +63,24 @@ class Record:
 
     @property
     def sampling(self) -> Sampling:
-        """Sampling of a free motion that counts from the blow on."""
+        """Sampling of a free motion that counts from its first sample."""
         fading = int(np.count_nonzero(self.window[1:] < 1))
         return Sampling(self.sensors[0].measures.order, self.sample_rate_hz, self.samples, fading)
 
     @property
     def highest_hz(self) -> float:
+        """Frequency of the last line, Hz."""
         return float(self.omega[-1] / (2 * np.pi))
 
     @property
     def forced(self) -> bool:
-        """True if a force was measured; else the record is a free decay."""
+        """True if a force was measured; the record is a free decay otherwise."""
         return bool(np.any(self.forces))
 
     @property
     def counted_until_s(self) -> float:
-        return self.taken.stop / self.rate_hz
+        """End of the samples that count, s."""
+        return self.counted_samples.stop / self.rate_hz
 
     @property
     def rate_hz(self) -> float:
@@ -85,36 +89,38 @@ class Record:
 
     @property
     def repeats(self) -> float:
-        """The frequency at which the force repeats, per sample of the residuals over time; 0 if it does not."""
+        """Repetition frequency of the force, per sample of the residuals over time; 0 if it does not repeat."""
         return 1 / (self.period_s * self.rate_hz) if self.period_s else 0.0
 
     @property
     def time_s(self) -> Float[np.ndarray, " times"]:
         """Times of the residuals' samples, s."""
-        return np.arange(self.taken.start, self.taken.stop) / self.rate_hz
+        return np.arange(self.counted_samples.start, self.counted_samples.stop) / self.rate_hz
 
     @property
     def sample_times_s(self) -> Float[np.ndarray, " samples"]:
-        """Times of the recording's samples from its beginning, s."""
+        """Times of the recording's samples, s."""
         return np.arange(self.samples) / self.sample_rate_hz
 
     def spectrum(self, signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
-        """Spectrum of a signal over the recording's samples, windowed as they were."""
+        """Spectrum of a signal over the recording's samples under the record's window."""
         lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
         return np.asarray(rfft(signal * self.window, self.length)[lines])
 
     def sampled(
         self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
     ) -> Float[np.ndarray, "contacts samples"]:
-        """Relative displacements, or velocities, at the recording's rate, between the first and last that counts.
+        """Relative displacements or velocities at the recording's rate, from the first to the last time that counts.
 
-        With what was measured beyond the lines; a change of a model has nothing there.
+        `beyond` adds the measured lines above the band; changes of a model have none.
         """
-        whole = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
+        spectra = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
         if derivative:
-            whole *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(whole.shape[1])
-        moved = irfft(whole, self.length)
-        return moved[:, self.taken.start * self.factor : (self.taken.stop - 1) * self.factor + 1].copy()
+            spectra *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(spectra.shape[1])
+        rows = irfft(spectra, self.length)
+        return rows[
+            :, self.counted_samples.start * self.factor : (self.counted_samples.stop - 1) * self.factor + 1
+        ].copy()
 
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
@@ -123,10 +129,10 @@ class Record:
 
     @property
     def sample_ratio(self) -> float:
-        """Weight of the tolerances over that of a sample, as model errors last: samples for each that counts."""
+        """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
-        """Back to time, at `rate_hz`, the samples that count."""
-        whole = irfft(spectra, self.length // self.factor) / self.factor
-        return np.asarray(whole[..., self.taken])
+        """Signals over the times that count, at `rate_hz`, from their spectra."""
+        rows = irfft(spectra, self.length // self.factor) / self.factor
+        return np.asarray(rows[..., self.counted_samples])

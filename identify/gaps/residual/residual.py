@@ -1,4 +1,4 @@
-"""The one residual of the diagnosis: a rig's model against a record, with the nuisance parameters free.
+"""The residual of the diagnosis, a rig's model against a record, its nuisance parameters, and its derivative.
 
 cost = |linear residual|^2 + sum over contacts |contact residual|^2 + sample_ratio |nuisance|^2 + log determinant
 """
@@ -7,34 +7,42 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.grounded import pushed_by_motion
-from identify.gaps.residual.law import (
-    ContactResidual,
-    ContactSignals,
-    contact_residual,
-    contact_signals_of,
-    start_of,
+from identify.gaps.residual.law import ContactResidual, contact_residual, initial_unknowns
+from identify.gaps.residual.linear import Linear, linear_model, sensor_response_of
+from identify.gaps.residual.lines import outstanding_frequencies, without_lines
+from identify.gaps.residual.nuisance import (
+    Columns,
+    apply_nuisance,
+    columns_of,
+    relative_displacements,
+    residual_in_time,
+    with_nuisance,
 )
-from identify.gaps.residual.linear import Linear, linear_model
-from identify.gaps.residual.lines import standing_out, without_lines
-from identify.gaps.residual.nuisance import Columns, apply_nuisance, columns_of, counted, with_nuisance
-from identify.gaps.residual.observation import ContactObservation, seen_contacts
+from identify.gaps.residual.observation import (
+    ContactObservation,
+    ContactSignals,
+    contact_observations,
+    contact_signals_of,
+)
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.tuning import TunedModes, tuned_modes
+from identify.gaps.residual.windowed import has_ground_forces
 from identify.linear.joined import joined_contacts, joined_laws
 from identify.linear.model import Recent, ResponseCache
 from identify.linear.nuisance import Nuisance
 from rig.model.description import Rig
 
+Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
+"""Decrease of the linear residual and of each contact's residual."""
+
 
 class SearchCache:
-    """Cache that the models of one search share on one record: responses of its bodies, and the columns used last, as
-    they are large. It lives as long as the linearisations that hold it.
-    """
+    """Cache shared by the models of one search on one record: responses of bodies, and the last two sets of columns,
+    which are large. It lives as long as the linearisations that hold it."""
 
     def __init__(self, record: Record) -> None:
         self.responses = ResponseCache(record.omega)
@@ -46,72 +54,75 @@ class SearchCache:
 
 @dataclass(frozen=True)
 class Linearization:
-    """A record and the rig about which it is linearised: what every residual of the record shares.
+    """Record and rig about which it is linearised, shared by all residuals of the record.
 
-    put are the nuisance parameters that are in the rig already where it is linearised; None: all zero. tuned are those
-    of single modes that are in the linear model too: of a free decay, which tells them.
+    applied_nuisance are the nuisance parameters that the linearised model contains already; None: all zero. tuned are
+    those of single modes that it contains, for a free decay.
     """
 
     record: Record
     rig: Rig
     scales: Scales
     model: Linear
-    seen: tuple[ContactObservation, ...]
-    put: Float[np.ndarray, " nuisances"] | None
+    observations: tuple[ContactObservation, ...]
+    applied_nuisance: Float[np.ndarray, " nuisances"] | None
     tuned: TunedModes
     cache: SearchCache
 
-    def about(
+    def relinearized(
         self,
         rig: Rig,
-        at: "Residual | None" = None,
+        residual: "Residual | None" = None,
         scales: Scales | None = None,
-        seen: tuple[ContactObservation, ...] | None = None,
+        observations: tuple[ContactObservation, ...] | None = None,
     ) -> "Linearization":
-        """The linearisation of the same record about another rig, as `linearized`, with the same cache."""
-        return linearized(self.record, rig, at, scales, seen, self.cache)
+        """Linearisation of the same record about another rig with the same cache; arguments of `linearized`."""
+        return linearized(self.record, rig, residual, scales, observations, self.cache)
 
     @cached_property
     def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
-        """The nuisance parameters that are in the model already where it is linearised."""
+        """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
-        put = np.zeros(len(parameters)) if self.put is None else self.put
-        return put + np.array([self.tuned.pulls.get(p, 0.0) for p in parameters]) if self.tuned.pulls else put
+        applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
+        return applied + np.array([self.tuned.pulls.get(p, 0.0) for p in parameters]) if self.tuned.pulls else applied
 
     @cached_property
     def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
-        """The products of the linear residual's columns."""
+        """Gram matrix of the linear residual's columns."""
         return self.columns.products(self.columns.flat)
 
     @cached_property
     def lines(self) -> tuple[float, ...]:
-        """The frequencies, per sample, of the lines that stand out of its own rig's residual; none of a free decay,
-        which rings as sharply."""
+        """Frequencies, per sample, of outstanding lines in the linearised rig's residual; none for a free decay, whose
+        modes ring as sharply."""
         if not self.record.forced:
             return ()
         sensors = len(self.record.sensors)
-        return standing_out(counted(self.record, self.model.residual[:sensors]), self.record.repeats)
+        return outstanding_frequencies(
+            residual_in_time(self.record, self.model.residual[:sensors]), self.record.repeats
+        )
 
     @property
     def columns(self) -> Columns:
-        """Computed again if others were used since."""
+        """Columns of the nuisance parameters, recomputed if the cache has dropped them."""
         return self.cache.columns(self.model)
 
 
 @dataclass(frozen=True)
 class Residual:
-    """A rig against a record. linear is in standard deviations, over time, with the nuisance parameters taken in.
+    """Residual of a rig against a record, over time and in standard deviations.
 
-    quiet is what of it is fitted, and tells the scale of the unmodelled: of a rig without tones, linear without the
-    lines that stand out. They are no error of a model, so nothing else is to follow them.
+    linear includes the nuisance parameters; linear_before_nuisance has those of the linearisation alone.
+    linear_without_lines is the part that is fitted and that scales the unmodelled: without tones in the rig,
+    outstanding lines are removed, as they are no model error and no other parameter should follow them.
     """
 
     rig: Rig
     model: Linear
     signals: tuple[ContactSignals, ...]
-    bare: Float[np.ndarray, "rows times"]
+    linear_before_nuisance: Float[np.ndarray, "rows times"]
     linear: Float[np.ndarray, "rows times"]
-    quiet: Float[np.ndarray, "rows times"]
+    linear_without_lines: Float[np.ndarray, "rows times"]
     contacts: tuple[ContactResidual, ...]
     nuisance: Float[np.ndarray, " nuisances"]
     parameters: tuple[Nuisance, ...]
@@ -119,38 +130,38 @@ class Residual:
 
     @property
     def rows(self) -> int:
-        """The cost of noise alone."""
+        """Number of residuals, which is the expected cost of noise alone."""
         return int(self.linear.size + sum(c.residual.size for c in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
-        """Pulls of nuisance parameters and the contacts' own: (estimate - prior mean) / prior standard deviation."""
+        """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
         return np.concatenate([self.nuisance, *(c.pulls for c in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
-        """The rig with what was fitted beside it: nuisance parameters and the contacts' tolerances."""
-        found = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
-        contacts = list(found.contacts)
-        for place, fit in zip(joined_contacts(found), self.contacts, strict=True):
-            for j, law in zip(place.members, fit.fitted, strict=True):
+        """Rig with the fitted nuisance parameters and contact tolerances applied."""
+        rig = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
+        contacts = list(rig.contacts)
+        for place, fit in zip(joined_contacts(rig), self.contacts, strict=True):
+            for j, law in zip(place.members, fit.fitted_laws, strict=True):
                 contacts[j] = replace(contacts[j], law=law)
-        return replace(found, contacts=tuple(contacts))
+        return replace(rig, contacts=tuple(contacts))
 
     @property
     def contact_levels(self) -> tuple[float, ...]:
-        """Mean square of each contact's residual while the rig moves, in the variances that it was weighed by."""
-        found = []
+        """Mean square of each contact's weighted residual while the rig moves."""
+        levels = []
         for contact in self.contacts:
-            moving = contact.seen.weights > 0
-            own = contact.residual[: moving.size][moving]
-            found.append(float(np.mean(own**2)) if own.size else 0.0)
-        return tuple(found)
+            is_moving = contact.observation.weights > 0
+            weighed = contact.residual[: is_moving.size][is_moving]
+            levels.append(float(np.mean(weighed**2)) if weighed.size else 0.0)
+        return tuple(levels)
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.quiet**2) + self.sample_ratio * self.nuisance @ self.nuisance)
+            float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance @ self.nuisance)
             + sum(c.cost for c in self.contacts)
             + self.model.log_determinant * self.linear.shape[1] / self.model.deviation.shape[1]
         )
@@ -159,38 +170,46 @@ class Residual:
 def linearized(
     record: Record,
     rig: Rig,
-    at: Residual | None = None,
+    residual: Residual | None = None,
     scales: Scales | None = None,
-    seen: tuple[ContactObservation, ...] | None = None,
+    observations: tuple[ContactObservation, ...] | None = None,
     cache: SearchCache | None = None,
 ) -> Linearization:
-    """The linearisation about a rig, with the nuisance parameters of a residual of the record in it, if one is given.
+    """Linearisation of a record about a rig, with the nuisance parameters of a residual applied if one is given.
 
-    `scales` and `seen` of another linearisation of the record keep their costs comparable.
+    `scales` and `observations` of another linearisation of the record keep their costs comparable.
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
-    there, put = apply_nuisance(rig, at.parameters, at.nuisance, record.tolerances) if at else (rig, None)
-    tuned = tuned_modes(record, there, at.parameters if at else None, at.nuisance if at else None)
-    model = linear_model(record, there, scales.discrepancy, cache.responses, tuned.factors)
-    seen = seen or seen_contacts(record, model, joined_laws(there), scales.contacts)
-    return Linearization(record, rig, scales, model, seen, put, tuned, cache)
+    expansion_rig, applied = (
+        apply_nuisance(rig, residual.parameters, residual.nuisance, record.tolerances) if residual else (rig, None)
+    )
+    tuned = tuned_modes(
+        record, expansion_rig, residual.parameters if residual else None, residual.nuisance if residual else None
+    )
+    model = linear_model(record, expansion_rig, scales.discrepancy, cache.responses, tuned.factors)
+    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.contacts)
+    return Linearization(record, rig, scales, model, observations, applied, tuned, cache)
 
 
-def rescaled(linearization: Linearization, at: Residual) -> Linearization:
-    """The linearisation with the scales that a residual of it shows."""
-    return linearization.about(linearization.rig, at, scales_at(linearization, at))
+def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
+    """Linearisation with the scales estimated from one of its residuals."""
+    return linearization.relinearized(linearization.rig, residual, scales_at(linearization, residual))
 
 
-def scales_at(linearization: Linearization, at: Residual) -> Scales:
-    """Scales of what no model explains, as a residual shows them."""
-    return estimated_scales(linearization.record, linearization.scales, at.quiet, at.contact_levels)
+def scales_at(linearization: Linearization, residual: Residual) -> Scales:
+    """Scales of the unmodelled, estimated from a residual."""
+    return estimated_scales(
+        linearization.record, linearization.scales, residual.linear_without_lines, residual.contact_levels
+    )
 
 
 def linear_of(linearization: Linearization, rig: Rig) -> Linear:
-    """The linear model of a rig, with the nuisance parameters in it that the linearisation has in its own."""
+    """Linear model of a rig with the nuisance parameters that the linearisation applies."""
     record = linearization.record
-    if linearization.put is not None and linearization.put.any():
-        rig, _ = apply_nuisance(rig, linearization.columns.parameters, linearization.put, record.tolerances)
+    if linearization.applied_nuisance is not None and linearization.applied_nuisance.any():
+        rig, _ = apply_nuisance(
+            rig, linearization.columns.parameters, linearization.applied_nuisance, record.tolerances
+        )
     scales, cache = linearization.scales, linearization.cache
     return linear_model(record, rig, scales.discrepancy, cache.responses, linearization.tuned.factors)
 
@@ -200,55 +219,132 @@ def residual_of(
     rig: Rig,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
-    like: Residual | None = None,
+    base: Residual | None = None,
 ) -> Residual:
-    """The residual of a rig at some nuisance parameters (none: those of the linearisation) and contact unknowns (none:
-    zero), without any fit.
+    """Residual of a rig at given nuisance parameters and contact unknowns, without any fit.
 
-    `like` is a residual of the same linearisation, of which nothing is computed again that is the same.
+    Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
+    linearisation whose unchanged parts are reused.
     """
     record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
     nuisance = linearization.expansion_point if nuisance is None else nuisance
-    if like is not None and same_but_laws(like.rig, rig):
-        model, signals, bare = like.model, like.signals, like.bare
+    if base is not None and same_but_laws(base.rig, rig):
+        model, signals, linear_at_expansion = base.model, base.signals, base.linear_before_nuisance
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         signals = contact_signals_of(record, model)
-        bare = counted(record, model.residual)
+        linear_at_expansion = residual_in_time(record, model.residual)
+    observations = linearization.observations
     if unknowns is None:
-        unknowns = tuple(
-            start_of(at, s, law, record.rate_hz) for at, s, law in zip(signals, linearization.seen, laws, strict=True)
-        )
-    beside = nuisance - linearization.expansion_point
-    same = like if like is not None and model is like.model and nuisance is like.nuisance else None
-    linear = same.linear if same else bare
-    if beside.any() and not same:
-        linear = bare - linearization.columns.along(beside)
-    quiet = same.quiet if same else linear if rig.tones else without_lines(linear, linearization.lines)
+        contacts_and_laws = zip(signals, observations, laws, strict=True)
+        unknowns = tuple(initial_unknowns(*arguments, record.rate_hz) for arguments in contacts_and_laws)
+    nuisance_change = nuisance - linearization.expansion_point
+    unchanged = base if base is not None and model is base.model and nuisance is base.nuisance else None
+    linear = unchanged.linear if unchanged else linear_at_expansion
+    if nuisance_change.any() and not unchanged:
+        linear = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
+    if unchanged:
+        linear_without_lines = unchanged.linear_without_lines
+    else:
+        linear_without_lines = linear if rig.tones else without_lines(linear, linearization.lines)
 
-    slow_m = [s.curve.value @ u[: s.curve.knots] for s, u in zip(linearization.seen, unknowns, strict=True)]
-    others = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
+    drift_m = [o.curve.value @ u[: o.curve.knots] for o, u in zip(observations, unknowns, strict=True)]
+    coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
-        law, told_by = laws[j], {j, *np.flatnonzero(others[j])}
-        if same and same.contacts[j].law == law and all(same.contacts[i].unknowns is unknowns[i] for i in told_by):
-            return same.contacts[j]
-        more_n, more_m = (-beside @ c[:, j] for c in (linearization.columns.contact_n, linearization.columns.eta_m))
-        more_n -= sum(others[j, i] * slow_m[i] for i in told_by)
-        return contact_residual(signals[j], linearization.seen[j], law, unknowns[j], more_n, more_m)
+        law, coupled = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
+        previous = unchanged.contacts if unchanged else ()
+        if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
+            return previous[j]
+        columns = linearization.columns
+        added_n, added_m = (-nuisance_change @ c[:, j] for c in (columns.contact_n, columns.eta_m))
+        added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
+        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_m)
 
-    contacts = tuple(contact(j) for j in range(len(laws)))
-    return Residual(rig, model, signals, bare, linear, quiet, contacts, nuisance, parameters, record.sample_ratio)
+    return Residual(
+        rig=rig,
+        model=model,
+        signals=signals,
+        linear_before_nuisance=linear_at_expansion,
+        linear=linear,
+        linear_without_lines=linear_without_lines,
+        contacts=tuple(contact(j) for j in range(len(laws))),
+        nuisance=nuisance,
+        parameters=parameters,
+        sample_ratio=record.sample_ratio,
+    )
 
 
-def same_but_sensors(one: Rig, other: Rig) -> bool:
-    """True if two rigs differ in their sensors' gains and delays at most, and no force follows from what they show."""
-    return replace(one, sensors=other.sensors) == other and not pushed_by_motion(one)
+def derivative(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
+    """Decrease of the linear and the contact residuals from a residual's rig to a slightly changed one.
+
+    A changed law is evaluated. A changed linear model changes contact forces and relative displacements, through the
+    slope of the present law. Contact forces are projected out with the weights of the present rig (Kaufman, BIT 15,
+    1975), as they are for nuisance parameters, so that a parameter equal to one of those has the same column.
+    """
+    record, model = linearization.record, residual.model
+    if same_but_laws(residual.rig, changed_rig):
+        unknowns = tuple(c.unknowns for c in residual.contacts)
+        changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns, base=residual)
+        contacts = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
+        return residual.linear - changed.linear, contacts
+    if same_but_sensors(residual.rig, changed_rig):
+        return _sensor_column(linearization, changed_rig, residual)
+    changed_model = linear_of(linearization, changed_rig)
+    sensor_count = len(record.sensors)
+    residual_decrease = model.residual - changed_model.residual
+    input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, residual_decrease[sensor_count:]])
+    sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.by_input, input_decrease)
+    linear, contact_n_decrease = model.projection.of(sensor_decrease * model.deviation)
+    static_decrease_n = model.static_contact_n - changed_model.static_contact_n
+    force_decrease_n = record.in_time(contact_n_decrease) + static_decrease_n[:, None]
+    stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
+    for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
+        force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
+    contacts = _contact_columns(record, residual, force_decrease_n, model.eta_m - changed_model.eta_m)
+    return residual_in_time(record, linear), contacts
 
 
-def same_but_laws(one: Rig, other: Rig) -> bool:
-    """True if two rigs differ in their contact laws at most."""
-    if one is other:
+def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
+    """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
+    record, model = linearization.record, residual.model
+    relative_change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
+    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
+    linear, contact_n_decrease = model.projection.of(relative_change * explained)
+    eta_decrease_m = relative_displacements(record, model, relative_change * record.displaced / model.sensor_response)
+    contacts = _contact_columns(record, residual, record.in_time(contact_n_decrease), eta_decrease_m)
+    return residual_in_time(record, linear), contacts
+
+
+def _contact_columns(
+    record: Record,
+    residual: Residual,
+    force_decrease_n: Float[np.ndarray, "contacts times"],
+    eta_decrease_m: Complex[np.ndarray, "contacts lines"],
+) -> list[Float[np.ndarray, " _"]]:
+    """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
+    sampled_decrease_m = record.sampled(eta_decrease_m, beyond=False) if np.any(eta_decrease_m) else None
+    columns = []
+    for j, contact in enumerate(residual.contacts):
+        misfit_decrease_n = force_decrease_n[j]
+        if sampled_decrease_m is not None:
+            misfit_decrease_n = misfit_decrease_n - contact.force_change_n(sampled_decrease_m[j])
+        column = np.zeros(contact.residual.size)
+        column[: misfit_decrease_n.size] = contact.observation.weights * misfit_decrease_n
+        columns.append(column)
+    return columns
+
+
+def same_but_sensors(rig: Rig, compared: Rig) -> bool:
+    """True if two rigs differ in their sensors alone, and no force depends on the measured motion."""
+    return replace(rig, sensors=compared.sensors) == compared and not has_ground_forces(rig)
+
+
+def same_but_laws(rig: Rig, compared: Rig) -> bool:
+    """True if two rigs differ in their contact laws alone, if at all."""
+    if rig is compared:
         return True
-    laws = tuple(c.law for c in other.contacts)
-    return replace(one, contacts=tuple(replace(c, law=law) for c, law in zip(one.contacts, laws, strict=True))) == other
+    laws = tuple(c.law for c in compared.contacts)
+    return (
+        replace(rig, contacts=tuple(replace(c, law=law) for c, law in zip(rig.contacts, laws, strict=True))) == compared
+    )

@@ -1,7 +1,7 @@
-"""A free decay: up to where the rig rings, and the frequency and damping of every mode that the record tells.
+"""Modes of a free decay: the highest ringing frequency, and frequency and damping ratio of each mode with errors.
 
-A mode of amplitude A that falls with the rate alpha, in white noise of the one-sided density s, has its frequency and
-its rate known to sqrt(4 alpha^3 s^2 / A^2) rad/s each (Cramer and Rao), which subspaces reach to a factor of two.
+The frequency and the decay rate alpha of a mode of amplitude A in white noise of one-sided density s have the least
+standard error sqrt(4 alpha^3 s^2 / A^2) rad/s each (Cramer and Rao), which subspaces reach to a factor of two.
 """
 
 from dataclasses import dataclass
@@ -13,23 +13,23 @@ from scipy.signal.windows import tukey
 
 from identify.signals.ringing import modes_of_decay
 
-RINGS = 1 - 1e-6
-"""Of the power of the velocities, beyond noise, lies below the frequency up to which a rig rings."""
-FADED = 0.1
-"""Of a record, at both ends together, for that spectrum."""
-ABOVE, SMOOTHED = 8.0, 9
-"""Lines count whose power, smoothed over so many, is more than this multiple of the noise's."""
-FREQUENCY, DAMPING = 3e-4, 0.03
-"""Relative errors of a mode's frequency and damping ratio at least: what subspaces, the fade and stations leave."""
-INEFFICIENT = 2.0
-"""Subspaces err by so many times the least that is possible."""
-MODES = 12
-"""Modes that are looked for."""
+BAND_POWER = 1 - 1e-6
+"""Share of the velocities' power beyond noise that lies below the highest ringing frequency."""
+TAPER_SHARE = 0.1
+"""Tapered share of a record, both ends together, for that spectrum."""
+SIGNAL_RATIO, SMOOTHED_LINES = 8.0, 9
+"""Ratio of smoothed power to noise from which a line counts, and the lines that are smoothed over."""
+LEAST_FREQUENCY_ERROR, LEAST_DAMPING_ERROR = 3e-4, 0.03
+"""Least relative errors of a mode's frequency and damping ratio: those by subspaces, fade and stations."""
+INEFFICIENCY = 2.0
+"""Error of subspaces over the Cramer-Rao bound."""
+MODE_COUNT = 12
+"""Number of modes sought."""
 
 
 @dataclass(frozen=True)
 class MeasuredMode:
-    """Mode of a free decay: frequency and damping ratio, with the relative standard error of each."""
+    """Frequency and damping ratio of a mode of a free decay, with their relative standard errors."""
 
     frequency_hz: float
     damping_ratio: float
@@ -37,21 +37,25 @@ class MeasuredMode:
     damping_error: float
 
 
-def rings_to_hz(
+def highest_ringing_hz(
     rows: Float[np.ndarray, "sensors samples"],
     rate_hz: float,
     order: int,
     densities: Float[np.ndarray, " sensors"],
 ) -> float:
-    """Up to which frequency what sensors of this derivative show is more than their noise, by the velocities' power."""
-    window = tukey(rows.shape[1], FADED)
+    """Highest frequency (Hz) with power beyond noise, by velocities; `order` is the derivative that sensors show."""
+    window = tukey(rows.shape[1], TAPER_SHARE)
     power = np.abs(np.fft.rfft((rows - rows.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
     noise = (densities**2 * rate_hz / 2 * np.sum(window**2))[:, None]
     hz = np.fft.rfftfreq(rows.shape[1], 1 / rate_hz)
-    heard = uniform_filter1d(power, SMOOTHED, axis=1) > ABOVE * noise
-    velocity = ((power - noise) * heard)[:, 1:] * hz[1:] ** (2.0 * (1 - order))
-    whole = np.cumsum(np.maximum(velocity, 0.0).sum(axis=0))
-    return float(hz[1 + np.searchsorted(whole, RINGS * whole[-1])]) if whole[-1] > 0 else 0.0
+    is_signal = uniform_filter1d(power, SMOOTHED_LINES, axis=1) > SIGNAL_RATIO * noise
+    velocity = ((power - noise) * is_signal)[:, 1:] * hz[1:] ** (2.0 * (1 - order))
+    cumulative_power = np.cumsum(np.maximum(velocity, 0.0).sum(axis=0))
+    return (
+        float(hz[1 + np.searchsorted(cumulative_power, BAND_POWER * cumulative_power[-1])])
+        if cumulative_power[-1] > 0
+        else 0.0
+    )
 
 
 def measured_modes(
@@ -60,17 +64,23 @@ def measured_modes(
     highest_hz: float,
     densities: Float[np.ndarray, " sensors"],
 ) -> tuple[MeasuredMode, ...]:
-    """The modes that stand out of the noise, with their errors."""
-    found = []
+    """Modes that exceed the noise, with their errors."""
+    modes = []
     duration_s = rows.shape[1] / rate_hz
-    size = float(np.sum(rows**2)) / len(rows)
-    for mode in modes_of_decay(rows, rate_hz, highest_hz, MODES):
+    mean_square = float(np.sum(rows**2)) / len(rows)
+    for mode in modes_of_decay(rows, rate_hz, highest_hz, MODE_COUNT):
         omega = 2 * np.pi * mode.frequency_hz
         alpha = mode.damping_ratio * omega
-        lasting = max(alpha, 1 / duration_s)
-        amplitude = np.sqrt(4 * lasting * mode.share * size / rate_hz)  # the integral of its square is A^2 / 4 alpha
-        error = INEFFICIENT * np.sqrt(4 * lasting**3) * float(np.sqrt(np.mean(densities**2))) / amplitude
-        known = np.hypot(FREQUENCY, error / omega), np.hypot(DAMPING, error / alpha)
-        if known[1] < 1:
-            found.append(MeasuredMode(mode.frequency_hz, mode.damping_ratio, float(known[0]), float(known[1])))
-    return tuple(found)
+        decay_rate = max(alpha, 1 / duration_s)
+        amplitude = np.sqrt(
+            4 * decay_rate * mode.share * mean_square / rate_hz
+        )  # the integral of its square is A^2 / 4 alpha
+        error = INEFFICIENCY * np.sqrt(4 * decay_rate**3) * float(np.sqrt(np.mean(densities**2))) / amplitude
+        relative_errors = np.hypot(LEAST_FREQUENCY_ERROR, error / omega), np.hypot(LEAST_DAMPING_ERROR, error / alpha)
+        if relative_errors[1] < 1:
+            modes.append(
+                MeasuredMode(
+                    mode.frequency_hz, mode.damping_ratio, float(relative_errors[0]), float(relative_errors[1])
+                )
+            )
+    return tuple(modes)

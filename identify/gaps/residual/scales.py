@@ -1,5 +1,7 @@
-"""The scale of what no model explains, estimated from the record along with the fit (Kennedy and O'Hagan, J. R. Stat.
-Soc. B 63, 2001: the discrepancy of the model as an unknown whose size the data tell)."""
+"""Scale of the model discrepancy d, the unmodelled share of each acceleration, estimated from the record with the fit.
+
+Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001: the discrepancy as an unknown whose size follows from the data.
+"""
 
 from dataclasses import dataclass
 
@@ -10,38 +12,38 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.record import Record
 
 BAND_HZ = 2.0
-"""A discrepancy has one scale in each band of each sensor; some hundred independent values of 30 s tell it."""
+"""Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s."""
 SEGMENT_S = 1.0
 
 
 @dataclass(frozen=True)
 class Scales:
-    """The share of each acceleration that no model explains, by sensor and line; and the variance of each contact
-    residual, in units of what noise and the tolerated share of the force make of it."""
+    """Unmodelled share of each acceleration by sensor and line, and the variance of each contact residual relative to
+    that by noise and the tolerated share of the force."""
 
     discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]
 
-    def distance(self, other: "Scales") -> float:
-        """Mean difference of the logarithms of the shares."""
-        return float(np.mean(np.abs(np.log(self.discrepancy / other.discrepancy))))
+    def distance(self, reference: "Scales") -> float:
+        """Mean absolute difference of the logarithms of the shares."""
+        return float(np.mean(np.abs(np.log(self.discrepancy / reference.discrepancy))))
 
 
 def prior_scales(record: Record) -> Scales:
-    """Scales that the tolerances state."""
+    """Scales stated by the tolerances."""
     return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
 def second_levels(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
-    """Mean square of a linear residual by second under a Hann window and in bands of 2 Hz: 1 where all is noise."""
+    """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
     rows = residual[: len(record.sensors)]
     segment = min(round(SEGMENT_S * record.rate_hz), rows.shape[1])
     count = rows.shape[1] // segment
-    parts = rows[:, : count * segment].reshape(rows.shape[0], count, segment)
+    segments = rows[:, : count * segment].reshape(rows.shape[0], count, segment)
     window = hann(segment, sym=False)
-    power = np.abs(np.fft.rfft(parts * window, axis=2)) ** 2 / np.sum(window**2)
+    power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
     per_band = max(1, round(BAND_HZ * segment / record.rate_hz))
     bands = power.shape[2] // per_band
     levels = power[:, :, : bands * per_band].reshape(rows.shape[0], count, bands, per_band).mean(axis=3)
@@ -51,76 +53,80 @@ def second_levels(
 def measured_levels(
     record: Record, residual: Float[np.ndarray, "rows times"], deviation: Float[np.ndarray, "sensors lines"], bands: int
 ) -> Float[np.ndarray, "bands sensors"]:
-    """Mean by band of deviation^2 over the lines, in proportion to what the residual has on each.
+    """Mean of deviation^2 by band, weighted by the residual's power on each line.
 
-    Times the residual's level that is its power in the sensors' unit. Where the deviation falls steeply, as below the
-    first mode of a held body, its mean over the lines would make what stands on the lowest ones larger than it was.
+    Times the residual's level, that is its power in the sensors' unit. Where the deviation falls steeply, as below the
+    first mode of a held body, an unweighted mean would exaggerate a residual on the lowest lines.
     """
     rows = residual[: len(record.sensors)]
     power = np.abs(np.fft.rfft(rows * hann(rows.shape[1], sym=False))) ** 2
     hz = np.arange(power.shape[1]) * record.rate_hz / rows.shape[1]
     lines_hz = record.omega / (2 * np.pi)
-    at = np.minimum(hz / BAND_HZ, bands - 1).astype(int)
-    found = np.empty((bands, len(rows)))
-    for k, (row, own) in enumerate(zip(power, deviation, strict=True)):
-        variance = np.interp(hz, lines_hz, own**2)
-        whole = np.bincount(at, row, bands)
-        usual = np.bincount(at, variance, bands) / np.maximum(np.bincount(at, minlength=bands), 1)
-        found[:, k] = np.divide(np.bincount(at, row * variance, bands), whole, out=usual, where=whole > 0)
-    return found
+    band_of_line = np.minimum(hz / BAND_HZ, bands - 1).astype(int)
+    variances = np.empty((bands, len(rows)))
+    for k, (row, sensor_deviation) in enumerate(zip(power, deviation, strict=True)):
+        variance = np.interp(hz, lines_hz, sensor_deviation**2)
+        band_power = np.bincount(band_of_line, row, bands)
+        mean_variance = np.bincount(band_of_line, variance, bands) / np.maximum(
+            np.bincount(band_of_line, minlength=bands), 1
+        )
+        variances[:, k] = np.divide(
+            np.bincount(band_of_line, row * variance, bands), band_power, out=mean_variance, where=band_power > 0
+        )
+    return variances
 
 
 def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
-    """The same over the whole record."""
+    """Mean square of a linear residual by band over the whole record."""
     return np.asarray(second_levels(record, residual).mean(axis=0))
 
 
 def band_of_lines(record: Record, bands: int) -> Int[np.ndarray, " lines"]:
-    """The band of each line, as a whole number."""
+    """Index of the band of each line."""
     return np.minimum(record.omega / (2 * np.pi * BAND_HZ), bands - 1).astype(int)
 
 
 def by_band(
     record: Record, values: Float[np.ndarray, "sensors lines"], bands: int
 ) -> Float[np.ndarray, "bands sensors"]:
-    """Means over the lines of each band."""
-    at = band_of_lines(record, bands)
-    counts = np.maximum(np.bincount(at, minlength=bands), 1)
-    return np.array([np.bincount(at, row, bands) / counts for row in values]).T
+    """Mean over the lines of each band."""
+    band_of_line = band_of_lines(record, bands)
+    counts = np.maximum(np.bincount(band_of_line, minlength=bands), 1)
+    return np.array([np.bincount(band_of_line, row, bands) / counts for row in values]).T
 
 
 def posterior_level(level: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
-    """The variance believed after a mean square was seen: half-way between it and one, which was believed before.
+    """Posterior mean (1 + L) / 2 of a relative variance with prior mean 1, given a mean square L.
 
-    The mean of an inverse-gamma variance whose prior counts for as much as the band: one band tells its own scale, but
-    none is ever taken to be less than half of what noise and the tolerated share make.
+    The inverse-gamma prior weighs as much as the band, so that a band determines its own scale, which is never below
+    half of that by noise and the tolerated share.
     """
     return np.asarray((1.0 + level) / 2)
 
 
 def estimated_scales(
     record: Record,
-    used: Scales,
+    fit_scales: Scales,
     linear: Float[np.ndarray, "rows times"],
     contact_levels: tuple[float, ...],
 ) -> Scales:
-    """Scales by the residuals that a fit under the scales `used` leaves.
+    """Scales estimated from the residuals of a fit under `fit_scales`.
 
-    With n the noise and P the power of a band, its residual has the variance n + d^2 P; d is that for which it is what
-    is seen. Not below the share that the tolerances state. In a free decay d stays: its power stands in sharp lines, so
-    that what is left between them would make d as large as the motion.
+    With noise n and power P of a band, its residual has the variance n + d^2 P; d is that of the observed variance, not
+    below the stated tolerance. In a free decay d is kept: the power is in sharp lines, and the residual between them
+    would make d as large as the motion.
     """
     contacts = tuple(
         float(factor * posterior_level(np.array(level)))
-        for factor, level in zip(used.contacts, contact_levels, strict=True)
+        for factor, level in zip(fit_scales.contacts, contact_levels, strict=True)
     )
     if not record.forced:
-        return Scales(used.discrepancy, contacts)
+        return Scales(fit_scales.discrepancy, contacts)
     levels = band_levels(record, linear)
     bands = len(levels)
-    variance = record.noise + used.discrepancy**2 * record.power
+    variance = record.noise + fit_scales.discrepancy**2 * record.power
     noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), bands)
-    share = by_band(record, used.discrepancy, bands)
+    share = by_band(record, fit_scales.discrepancy, bands)
     explained = np.maximum(levels - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
-    found = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
-    return Scales(np.ascontiguousarray(found[band_of_lines(record, bands)].T), contacts)
+    shares = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
+    return Scales(np.ascontiguousarray(shares[band_of_lines(record, bands)].T), contacts)

@@ -1,7 +1,7 @@
-"""Tolerances of single modes in the linear model of a rig without contacts.
+"""Nuisance parameters of single modes, applied to the linear model of a rig without contacts.
 
-A resonance that lies off by a part of its width is no linear matter, so what was fitted stands in the model that the
-next fit is linearised about. Of a free decay it begins at what the measured modes ask for, within the limits.
+The residual is nonlinear in a resonance that is off by a fraction of its width, so that fitted values enter the model
+about which the next fit is linearised. For a free decay they start from the measured modes, within their limits.
 """
 
 from dataclasses import dataclass, field
@@ -18,15 +18,15 @@ from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig
 from rig.model.modes import modes_of
 
-KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
-"""What bends the residual around a resonance."""
-FLOOR = 0.05
-"""No factor on a frequency or on a damping ratio is smaller."""
+TUNED_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+"""Kinds of parameters in which the residual is nonlinear around a resonance."""
+LEAST_FACTOR = 0.05
+"""Least factor on a frequency or on a damping ratio."""
 
 
 @dataclass(frozen=True)
 class TunedModes:
-    """Nuisance parameters of single modes that are in the linear model, and the factors that they make."""
+    """Nuisance parameters of single modes that the linear model contains, and the factors that result."""
 
     pulls: dict[Nuisance, float] = field(default_factory=dict)
     factors: Tuned = field(default_factory=dict)
@@ -34,8 +34,8 @@ class TunedModes:
 
 @dataclass(frozen=True)
 class MatchedMode:
-    """A mode of a body, from 1, the measured one, and the logarithms of its frequency and of its damping ratio over the
-    rig's."""
+    """Mode of a body (from 1) and its measured counterpart, with the logarithms of measured frequency and damping ratio
+    over those of the rig."""
 
     body: str
     mode: int
@@ -44,20 +44,22 @@ class MatchedMode:
 
 
 def matched_modes(measured: tuple[MeasuredMode, ...], rig: Rig) -> list[MatchedMode]:
-    """Each measured mode with one of the rig's, as near in the logarithm of the frequency as they can be together."""
-    names, numbers, own = [], [], []
+    """Assignment of measured modes to those of the rig with the least sum of |ln frequency ratio|."""
+    names, numbers, nominal_modes = [], [], []
     for body in rig.bodies:
         modes, count = modes_of(rig, body), body.max_modes
         for m, hz, ratio in zip(range(count), modes.frequencies_hz(count), modes.damping_ratios(count), strict=True):
             if hz > 0:
                 names.append(body.name)
                 numbers.append(m + 1)
-                own.append((hz, max(ratio, 1e-12)))
-    if not (measured and own):
+                nominal_modes.append((hz, max(ratio, 1e-12)))
+    if not (measured and nominal_modes):
         return []
-    apart = np.log([(one.frequency_hz, one.damping_ratio) for one in measured])[:, None] - np.log(own)
-    rows, columns = linear_sum_assignment(np.abs(apart[..., 0]))
-    return [MatchedMode(names[k], numbers[k], measured[i], apart[i, k]) for i, k in zip(rows, columns, strict=True)]
+    logarithms = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in measured])[:, None] - np.log(nominal_modes)
+    rows, columns = linear_sum_assignment(np.abs(logarithms[..., 0]))
+    return [
+        MatchedMode(names[k], numbers[k], measured[i], logarithms[i, k]) for i, k in zip(rows, columns, strict=True)
+    ]
 
 
 def tuned_modes(
@@ -66,32 +68,36 @@ def tuned_modes(
     parameters: tuple[Nuisance, ...] | None = None,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
-    """Tuned modes as they were fitted, or as a record's measured modes ask of the rig; none with contacts."""
+    """Tuned modes from fitted nuisance parameters, else from a record's measured modes; none with contacts."""
     if rig.contacts:
         return TunedModes()
     if parameters is not None and nuisance is not None:
-        pulls = {p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in KINDS and p.mode}
+        pulls = {p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in TUNED_KINDS and p.mode}
     else:
         pulls = {}
-        for one in matched_modes(record.modes, rig):
-            for kind, more in zip(KINDS, np.expm1(one.logarithms), strict=True):
-                tolerance = _tolerance(record, one.body, one.mode, kind)
-                if tolerance and not rig.body(one.body).is_mass:
-                    pulls[Nuisance(kind, one.body, one.mode)] = float(np.clip(more / tolerance, -LIMIT, LIMIT))
+        for matched in matched_modes(record.modes, rig):
+            for kind, increase in zip(TUNED_KINDS, np.expm1(matched.logarithms), strict=True):
+                tolerance = _tolerance(record, matched.body, matched.mode, kind)
+                if tolerance and not rig.body(matched.body).is_mass:
+                    pulls[Nuisance(kind, matched.body, matched.mode)] = float(
+                        np.clip(increase / tolerance, -LIMIT, LIMIT)
+                    )
     factors = {}
     for body in {p.of for p in pulls}:
         numbers = range(1, rig.body(body).max_modes + 1)
         frequencies, damping = (
-            np.array([_factor(record, body, number, kind, pulls) for number in numbers]) for kind in KINDS
+            np.array([_factor(record, body, number, kind, pulls) for number in numbers]) for kind in TUNED_KINDS
         )
         factors[body] = frequencies, damping
     return TunedModes(pulls, factors)
 
 
 def _factor(record: Record, body: str, mode: int, kind: NuisanceKind, pulls: dict[Nuisance, float]) -> float:
-    return max(FLOOR, 1 + _tolerance(record, body, mode, kind) * pulls.get(Nuisance(kind, body, mode), 0.0))
+    """Factor 1 + tolerance * pull on the frequency or on the damping ratio of a mode."""
+    return max(LEAST_FACTOR, 1 + _tolerance(record, body, mode, kind) * pulls.get(Nuisance(kind, body, mode), 0.0))
 
 
 def _tolerance(record: Record, body: str, mode: int, kind: NuisanceKind) -> float:
-    own = record.tolerances.of_mode(body, mode)
-    return own.frequency if kind is NuisanceKind.FREQUENCY else own.damping
+    """Relative tolerance of the frequency or of the damping ratio of a mode."""
+    mode_tolerances = record.tolerances.of_mode(body, mode)
+    return mode_tolerances.frequency if kind is NuisanceKind.FREQUENCY else mode_tolerances.damping

@@ -1,23 +1,23 @@
-"""Structure of the part `rollout` of gap.json: prediction by a correction."""
+"""Part `rollout` of gap.json: prediction errors of the nominal and the corrected rig."""
 
 from typing import Literal
 
 import msgspec
 
 Code = Literal["not_vetoed", "worse", "no_improvement", "no_horizon", "too_short", "not_simulated"]
-"""Vetoes are `worse` (the corrected rig predicts significantly worse than the believed one within its tolerances) and
-`no_improvement` (simulations of machines that are as corrected say that it would predict better, and it does not). The
-last three say why nothing was judged: null simulations cannot be predicted either, the record has too few seconds, the
-simulator cannot start from these states."""
+"""Vetoes are `worse` (the corrected rig predicts significantly worse than the nominal one within its tolerances) and
+`no_improvement` (simulated machines that are as corrected are predicted better, this one is not). The last three name
+why nothing was judged: null simulations cannot be predicted either, the record is too short, the simulator cannot start
+from these states."""
 
 
 class PredictionErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """Median errors of predictions over the windows, as shares of the motion's root mean square.
+    """Median prediction errors over the windows, as shares of the motion's root mean square.
 
-    nominal: of the believed rig as it stands, corrected: of the corrected one. null_95 is what the former stays below
-    in 95 % of the recordings of rigs within the tolerances, null_median the median once it was fitted to those, which
-    is what a right correction reaches. shrunk is the share of the gap that the correction closes, (nominal^2 -
-    corrected^2) / (nominal^2 - null_median^2); None at the floor, where nominal lies below null_95.
+    nominal and corrected are those of the two rigs. null_95 is the upper 95 % limit of nominal for machines within the
+    tolerances, null_median the median for such machines after fitting, which a right correction reaches. shrunk is the
+    share of the mismatch that the correction removes, (nominal^2 - corrected^2) / (nominal^2 - null_median^2); None at
+    the floor, where nominal lies below null_95.
     """
 
     nominal: float
@@ -28,12 +28,13 @@ class PredictionErrors(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def at_floor(self) -> bool:
+        """True if the nominal rig predicts as well as machines within the tolerances."""
         return self.shrunk is None
 
 
 class DecayMode(msgspec.Struct, frozen=True, kw_only=True):
-    """A mode of a free decay, as frequency (Hz) and damping ratio: measured, and of the predictions; None where a
-    prediction has no such mode."""
+    """Frequency (Hz) and damping ratio of a mode of a free decay, measured and predicted; None where a prediction lacks
+    it."""
 
     measured: tuple[float, float]
     nominal: tuple[float, float] | None
@@ -41,13 +42,13 @@ class DecayMode(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Rollout(msgspec.Struct, frozen=True, kw_only=True):
-    """Believed and corrected rig predicted over disjoint windows of a record from measured states.
+    """Prediction of the nominal and the corrected rig over disjoint windows of a record, from measured states.
 
-    within is the median error of the believed rig with what was fitted within its tolerances: its best. log_ratio is
-    the mean over blocks of 1 s of ln(corrected / within), with its standard error; expected_log_ratio what it would be
-    if the correction were right; falls_short where it is neither so nor better at all, which simulations are to
-    confirm. Errors are of velocities, of displacements where those are measured. Without windows
-    nothing but the code is told.
+    whole are the errors of all sensors together, shrunk_95 the 95 % interval of their share removed. within is the
+    median error of the nominal rig fitted within its tolerances. log_ratio is the mean of ln(corrected / within) over
+    blocks of 1 s, with its standard error; expected_log_ratio that of a right correction; falls_short marks a ratio
+    that reaches neither this nor any improvement, for simulations to confirm. Errors are of velocities, or of measured
+    displacements. Without windows only the code is given.
     """
 
     code: Code
@@ -65,12 +66,14 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def vetoed(self) -> bool:
+        """True if prediction rejects the correction."""
         return self.code in ("worse", "no_improvement")
 
 
 class NullErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """Median errors on a null recording over horizons of so many samples, by horizon: of all sensors together, then of
-    each in their order. nominal: of the believed rig as it stands, within: with what was fitted within its tolerances.
+    """Median prediction errors on a null recording by horizon (samples): of all sensors together, then of each.
+
+    nominal are those of the nominal rig, within those of the nominal rig fitted within its tolerances.
     """
 
     samples: tuple[int, ...]

@@ -1,4 +1,4 @@
-"""A base that shakes unmeasured: its band and level from what the linear residual holds of its pattern."""
+"""Unmeasured base motion: its band and level from the share of the linear residual that has its pattern."""
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -14,106 +14,113 @@ from identify.gaps.residual.spectra import SMOOTHED_HZ
 from identify.gaps.search.candidates import Candidate
 from rig.model.description import BaseMotion
 
-WINDOW_LINES, WINDOW_POWERS = 1.5, 35 / 18
-"""Of a Hann window: its noise bandwidth in lines, and by how much it lowers the number of independent powers."""
-LEVELS = 10.0 ** np.arange(-9, 3, 0.5)
-"""Spectral densities that are tried, (m/s^2)^2/Hz."""
+WINDOW_BANDWIDTH_LINES, WINDOW_POWER_CORRELATION = 1.5, 35 / 18
+"""Noise bandwidth of a Hann window in lines, and factor by which it lowers the number of independent powers."""
+TRIAL_DENSITIES = 10.0 ** np.arange(-9, 3, 0.5)
+"""Trial spectral densities, (m/s^2)^2/Hz."""
 
 
 def fit_base_excitation(
-    linearization: Linearization, at: Residual, candidate: Candidate, least: float
+    linearization: Linearization, residual: Residual, candidate: Candidate, min_gain: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
-    """The best base motion (level, lower and upper end of its band) with standard errors, by its likelihood over all
-    bands and levels; None where the residual has none of it, or twice its logarithm gains no more than `least`.
+    """Most likely base motion (rms acceleration in m/s^2, lower and upper end of its band in Hz) and standard errors.
 
-    With y the residual, p the pattern of a base motion of unit density, both of unit noise, a density S lowers the
-    cost of a line by 2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best interval of lines is that
-    of largest sum. Every sensor is taken in the level that its residual has around each line, as a model that errs at
-    some sensors leaves those of the rest in noise; the noise is then what other patterns hold.
+    None where the residual holds no base motion, or -2 ln p falls by no more than `min_gain`. With y the residual and p
+    the pattern of a base motion of unit density, both of unit noise, a density S lowers the cost of a line by
+    2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is the interval of lines of largest sum.
+    Each sensor is scaled by the level of its residual around each line, so that a model error at some sensors does not
+    hide the pattern at the others; the noise is then the power of the other patterns.
     """
     record = linearization.record
-    if len(record.sensors) < len(linearization.seen) + 2:
-        return None  # any residual would be a base motion's
-    hz = record.omega / (2 * np.pi)
-    low, high = float(hz[1]), float(hz[-1])
-    everywhere = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high - low)), low_hz=low, high_hz=high)
-    shaken = changed(linearization.rig, base_motion=everywhere)
-    model = linear_model(record, shaken, linearization.scales.discrepancy, linearization.cache.responses)
-    contacts = len(linearization.seen)
+    if len(record.sensors) < len(linearization.observations) + 2:
+        return None  # any residual has the pattern of a base motion
+    lines_hz = record.omega / (2 * np.pi)
+    low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
+    unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
+    shaken_rig = changed(linearization.rig, base_motion=unit_motion)
+    model = linear_model(record, shaken_rig, linearization.scales.discrepancy, linearization.cache.responses)
+    contacts = len(linearization.observations)
     pattern = model.by_input[contacts]
     by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
-    y = _lines(linearization, at)
-    around = max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz))
-    own = np.sqrt(np.maximum(uniform_filter1d(np.abs(y) ** 2, around, axis=1), 1e-300))
-    y, pattern = y / own, pattern / own
-    size = np.sum(np.abs(pattern) ** 2, axis=0)
-    seen = np.abs(np.sum(pattern.conj() * y, axis=0)) ** 2 / np.maximum(size, 1e-300)
-    others = (np.sum(np.abs(y) ** 2, axis=0) - seen) / max(1, len(y) - contacts - 1)
-    level = np.maximum(uniform_filter1d(others, around), 1e-300)
-    seen, size = seen / level, size / level
+    spectra = _windowed_spectra(linearization, residual)
+    smoothing_lines = max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz))
+    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
+    spectra, pattern = spectra / sensor_level, pattern / sensor_level
+    pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
+    pattern_power = np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
+    remaining_power = (np.sum(np.abs(spectra) ** 2, axis=0) - pattern_power) / max(1, len(spectra) - contacts - 1)
+    noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
+    pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
     bounds = candidate.parameters
-    inside = (hz >= bounds["low_hz"].low) & (hz <= bounds["high_hz"].high)
-    best, band, density = 0.0, slice(0, 0), 0.0
-    for tried in LEVELS:
-        total, found = _largest(np.where(inside, _gains(tried, seen, size), 0.0))
-        if total > best:
-            best, band, density = total, found, tried
-    taken = (record.taken.stop - record.taken.start) * record.factor
-    if not 2 * best * taken / record.length / WINDOW_LINES > least:
+    in_range = (lines_hz >= bounds["low_hz"].low) & (lines_hz <= bounds["high_hz"].high)
+    best_gain, band, density = 0.0, slice(0, 0), 0.0
+    for trial_density in TRIAL_DENSITIES:
+        gains = np.where(in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
+        interval_gain, interval = _interval_of_largest_sum(gains)
+        if interval_gain > best_gain:
+            best_gain, band, density = interval_gain, interval, trial_density
+    counted_samples = (record.counted_samples.stop - record.counted_samples.start) * record.factor
+    if not 2 * best_gain * counted_samples / record.length / WINDOW_BANDWIDTH_LINES > min_gain:
         return None
-    density, relative = _density(density, seen[band], size[band], taken / record.length)
-    gains = np.where(inside, _gains(density, seen, size), 0.0) * taken / record.length / WINDOW_LINES
-    sums = np.concatenate([[0.0], np.cumsum(gains)])
-    resolution = record.sample_rate_hz / taken
-    middle = (band.start + band.stop) // 2
-    low, of_low = _edge(hz[:middle], -sums[:middle], resolution)
-    high, of_high = _edge(hz[middle:], sums[middle:-1], resolution)
-    rms = float(np.sqrt(density * record.samples / taken * (high - low)))
-    values = np.array([np.clip(rms, 0, bounds["acceleration_rms_m_per_s2"].high), low, high])
-    of_rms = rms * np.hypot(relative, np.hypot(of_low, of_high) / (high - low)) / 2
-    return values, np.array([of_rms, of_low, of_high])
+    counted_share = counted_samples / record.length
+    density, relative_error = _fitted_density(density, pattern_power[band], pattern_size[band], counted_share)
+    gains = np.where(in_range, _line_gains(density, pattern_power, pattern_size), 0.0)
+    sums = np.concatenate([[0.0], np.cumsum(gains * counted_samples / record.length / WINDOW_BANDWIDTH_LINES)])
+    resolution = record.sample_rate_hz / counted_samples
+    middle_line = (band.start + band.stop) // 2
+    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -sums[:middle_line], resolution)
+    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], sums[middle_line:-1], resolution)
+    rms_m_per_s2 = float(np.sqrt(density * record.samples / counted_samples * (high_hz - low_hz)))
+    values = np.array([np.clip(rms_m_per_s2, 0, bounds["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
+    rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
+    return values, np.array([rms_error, low_error_hz, high_error_hz])
 
 
-def _gains(
-    density: float, seen: Float[np.ndarray, " lines"], size: Float[np.ndarray, " lines"]
+def _line_gains(
+    density: float, pattern_power: Float[np.ndarray, " lines"], pattern_size: Float[np.ndarray, " lines"]
 ) -> Float[np.ndarray, " lines"]:
-    """Gains of the log likelihood of each line by a density."""
-    return np.asarray(seen * (1 - 1 / (1 + density * size)) - np.log1p(density * size))
+    """Gain of each line's log likelihood by a spectral density."""
+    return np.asarray(pattern_power * (1 - 1 / (1 + density * pattern_size)) - np.log1p(density * pattern_size))
 
 
-def _density(
-    start: float, seen: Float[np.ndarray, " lines"], size: Float[np.ndarray, " lines"], share: float
+def _fitted_density(
+    start_density: float,
+    pattern_power: Float[np.ndarray, " lines"],
+    pattern_size: Float[np.ndarray, " lines"],
+    counted_share: float,
 ) -> tuple[float, float]:
-    """The likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
-    ends = np.log(start) + np.array([-1.0, 1.0]) * np.log(10)
-    found = minimize_scalar(lambda x: -np.sum(_gains(np.exp(x), seen, size)), bounds=ends, method="bounded")
-    density = float(np.exp(found.x))
-    heard = density * size / (1 + density * size)
-    return density, float(1 / np.sqrt(max(np.sum(heard**2) * share / WINDOW_POWERS, 1e-300)))
+    """Likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
+    log_bounds = np.log(start_density) + np.array([-1.0, 1.0]) * np.log(10)
+    optimum = minimize_scalar(
+        lambda x: -np.sum(_line_gains(np.exp(x), pattern_power, pattern_size)), bounds=log_bounds, method="bounded"
+    )
+    density = float(np.exp(optimum.x))
+    signal_share = density * pattern_size / (1 + density * pattern_size)
+    return density, float(1 / np.sqrt(max(np.sum(signal_share**2) * counted_share / WINDOW_POWER_CORRELATION, 1e-300)))
 
 
-def _edge(
-    hz: Float[np.ndarray, " lines"], log_likelihood: Float[np.ndarray, " lines"], resolution_hz: float
+def _band_edge(
+    lines_hz: Float[np.ndarray, " lines"], log_likelihood: Float[np.ndarray, " lines"], resolution_hz: float
 ) -> tuple[float, float]:
-    """Mean and standard deviation of a band's edge, anywhere as likely beforehand, smeared by the window."""
-    weights = np.exp(log_likelihood - np.max(log_likelihood))
-    weights /= weights.sum()
-    mean = float(weights @ hz)
-    return mean, float(np.sqrt(weights @ (hz - mean) ** 2 + resolution_hz**2))
+    """Mean and standard deviation of a band's edge under a uniform prior, the latter with the window resolution."""
+    probabilities = np.exp(log_likelihood - np.max(log_likelihood))
+    probabilities /= probabilities.sum()
+    mean = float(probabilities @ lines_hz)
+    return mean, float(np.sqrt(probabilities @ (lines_hz - mean) ** 2 + resolution_hz**2))
 
 
-def _lines(linearization: Linearization, at: Residual) -> Complex[np.ndarray, "sensors lines"]:
-    """The residual over time, back on the record's lines, under a window so that no band leaks into another."""
+def _windowed_spectra(linearization: Linearization, residual: Residual) -> Complex[np.ndarray, "sensors lines"]:
+    """Spectra of the residual on the record's lines, under a Hann window so that no band leaks into another."""
     record = linearization.record
-    rows = at.linear[: len(record.sensors)]
+    rows = residual.linear[: len(record.sensors)]
     window = hann(rows.shape[1]) * np.sqrt(8 / 3)
-    whole = np.fft.rfft(rows * window, record.length // record.factor)
-    return np.asarray(whole * record.factor / residual_scale(record))
+    spectrum = np.fft.rfft(rows * window, record.length // record.factor)
+    return np.asarray(spectrum * record.factor / residual_scale(record))
 
 
-def _largest(gains: Float[np.ndarray, " lines"]) -> tuple[float, slice]:
-    """The interval of largest sum (Kadane)."""
+def _interval_of_largest_sum(gains: Float[np.ndarray, " lines"]) -> tuple[float, slice]:
+    """Largest sum of an interval, and the interval (Kadane)."""
     sums = np.concatenate([[0.0], np.cumsum(gains)])
     lowest = np.minimum.accumulate(sums)
     stop = int(np.argmax(sums - lowest))

@@ -1,4 +1,4 @@
-"""Candidates: every effect of the library, at every place of the rig where it could act."""
+"""Candidates: every effect of the library at every place where it can act, and its derivative of the residuals."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,31 +6,37 @@ from itertools import product
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
+from identify.gaps.residual.linear import Linear, delivered_by, places_of
+from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
+from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
+from identify.gaps.residual.windowed import displaced_at, ground_forces
 from identify.linear.joined import joined_contacts
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError
-from rig.model.description import Rig
+from rig.model.description import Rig, Station
 from rig.model.parameters import ParameterSet
 
-PLACES = 9
-"""A parameter that says where, rather than how much, is tried at so many values of its range."""
-WHOLE = 8
-"""A ratio is tried at so many values over its whole range."""
-SMALL = 0.05
-"""Steps for derivatives, as a share of what the typical effect adds."""
+PLACE_VALUES = 9
+"""Trial values of a parameter that is a place or a frequency, not a strength."""
+RATIO_VALUES = 8
+"""Trial values of a ratio over its whole range."""
+STEP_SHARE = 0.05
+"""Step for derivatives, as a share of what the typical effect adds."""
+ATTACHED_FIELDS = ("springs", "dampers", "masses", "tones")
+"""Fields of a rig for what is attached to, or acts at, a point of a body."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one place: `typical` there, with the ranges of its parameters, the strength first.
+    """Effect at a place: a typical one, and the ranges of its parameters, the strength first.
 
-    Where all parameters that have a neutral value are at it, the effect is nothing. The others say where or at which
-    frequency; `starts` are the values of theirs that are tried.
+    The effect vanishes where all parameters that have a neutral value are at it. The other parameters are places or
+    frequencies, of which `starts` gives trial values.
     """
 
     kind: type[Effect]
@@ -49,14 +55,14 @@ class Candidate:
 
     @property
     def default(self) -> Float[np.ndarray, " parameters"]:
-        """The parameters of the typical effect."""
+        """Parameters of the typical effect."""
         return np.array([getattr(self.typical, name) for name in self.parameters.names])
 
     @property
     def steps(self) -> Float[np.ndarray, " parameters"]:
-        """Small changes: of a strength a share of the typical effect's, of the others of their range.
+        """Steps for derivatives: `STEP_SHARE` of what the typical effect adds, or of the range of another parameter.
 
-        Of a sharp frequency, of the lowest one, which is that of two periods in the record.
+        For a sharp frequency it is a share of the lowest one, which has two periods in the record.
         """
         adds = [
             typical - p.neutral
@@ -67,46 +73,47 @@ class Candidate:
             for typical, p in zip(self.default, self.parameters, strict=True)
         ]
         adds = [a or self.default[0] - self.neutral for a in adds]
-        return SMALL * np.array(adds)
+        return STEP_SHARE * np.array(adds)
 
     def starts(self, screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
-        """The neutral strength at every place that is tried; `screened` are the values of the grid-screened one."""
+        """Parameters of neutral strength at every trial place; `screened` are values of the grid-screened one."""
         grids = []
         for parameter in self.parameters:
-            ends = (parameter.low, parameter.high)
+            bounds = (parameter.low, parameter.high)
             if parameter.name == self.kind.grid_screened:
-                grids.append(np.array([v for v in screened if ends[0] <= v <= ends[1]]))
+                grids.append(np.array([v for v in screened if bounds[0] <= v <= bounds[1]]))
                 continue
             logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
             if parameter.neutral is not None:
                 grids.append(np.array([parameter.neutral]))
             else:
-                grids.append(np.geomspace(*ends, PLACES + 2)[1:-1] if logarithmic else np.linspace(*ends, PLACES))
+                linear = np.linspace(*bounds, PLACE_VALUES)
+                grids.append(np.geomspace(*bounds, PLACE_VALUES + 2)[1:-1] if logarithmic else linear)
         return [np.array(values) for values in product(*grids)]
 
     def strengths(self, multiples: Sequence[float]) -> list[float]:
-        """Strengths to try: multiples of what the typical effect adds, of both signs, and of ratios the whole range."""
-        low, high = (float(ends[0]) for ends in self.parameters.bounds)
+        """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
+        low, high = (float(bounds[0]) for bounds in self.parameters.bounds)
         adds = float(self.default[0]) - self.neutral
-        tried = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
+        strengths = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
         if self.neutral == 1 and low > 0 and high > 4 * low:
-            tried += list(np.geomspace(low, high, WHOLE))
-        return [float(t) for t in tried if low <= t <= high]
+            strengths += list(np.geomspace(low, high, RATIO_VALUES))
+        return [float(strength) for strength in strengths if low <= strength <= high]
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
-        """The typical effect with other numbers."""
+        """Typical effect with other values of its parameters."""
         return msgspec.structs.replace(self.typical, **self.parameters.named(values))
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
-        """The rig with the effect; the rig itself where the effect is nothing (some cannot be nothing exactly)."""
-        nothing = all(p.neutral in (None, v) for v, p in zip(values, self.parameters, strict=True))
-        return rig if nothing else self.effect(values).applied_to(rig)
+        """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
+        is_neutral = all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True))
+        return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
 def scale_of(record: Record, rig: Rig) -> Scale:
-    """Scale of effects' ranges: the rig, and the record's force (root mean square) and duration.
+    """Scale of the effects' ranges: the rig, and the record's force (root mean square, N) and duration (s).
 
-    In a free decay the inertial force of a body stands for the force, in the mean of what its sensors show.
+    In a free decay the inertial forces of the bodies, averaged over the sensors, stand for the force.
     """
     if record.forced:
         forces_n = record.in_time(record.forces)
@@ -117,37 +124,99 @@ def scale_of(record: Record, rig: Rig) -> Scale:
 
 
 def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: bool = True) -> list[Candidate]:
-    """Every effect that the rig can have, at every place and sensor that a record sees.
+    """Every effect that the rig can have, at every place and sensor that a record observes.
 
-    Effects that only the zero of a relative displacement shows are left out where it is not known, those of the force
-    and of channels where no force is measured (the free motion has no scale, and may begin at any time), those of the
-    force where several act, and those that change nothing, or part contacts between the same places.
+    Left out are effects that only the zero of a relative displacement shows, where that is not known; those on the
+    force and on channels where no force is measured (free motion has no scale, and may begin at any time); those on the
+    force where several act; those that change nothing, or that separate contacts between the same places.
     """
-    found = []
+    possible = []
     for kind in effects().values():
         if kind.needs_zero and not zero_known:
             continue
         for place in kind.placements(scale.rig, sensors):
-            there = scale.at(place)
-            candidate = Candidate(kind, place, kind.parameters(there), kind.typical(there))
+            place_scale = scale.with_place(place)
+            candidate = Candidate(kind, place, kind.parameters(place_scale), kind.typical(place_scale))
             try:
-                changed = candidate.applied(scale.rig, candidate.default)
+                changed_rig = candidate.applied(scale.rig, candidate.default)
             except RigError:
-                continue  # it makes no sense here
-            own = scale.rig
-            if not forced or len(own.forces) > 1:
-                changed = replace(changed, force_sensor=own.force_sensor)
+                continue  # the effect cannot act here
+            nominal = scale.rig
+            if not forced or len(nominal.forces) > 1:
+                changed_rig = replace(changed_rig, force_sensor=nominal.force_sensor)
             if not forced:
-                changed = replace(changed, sensors=own.sensors, force_at=own.force_at)
-            if changed != scale.rig and len(joined_contacts(changed)) == len(joined_contacts(scale.rig)):
-                found.append(candidate)
-    return found
+                changed_rig = replace(changed_rig, sensors=nominal.sensors, force_at=nominal.force_at)
+            if changed_rig != scale.rig and len(joined_contacts(changed_rig)) == len(joined_contacts(scale.rig)):
+                possible.append(candidate)
+    return possible
 
 
-def joins(candidate: Candidate, rig: Rig) -> bool:
-    """True if an effect makes sense in a rig."""
+def is_possible(candidate: Candidate, rig: Rig) -> bool:
+    """True if a rig can have the effect."""
     try:
         candidate.applied(rig, candidate.default)
     except RigError:
         return False
     return True
+
+
+def strength_columns(
+    linearization: Linearization, residual: Residual, candidate: Candidate, start: Float[np.ndarray, " parameters"]
+) -> list[Column]:
+    """Decrease of the residuals by a step of each strength of a candidate, at the parameters `start`.
+
+    Raises RigError where no rig has the effect with these parameters.
+    """
+    columns = []
+    for k in candidate.parameters.strengths:
+        values = start.copy()
+        values[k] = start[k] + candidate.steps[k]
+        rig = candidate.applied(linearization.rig, values)
+        columns.append(attached_column(linearization, rig, residual) or derivative(linearization, rig, residual))
+    return columns
+
+
+def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
+    """Rig with only the attachments that `changed_rig` adds to `rig`; None if it adds none, or differs otherwise."""
+    attachments = {kind: getattr(changed_rig, kind)[len(getattr(rig, kind)) :] for kind in ATTACHED_FIELDS}
+    expected_rig = replace(rig, **{kind: getattr(rig, kind) + items for kind, items in attachments.items()})
+    return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
+
+
+def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column | None:
+    """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
+
+    They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap. Slow
+    changes of the relative displacements change the laws by their mean slope around every sample.
+    """
+    record, model, rig = linearization.record, residual.model, residual.rig
+    attachments = attachments_of(rig, changed_rig)
+    if attachments is None or any(b.is_mass for b in rig.bodies):
+        return None
+    forces = _attached_forces(record, model, attachments)
+    linear_decrease, force_decrease_n = model.projection.of(delivered_by(model, places_of(record, model.rig), forces))
+    eta_decrease_m = -record.in_time(model.unobserved_eta_m(forces, -force_decrease_n))
+    columns = []
+    forces_in_time_n = record.in_time(force_decrease_n)
+    for contact, force_n, eta_m in zip(residual.contacts, forces_in_time_n, eta_decrease_m, strict=True):
+        column = np.zeros(contact.residual.size)
+        column[: force_n.size] = contact.observation.weights * (force_n - contact.tangent_n_per_m * eta_m)
+        columns.append(column)
+    return residual_in_time(record, linear_decrease), columns
+
+
+def _attached_forces(
+    record: Record, model: Linear, attachments: Rig
+) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
+    """Station and force spectrum (N) of each attachment."""
+    places = places_of(record, model.rig)
+    displacements, accelerations = model.displaced, model.accelerations
+    attached_forces = ground_forces(record, attachments, model.responses, places, displacements)
+    springs = [s for s in attachments.springs if s.stiffness_n_per_m]
+    for spring, w in zip(springs, displaced_at(model.responses, places, springs, displacements), strict=True):
+        attached_forces.append((spring.station, -spring.stiffness_n_per_m * w))
+    masses = attachments.masses
+    for mass, a in zip(masses, displaced_at(model.responses, places, masses, accelerations), strict=True):
+        attached_forces.append((mass.station, -mass.mass_kg * a))
+    tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
+    return attached_forces + tones

@@ -22,9 +22,9 @@ from jaxtyping import Float, Int
 from scipy.linalg import block_diag
 
 from identify.contacts.acceptance import accept
-from identify.contacts.contact_record import DAMPING, LAW, OFFSET, STIFFNESS
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import DAMPING, LAW, OFFSET, STIFFNESS
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
@@ -35,14 +35,14 @@ from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
 DERIVATIVE_STEP = 1e-3
-"""Of a parameter's search step, for dy/dv, which is exact: every y is linear in every v."""
+"""Step for dy/dv, as a share of a parameter's search step; exact, as every y is linear in every v."""
 
 Values = Float[np.ndarray, " parameters"]
 
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """Fitted quantities of one contact of one record: `values` = `quantities` @ law, with the covariance of `values`.
+    """Estimated quantities of a contact from one record: `values` = `quantities` @ law, with their covariance.
 
     of_tolerances is the part of the covariance that all records of the machine share.
     """
@@ -56,25 +56,25 @@ class LawEstimate:
 
 @dataclass(frozen=True)
 class LawOutcomes:
-    """The contacts that one record determines, and why it does not determine the others, by their names."""
+    """Estimates of the contacts that one record determines, and refusals of the others by their names."""
 
     estimates: tuple[LawEstimate, ...] = ()
     refusals: Mapping[str, Refusal] = field(default_factory=dict)
 
 
 def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawOutcomes:
-    """Estimates of contacts by a record whose machine has the linear model of `rig`.
+    """Estimates of the contacts from a record, separated with the linear model of `rig`.
 
-    What acts unmeasured (a base motion, a tone) is left to the scatter.
+    Unmeasured excitation (a base motion, a tone) stays in the scatter.
     """
-    if attached := _not_modelled(rig):
-        refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=attached).refusal
+    if not_modelled := _unmodelled_part(rig):
+        refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=not_modelled).refusal
         return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
     force = recording.signals["force"]
     signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
-    modelled = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
+    fitted_rig = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
     try:
-        separation = separate(replace(recording, rig=modelled, signals=signals), "auto", tolerances)
+        separation = separate(replace(recording, rig=fitted_rig, signals=signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes
     except ContactRefusedError as error:
         return LawOutcomes((), {contact.name: error.refusal for contact in rig.contacts})
@@ -85,8 +85,8 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     )
 
 
-def _not_modelled(rig: Rig) -> str:
-    """Reason why the contact fit does not know a rig; empty where it does."""
+def _unmodelled_part(rig: Rig) -> str:
+    """Part of a rig that the contact fit does not model; empty if it models all."""
     if rig.loads:
         return "a constant force"
     if rig.dampers:
@@ -97,13 +97,13 @@ def _not_modelled(rig: Rig) -> str:
 
 
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
-    """One contact's, of several records together: of those that tell most of its quantities."""
-    most = max(len(one.values) for one in estimates)
-    same = [one for one in estimates if len(one.values) == most]
-    same = [one for one in same if np.array_equal(one.quantities, same[0].quantities)]
-    values, covariance = _pooled([(one.values, one.covariance, one.of_tolerances) for one in same])
-    shared = np.mean([one.of_tolerances for one in same], axis=0)
-    return replace(same[0], values=values, covariance=covariance, of_tolerances=shared)
+    """Pooled estimate of a contact from those records that determine most of its quantities."""
+    largest_count = max(len(estimate.values) for estimate in estimates)
+    comparable = [estimate for estimate in estimates if len(estimate.values) == largest_count]
+    comparable = [estimate for estimate in comparable if np.array_equal(estimate.quantities, comparable[0].quantities)]
+    values, covariance = _pooled([(item.values, item.covariance, item.of_tolerances) for item in comparable])
+    shared_covariance = np.mean([estimate.of_tolerances for estimate in comparable], axis=0)
+    return replace(comparable[0], values=values, covariance=covariance, of_tolerances=shared_covariance)
 
 
 def _estimate(contact: str, fit: JointEstimate) -> LawEstimate:
@@ -121,65 +121,66 @@ def _estimate(contact: str, fit: JointEstimate) -> LawEstimate:
 
 
 def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], tolerances: Tolerances) -> Hypothesis:
-    """The hypothesis with the values and covariance that the contact fit gives of its contact laws.
+    """Hypothesis whose contact laws have the values and the covariance of the joint contact fit.
 
-    It stays as it is where its effects move no law, a law other than a dead zone, or what the records do not determine.
+    Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
     """
-    believed, values = recordings[0].rig, hypothesis.values
-    change = _law_change(hypothesis, believed)
+    nominal_rig, values = recordings[0].rig, hypothesis.values
+    change = _law_change(hypothesis, nominal_rig)
     if change is None:
         return hypothesis
-    rig, free = hypothesis.applied_to(believed), change.free
-    of_records = (
-        _solved(believed, law_outcomes(recording, rig, tolerances).estimates, change, values[free])
+    rig, free = hypothesis.applied_to(nominal_rig), change.free
+    solutions = (
+        _record_solution(nominal_rig, law_outcomes(recording, rig, tolerances).estimates, change, values[free])
         for recording in recordings
     )
-    determined = [solution for solution in of_records if solution is not None]
+    determined = [solution for solution in solutions if solution is not None]
     if not determined:
         return hypothesis
-    fitted, covariance = values.copy(), hypothesis.covariance.copy()
+    fitted_values, covariance = values.copy(), hypothesis.covariance.copy()
     covariance[free] = covariance[:, free] = 0.0
-    mean, covariance[np.ix_(free, free)] = _pooled(determined)
+    pooled_values, covariance[np.ix_(free, free)] = _pooled(determined)
     low, high = hypothesis.parameters.bounds
-    fitted[free] = np.clip(mean, low[free], high[free])
-    return replace(hypothesis, values=fitted, covariance=covariance)
+    fitted_values[free] = np.clip(pooled_values, low[free], high[free])
+    return replace(hypothesis, values=fitted_values, covariance=covariance)
 
 
 @dataclass(frozen=True)
 class LawChange:
-    """The numbers y of every contact's law under a hypothesis, and dy/dv by the parameters `free` that move them."""
+    """Numbers y of every contact's law under a hypothesis, and dy/dv for the parameters `free` that change them."""
 
     numbers: Float[np.ndarray, "contacts 4"]
     jacobian: Float[np.ndarray, "free contacts 4"]
     free: Int[np.ndarray, " free"]
 
 
-def _law_change(hypothesis: Hypothesis, believed: Rig) -> LawChange | None:
-    """None where the effects move no law, or another number of it than these four."""
-    steps, values = steps_of(hypothesis.parts), hypothesis.values
+def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
+    """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
+    steps, values = steps_of(hypothesis.candidates), hypothesis.values
     steps = DERIVATIVE_STEP * np.where(values + steps > hypothesis.parameters.bounds[1], -steps, steps)
-    laws = [_law_numbers(hypothesis, believed, values + move) for move in (0 * values, *np.diag(steps))]
-    known = [law for law in laws if law is not None]
-    if len(known) < len(laws) or not steps.size:
+    laws = [_law_numbers(hypothesis, nominal_rig, values + change) for change in (0 * values, *np.diag(steps))]
+    dead_zones = [law for law in laws if law is not None]
+    if len(dead_zones) < len(laws) or not steps.size:
         return None
-    jacobian = np.array([(law - known[0]) / step for law, step in zip(known[1:], steps, strict=True)])
+    jacobian = np.array([(law - dead_zones[0]) / step for law, step in zip(dead_zones[1:], steps, strict=True)])
     free = np.flatnonzero(np.any(jacobian, axis=(1, 2)))
-    return LawChange(known[0], jacobian[free], free) if free.size else None
+    return LawChange(dead_zones[0], jacobian[free], free) if free.size else None
 
 
-def _law_numbers(hypothesis: Hypothesis, believed: Rig, values: Values) -> Float[np.ndarray, "contacts 4"] | None:
-    """The four numbers of every contact's law; None where any other number of a law differs from the believed one."""
+def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Float[np.ndarray, "contacts 4"] | None:
+    """Four numbers of every contact's law; None where any other number differs from the nominal law."""
     try:
-        contacts = replace(hypothesis, values=values).applied_to(believed).contacts
+        contacts = replace(hypothesis, values=values).applied_to(nominal_rig).contacts
     except RigError:
         return None
-    if not all(numbers_alone_differ(c.law, b.law) for c, b in zip(contacts, believed.contacts, strict=True)):
+    pairs = zip(contacts, nominal_rig.contacts, strict=True)
+    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in pairs):
         return None
-    return np.array([law_numbers(c.law) for c in contacts]).reshape(-1, len(LAW))
+    return np.array([law_numbers(contact.law) for contact in contacts]).reshape(-1, len(LAW))
 
 
 def numbers_alone_differ(law: ContactLaw, nominal: ContactLaw) -> bool:
-    """True if two laws are dead zones that are alike but for clearances, stiffness and damping."""
+    """True if both laws are dead zones that differ at most in clearances, stiffness and damping."""
     if not (isinstance(law, DeadZone) and isinstance(nominal, DeadZone)):
         return False
     return msgspec.structs.replace(law, **{name: getattr(nominal, name) for name in LAW.names}) == nominal
@@ -190,34 +191,37 @@ def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
     return np.array([getattr(law, name) for name in LAW.names])
 
 
-def _solved(
-    believed: Rig, estimates: Sequence[LawEstimate], change: LawChange, values: Values
+def _record_solution(
+    nominal_rig: Rig, estimates: Sequence[LawEstimate], change: LawChange, values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
-    """v of one record, its covariance and the part of it by tolerances; None where the estimates do not determine v."""
-    index = {contact.name: j for j, contact in enumerate(believed.contacts)}
+    """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
+    index = {contact.name: j for j, contact in enumerate(nominal_rig.contacts)}
     rows, differences, covariances, tolerances = [], [], [], []
     for estimate in estimates:
         j = index[estimate.contact]
-        by_value = estimate.quantities @ change.jacobian[:, j].T
-        used = np.any(by_value, axis=1)
-        rows.append(by_value[used])
-        differences.append((estimate.values - estimate.quantities @ change.numbers[j])[used])
-        covariances.append(estimate.covariance[np.ix_(used, used)])
-        tolerances.append(estimate.of_tolerances[np.ix_(used, used)])
+        derivative = estimate.quantities @ change.jacobian[:, j].T
+        involved = np.any(derivative, axis=1)
+        rows.append(derivative[involved])
+        differences.append((estimate.values - estimate.quantities @ change.numbers[j])[involved])
+        covariances.append(estimate.covariance[np.ix_(involved, involved)])
+        tolerances.append(estimate.of_tolerances[np.ix_(involved, involved)])
     matrix = np.concatenate(rows) if rows else np.zeros((0, values.size))
     if len(matrix) < values.size or np.linalg.matrix_rank(matrix / np.abs(matrix).max(axis=0)) < values.size:
         return None
-    whole, shared = block_diag(*covariances), block_diag(*tolerances)
-    weighted = np.linalg.solve(whole, matrix)
+    full_covariance, tolerance_covariance = block_diag(*covariances), block_diag(*tolerances)
+    weighted = np.linalg.solve(full_covariance, matrix)
     covariance = np.linalg.inv(matrix.T @ weighted)
     gain = covariance @ weighted.T
-    return values + gain @ np.concatenate(differences), covariance, gain @ shared @ gain.T
+    return values + gain @ np.concatenate(differences), covariance, gain @ tolerance_covariance @ gain.T
 
 
 def _pooled(
     by_record: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
 ) -> tuple[Values, Float[np.ndarray, "free free"]]:
-    own = [np.linalg.inv(covariance - shared) for _, covariance, shared in by_record]
-    together = np.linalg.inv(sum(own))
-    mean = together @ sum(weight @ values for weight, (values, _, _) in zip(own, by_record, strict=True))
-    return mean, together + np.mean([shared for _, _, shared in by_record], axis=0)
+    """Pooled v of records and its covariance, from v, its covariance and the shared part of it of each."""
+    information = [np.linalg.inv(covariance - shared) for _, covariance, shared in by_record]
+    pooled_covariance = np.linalg.inv(sum(information))
+    mean = pooled_covariance @ sum(
+        weight @ values for weight, (values, _, _) in zip(information, by_record, strict=True)
+    )
+    return mean, pooled_covariance + np.mean([shared for _, _, shared in by_record], axis=0)

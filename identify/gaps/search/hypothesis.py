@@ -1,6 +1,6 @@
-"""Effects in a rig as a hypothesis on a record: how they are fitted, and what they leave."""
+"""Hypotheses on a record: sets of effects in the rig, their fit, and the misfit that they leave."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -8,86 +8,84 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import block_diag
 
-from identify.gaps.residual.fit import Values, fit
+from identify.gaps.residual.fit import MAX_STEPS, Build, Values, fit
 from identify.gaps.residual.likelihood import Misfit, Reference, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import Scales, prior_scales
-from identify.gaps.residual.tuning import KINDS
+from identify.gaps.residual.tuning import TUNED_KINDS
 from identify.gaps.search.base_excitation import fit_base_excitation
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.nominal import extra_relinearizations, fitted, stated_scale_refits
+from identify.gaps.search.nominal import extra_relinearizations, fitted_nuisance, stated_scale_refits
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.parameters import ParameterSet
 
-WORTH = 20.0
-"""An effect that gains less of -2 ln p is not fitted: a good third of what the priors of one among some 26, at some 4
-places, and the temperature of the comparison ask of it, 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
-SHORT, ROUNDS, SETTLED, STILL = 3, 4, 1.0, 0.1
-"""Steps of a first fit; at most so many rounds to the end, until one gains less than this of -2 ln p, by scales that
-are the same within this share."""
-FAR = 200.0
-"""Hypotheses whose -2 ln p is larger by so much than the best one's are not fitted to the end, nor compared on another
-record, where the odds of a single one are e^(200 / (2 * 6)) = 2e7."""
-AT_LIMIT = 0.99
-PULLED = 3.0
-"""Stated standard deviations by which no tolerance is off by chance: what pulls one so far may be an effect."""
-
-Build = Callable[[Values], Rig]
-"""The rig of some values of the parameters."""
+MIN_GAIN = 20.0
+"""Gain in -2 ln p below which an effect is not fitted: a good third of what the prior of one among some 26 effects at
+some 4 places, and the temperature of the comparison, demand: 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
+FIRST_STEPS, ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
+"""Steps of a first fit; rounds of the following refits at most; gain in -2 ln p, and relative change of the scales,
+below which they have settled."""
+MAX_EXCESS_COST = 200.0
+"""Excess in -2 ln p over the best hypothesis from which one is neither fitted until it settles nor compared on another
+record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
+LIMIT_SHARE = 0.99
+"""Share of `LIMIT` from which a tolerance stands at its limit."""
+CHANCE_PULL = 3.0
+"""Stated standard deviations beyond which a tolerance is not off by chance: an effect may pull it."""
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """Effects in the rig, with their parameters fitted on a record one after the other; none: the believed rig."""
+    """Set of effects in the rig with the fitted values of their parameters; the empty set is the nominal rig."""
 
-    parts: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     misfit: Misfit
 
     @property
     def effects(self) -> tuple[str, ...]:
-        return tuple(p.kind.name for p in self.parts)
+        return tuple(candidate.kind.name for candidate in self.candidates)
 
     @property
     def key(self) -> tuple[str, ...]:
-        """The names of its effects and their places, in no order; one may stand twice."""
-        return tuple(sorted(p.name for p in self.parts))
+        """Names of the effects with their places, sorted; one may occur twice."""
+        return tuple(sorted(candidate.name for candidate in self.candidates))
 
     @property
     def cost(self) -> float:
-        """Cost on the record that it was fitted to."""
+        """-2 ln p of the record to which it was fitted."""
         return self.misfit.minus_two_log
 
     @property
-    def leaves_something(self) -> bool:
-        """True if more is left above noise and tolerated shares than an effect must gain, or a tolerance is pulled
-        far off, where it hides what is left."""
-        return self.misfit.excess > WORTH or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > PULLED
+    def is_incomplete(self) -> bool:
+        """True if the misfit above noise and tolerated shares exceeds what an effect must gain, or if a tolerance is
+        pulled far off, so that it hides the misfit."""
+        return self.misfit.excess > MIN_GAIN or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > CHANCE_PULL
 
     @property
     def at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
-        return bool(np.any(np.abs(self.misfit.pulls) > AT_LIMIT * LIMIT))
+        return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * LIMIT))
 
     def split(self) -> list[Float[np.ndarray, " parameters"]]:
-        """The values of each part."""
-        return _split(self.parts, self.values)
+        """Values of each effect."""
+        return _split(self.candidates, self.values)
 
     @property
     def parameters(self) -> ParameterSet:
-        return parameters_of(self.parts)
+        return parameters_of(self.candidates)
 
     def applied_to(self, rig: Rig) -> Rig:
-        return applied(rig, self.parts, self.values)
+        return applied(rig, self.candidates, self.values)
 
 
 @dataclass(frozen=True)
-class Tried:
-    """A hypothesis while it is fitted: with linearisation and residual, which take much memory."""
+class FittedHypothesis:
+    """Hypothesis with the linearisation and the residual of its fit, which take much memory."""
 
     hypothesis: Hypothesis
     linearization: Linearization
@@ -98,186 +96,213 @@ class Tried:
         return self.hypothesis.cost
 
 
-def applied(rig: Rig, parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> Rig:
-    """The rig with several effects, whose parameters stand one after the other."""
-    for part, own in zip(parts, _split(parts, values), strict=True):
-        rig = part.applied(rig, own)
+def applied(rig: Rig, candidates: Sequence[Candidate], values: Values) -> Rig:
+    """Rig with several effects, whose parameter values follow each other."""
+    for candidate, candidate_values in zip(candidates, _split(candidates, values), strict=True):
+        rig = candidate.applied(rig, candidate_values)
     return rig
 
 
-def _split(parts: Sequence[Candidate], values: Float[np.ndarray, " parameters"]) -> list[Float[np.ndarray, " own"]]:
-    return np.split(values, np.cumsum([len(p.parameters) for p in parts])[:-1]) if parts else []
+def _split(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
+    return np.split(values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
 
 
 @dataclass(frozen=True)
 class Search:
-    """Data that a search on one record shares: linearisation and residual of the nominal rig, the variances."""
+    """Search on one record: the reference variances, the nominal rig's linearisation and fit, and the candidates."""
 
     reference: Reference
     linearization: Linearization
-    at: Residual
-    known: tuple[Candidate, ...]
+    residual: Residual
+    candidates: tuple[Candidate, ...]
 
-    def nothing(self) -> Tried:
-        return _tried(self, (), np.zeros(0), np.zeros((0, 0)), self.linearization, self.at)
+    def nominal_fit(self) -> FittedHypothesis:
+        return _fitted_hypothesis(self, (), np.zeros(0), np.zeros((0, 0)), self.linearization, self.residual)
 
 
 def fit_effects(
-    context: Search,
-    parts: tuple[Candidate, ...],
-    values: Float[np.ndarray, " parameters"],
-    start: Residual,
-    least: float = np.inf,
-) -> Tried:
-    """Effects fitted to the end from some values, and from the nuisance parameters and drifts of a residual."""
-    return refined(context, fit_briefly(context, parts, values, reset_saturated_nuisance(start)), least)
+    context: Search, candidates: tuple[Candidate, ...], values: Values, start: Residual, best_cost: float = np.inf
+) -> FittedHypothesis:
+    """Fit of effects until it settles, from given values and the nuisance parameters and drifts of a residual."""
+    return refined(context, fit_briefly(context, candidates, values, reset_saturated_nuisance(start)), best_cost)
 
 
 def fit_briefly(
     context: Search,
-    parts: tuple[Candidate, ...],
-    values: Float[np.ndarray, " parameters"],
+    candidates: tuple[Candidate, ...],
+    values: Values,
     start: Residual | None,
     linearization: Linearization | None = None,
-) -> Tried:
-    """Gauss-Newton for a few steps at the scales of a linearisation (the believed rig's unless one is given).
+) -> FittedHypothesis:
+    """Fit of effects by `FIRST_STEPS` Gauss-Newton steps at the scales of a linearisation (default: the nominal rig's).
 
-    Without a start, nothing was bent to do without the effects: then the linearisation is about their values.
+    Without a start no nuisance parameter has compensated the effects, so the linearisation is about their values.
     """
-    linearization, build = linearization or context.linearization, partial(applied, context.linearization.rig, parts)
+    linearization, build = linearization or context.linearization, _builder(context, candidates)
     if start is None:
-        linearization = linearization.about(build(values), None, linearization.scales, linearization.seen)
-    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start, SHORT)
-    return _tried(context, parts, done.values, done.covariance, linearization, done.residual)
+        rig, scales, observations = build(values), linearization.scales, linearization.observations
+        linearization = linearization.relinearized(rig, None, scales, observations)
+    return _gauss_newton(context, build, candidates, values, linearization, start, FIRST_STEPS)
 
 
-def fit_afresh(context: Search, parts: tuple[Candidate, ...], values: Float[np.ndarray, " parameters"]) -> Tried:
-    """Gauss-Newton from the contact scales that the tolerances state, and a slow motion that followed no other law.
+def fit_afresh(context: Search, candidates: tuple[Candidate, ...], values: Values) -> FittedHypothesis:
+    """Fit of effects from the contact scales that the tolerances state, and from a slow motion that follows no law yet.
 
-    A decay counts for few seconds: scales that the believed law made would not come down with the rounds of `refined`.
+    A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
-    record, rig = context.linearization.record, context.linearization.rig
-    build = partial(applied, rig, parts)
-    scales = replace(context.linearization.scales, contacts=prior_scales(record).contacts)
-    linearization = context.linearization.about(build(values), None, scales)
-    done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds)
-    return _tried(context, parts, done.values, done.covariance, linearization, done.residual)
+    build = _builder(context, candidates)
+    contact_scales = prior_scales(context.linearization.record).contacts
+    scales = replace(context.linearization.scales, contacts=contact_scales)
+    linearization = context.linearization.relinearized(build(values), None, scales)
+    return _gauss_newton(context, build, candidates, values, linearization)
 
 
-def refined(context: Search, one: Tried, least: float = np.inf) -> Tried:
-    """Fitted to the end, with scales and linearisation renewed about where the parameters have come to.
+def refined(context: Search, initial: FittedHypothesis, best_cost: float = np.inf) -> FittedHypothesis:
+    """Fit continued until it settles, with scales and linearisation renewed at the parameters of each round.
 
-    What is known by its spectrum alone keeps its values. It ends where the cost stays `FAR` above the least of others.
+    An effect that is known by its spectrum alone keeps its values. The rounds end where the cost stays
+    `MAX_EXCESS_COST` above `best_cost`, the least of other hypotheses.
     """
-    parts, rig = one.hypothesis.parts, context.linearization.rig
-    if any(p.kind.stochastic for p in parts):
-        return one
-    return relinearised(context, partial(applied, rig, parts), one, ROUNDS + extra_relinearizations(rig), least)
+    candidates, rig = initial.hypothesis.candidates, context.linearization.rig
+    if any(candidate.kind.stochastic for candidate in candidates):
+        return initial
+    rounds = ROUNDS + extra_relinearizations(rig)
+    return relinearised(context, _builder(context, candidates), initial, rounds, best_cost)
 
 
-def fit_from(context: Search, build: Build, parts: tuple[Candidate, ...], values: Values, rounds: int) -> Tried:
-    """Effects fitted to the end in rigs that `build` makes of values, from where a fit of another rig has come to."""
-    linearization = context.linearization.about(build(values), None, context.linearization.scales)
-    done = fit(
-        linearization, build, values, steps_of(parts), parameters_of(parts).bounds, reset_saturated_nuisance(context.at)
-    )
-    return relinearised(
-        context, build, _tried(context, parts, done.values, done.covariance, linearization, done.residual), rounds
-    )
+def fit_from(
+    context: Search, build: Build, candidates: tuple[Candidate, ...], values: Values, rounds: int
+) -> FittedHypothesis:
+    """Fit of effects in the rigs of `build` until it settles, from the fit of another rig."""
+    linearization = context.linearization.relinearized(build(values), None, context.linearization.scales)
+    start = reset_saturated_nuisance(context.residual)
+    initial = _gauss_newton(context, build, candidates, values, linearization, start)
+    return relinearised(context, build, initial, rounds)
 
 
-def relinearised(context: Search, build: Build, first: Tried, rounds: int, least: float = np.inf) -> Tried:
-    """The best of refits, each linearised at the parameters and with the scales of the one before, until they settle.
+def relinearised(
+    context: Search, build: Build, initial: FittedHypothesis, rounds: int, best_cost: float = np.inf
+) -> FittedHypothesis:
+    """Best of successive refits, each linearised at the parameters and with the scales of the one before.
 
     Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
-    contacts refits at the stated scales follow: larger ones leave what a linearised resonance errs.
+    contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
-    parts, fits, record = first.hypothesis.parts, [first], context.linearization.record
-    resonant = stated_scale_refits(context.linearization.rig)
+    candidates, fits, record = initial.hypothesis.candidates, [initial], context.linearization.record
+    resonant_refits = stated_scale_refits(context.linearization.rig)
 
-    def refit(before: Tried) -> Tried:
+    def refit(before: FittedHypothesis) -> FittedHypothesis:
         return refit_at(before, scales_at(before.linearization, before.residual))
 
-    def refit_at(before: Tried, scales: Scales) -> Tried:
-        values, start = before.hypothesis.values, reset_mode_nuisance(before.residual) if resonant else before.residual
-        linearization = before.linearization.about(build(values), start, scales)
-        done = fit(linearization, build, values, steps_of(parts), parameters_of(parts).bounds, start)
-        fits.append(_tried(context, parts, done.values, done.covariance, linearization, done.residual))
+    def refit_at(before: FittedHypothesis, scales: Scales) -> FittedHypothesis:
+        values = before.hypothesis.values
+        start = reset_mode_nuisance(before.residual) if resonant_refits else before.residual
+        linearization = before.linearization.relinearized(build(values), start, scales)
+        fits.append(_gauss_newton(context, build, candidates, values, linearization, start))
         return fits[-1]
 
-    def settled(before: Tried, after: Tried) -> bool:
-        still = before.linearization.scales.distance(after.linearization.scales) < STILL
-        return (still and abs(before.cost - after.cost) < SETTLED) or after.cost > least + FAR
+    def settled(before: FittedHypothesis, after: FittedHypothesis) -> bool:
+        scale_change = before.linearization.scales.distance(after.linearization.scales)
+        is_settled = scale_change < SCALE_TOLERANCE and abs(before.cost - after.cost) < COST_TOLERANCE
+        return is_settled or after.cost > best_cost + MAX_EXCESS_COST
 
-    last = refit_until_settled(first, refit, settled, rounds=rounds)
-    if resonant and last.cost <= least + FAR:
-        start = min(fits, key=lambda one: one.cost)
-        last = refit_until_settled(start, lambda before: refit_at(before, prior_scales(record)), rounds=resonant)
-        refit_until_settled(last, refit, settled, rounds=rounds)
-    return min(fits, key=lambda one: one.cost)
-
-
-def steps_of(parts: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
-    return np.concatenate([np.zeros(0), *(p.steps for p in parts)])
-
-
-def parameters_of(parts: Sequence[Candidate]) -> ParameterSet:
-    """Parameters of several effects, one after the other; each belongs to its part by name."""
-    return sum((p.parameters.belonging_to(p.name) for p in parts), ParameterSet())
+    latest = refit_until_settled(initial, refit, settled, rounds=rounds)
+    if resonant_refits and latest.cost <= best_cost + MAX_EXCESS_COST:
+        best = min(fits, key=lambda item: item.cost)
+        latest = refit_until_settled(
+            best, lambda before: refit_at(before, prior_scales(record)), rounds=resonant_refits
+        )
+        refit_until_settled(latest, refit, settled, rounds=rounds)
+    return min(fits, key=lambda item: item.cost)
 
 
-def _tried(
+def _builder(context: Search, candidates: tuple[Candidate, ...]) -> Build:
+    return partial(applied, context.linearization.rig, candidates)
+
+
+def _gauss_newton(
     context: Search,
-    parts: tuple[Candidate, ...],
+    build: Build,
+    candidates: tuple[Candidate, ...],
+    values: Values,
+    linearization: Linearization,
+    start: Residual | None = None,
+    max_steps: int = MAX_STEPS,
+) -> FittedHypothesis:
+    """Gauss-Newton fit of effects and nuisance parameters in a linearisation."""
+    bounds = parameters_of(candidates).bounds
+    estimate = fit(linearization, build, values, steps_of(candidates), bounds, start, max_steps)
+    return _fitted_hypothesis(
+        context, candidates, estimate.values, estimate.covariance, linearization, estimate.residual
+    )
+
+
+def steps_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
+    return np.concatenate([np.zeros(0), *(candidate.steps for candidate in candidates)])
+
+
+def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
+    """Parameters of several effects in sequence, each marked with the name of its candidate."""
+    return sum((candidate.parameters.belonging_to(candidate.name) for candidate in candidates), ParameterSet())
+
+
+def _fitted_hypothesis(
+    context: Search,
+    candidates: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
-    at: Residual,
-) -> Tried:
-    left = misfit(linearization.record, context.reference, at)
-    return Tried(Hypothesis(parts, values, covariance, left), linearization, at)
+    residual: Residual,
+) -> FittedHypothesis:
+    hypothesis = Hypothesis(candidates, values, covariance, misfit(linearization.record, context.reference, residual))
+    return FittedHypothesis(hypothesis, linearization, residual)
 
 
-def fit_spectrum(context: Search, nothing: Tried, candidate: Candidate) -> Tried | None:
-    """An effect of which only the spectrum is known: its values are not fitted over time."""
-    if not nothing.hypothesis.leaves_something:
+def fit_spectrum(context: Search, nominal_fit: FittedHypothesis, candidate: Candidate) -> FittedHypothesis | None:
+    """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
+    if not nominal_fit.hypothesis.is_incomplete:
         return None
-    found = fit_base_excitation(nothing.linearization, nothing.residual, candidate, WORTH)
-    if found is None:
+    estimate = fit_base_excitation(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
+    if estimate is None:
         return None
-    values, deviations = found
+    values, standard_errors = estimate
     try:
         rig = candidate.applied(context.linearization.rig, values)
     except RigError:
         return None
-    linearization = context.linearization.about(rig, nothing.residual, nothing.linearization.scales)
-    linearization = rescaled(linearization, fitted(linearization, nothing.residual).residual)
-    at = fitted(linearization, nothing.residual).residual
-    return _tried(context, (candidate,), values, np.diag(deviations**2), linearization, at)
+    linearization = context.linearization.relinearized(rig, nominal_fit.residual, nominal_fit.linearization.scales)
+    linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
+    residual = fitted_nuisance(linearization, nominal_fit.residual).residual
+    return _fitted_hypothesis(context, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:
-    """Residual at which a fit of an effect starts: if a nuisance parameter stands at its limit, all are reset."""
+    """Residual from which an effect is fitted: all nuisance parameters are reset if one stands at its limit."""
     if np.max(np.abs(residual.pulls), initial=0.0) < LIMIT - 1e-6:
         return residual
-    straight = tuple(replace(c, unknowns=c.believed) for c in residual.contacts)
-    return replace(residual, nuisance=np.zeros_like(residual.nuisance), contacts=straight)
+    reset_contacts = tuple(replace(contact, unknowns=contact.unknowns_without_pulls) for contact in residual.contacts)
+    return replace(residual, nuisance=np.zeros_like(residual.nuisance), contacts=reset_contacts)
 
 
 def reset_mode_nuisance(residual: Residual) -> Residual:
-    """The residual with frequencies and damping of all modes at their nominal values, if a tolerance went far for one.
+    """Residual with the tolerances of all modes reset to nominal, if one of them is strained.
 
     An effect on frequencies and these tolerances are nearly the same change of the rig: fitted together they advance by
-    a part of the resonance's width a step.
+    only part of the resonance's width per step.
     """
-    of_modes = np.array([p.kind in KINDS for p in residual.parameters], dtype=bool)
-    if np.max(np.abs(residual.nuisance[of_modes]), initial=0.0) < PULLED:
+    is_of_modes = np.array([parameter.kind in TUNED_KINDS for parameter in residual.parameters], dtype=bool)
+    if np.max(np.abs(residual.nuisance[is_of_modes]), initial=0.0) < CHANCE_PULL:
         return residual
-    return replace(residual, nuisance=np.where(of_modes, 0.0, residual.nuisance))
+    return replace(residual, nuisance=np.where(is_of_modes, 0.0, residual.nuisance))
 
 
-def beside(first: Tried, second: Tried) -> Hypothesis:
-    """A pair of which the second was fitted with the first held, as one is known by its spectrum alone."""
-    one, other = first.hypothesis, second.hypothesis
-    values = np.concatenate([one.values, other.values])
-    return Hypothesis((*one.parts, *other.parts), values, block_diag(one.covariance, other.covariance), other.misfit)
+def combined(base: FittedHypothesis, added: FittedHypothesis) -> Hypothesis:
+    """Union of two hypotheses, of which the second was fitted with the first held."""
+    base_hypothesis, added_hypothesis = base.hypothesis, added.hypothesis
+    values = np.concatenate([base_hypothesis.values, added_hypothesis.values])
+    return Hypothesis(
+        (*base_hypothesis.candidates, *added_hypothesis.candidates),
+        values,
+        block_diag(base_hypothesis.covariance, added_hypothesis.covariance),
+        added_hypothesis.misfit,
+    )

@@ -1,4 +1,4 @@
-"""The diagnosis's statistic as a function of every candidate at once, about one fitted rig.
+"""Statistic S of the diagnosis as a function of all candidates at once, about one fitted rig.
 
 Notes for maintainers
 1. The residuals of a fitted rig are taken as linear in theta: nuisance parameters, contact tolerances, parameters of
@@ -27,29 +27,28 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
-from identify.gaps.residual.fit import FINE, Column, bounded, by_nuisance, derivative
+from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum, contact_jacobian
 from identify.gaps.residual.likelihood import Reference
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
 from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, by_band
-from identify.gaps.search.attached import attached
-from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
 from identify.gaps.search.pooled import without_drift
 from rig.errors import RigError
 from rig.model.description import Rig
 
 MAJORIZATIONS = 5
-"""Steps of the majorisation at most; ..."""
-SETTLED = 0.1
-"""... it ends where S falls by less: odds change by 1 %."""
-ROUNDING = 1e-5
-"""Of sums of 1e5 products in single precision, relative to the diagonal."""
-UNSEEN = 1e-15
-"""Of the largest entry of the diagonal: what nothing shows stays zero."""
-ELIMINATED = 1e-9
-"""Of a column's square before the slow motion was eliminated: rounding of the difference that is left."""
-VISIBLE = 1e-9
+"""Steps of the majorisation at most."""
+STATISTIC_TOLERANCE = 0.1
+"""Decrease of S below which the majorisation ends: odds change by 1 %."""
+RELATIVE_RIDGE = 1e-5
+"""Added to the diagonal, relative: rounding of sums of 1e5 products in single precision."""
+RIDGE_FLOOR = 1e-15
+"""Added to the diagonal, of its largest entry: what the record does not show stays zero."""
+ELIMINATION_ROUNDING = 1e-9
+"""Added to the diagonal, of a column's square before the slow motion is eliminated: rounding of the difference."""
+MIN_REMAINING_SHARE = 1e-9
 """Least share of a column's weighted square that the nuisance parameters must leave of it."""
 
 Theta = Float[np.ndarray, " columns"]
@@ -57,29 +56,29 @@ Theta = Float[np.ndarray, " columns"]
 
 @dataclass(frozen=True)
 class CandidateTerm:
-    """A candidate at one place: its columns, the values of its parameters at theta = 0, and the range of theta.
+    """Candidate at one place: its columns, its parameters at theta = 0, and the range of theta.
 
-    theta counts `Candidate.steps` of its strengths.
+    theta is in units of `Candidate.steps` of the strengths.
     """
 
     candidate: Candidate
     start: Float[np.ndarray, " parameters"]
     strengths: tuple[int, ...]
-    columns: Int[np.ndarray, " some"]
-    low: Float[np.ndarray, " some"]
-    high: Float[np.ndarray, " some"]
+    columns: Int[np.ndarray, " selected"]
+    low: Float[np.ndarray, " selected"]
+    high: Float[np.ndarray, " selected"]
 
     def values(self, theta: Theta) -> Float[np.ndarray, " parameters"]:
-        """The effect's parameters."""
+        """Parameters of the effect at theta."""
         values = self.start.copy()
-        chosen = list(self.strengths)
-        values[chosen] += theta[self.columns] * self.candidate.steps[chosen]
+        strengths = list(self.strengths)
+        values[strengths] += theta[self.columns] * self.candidate.steps[strengths]
         return values
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The least S over some columns, all others zero."""
+    """Minimum of S over some columns, all others zero."""
 
     theta: Theta
     statistic: float
@@ -87,11 +86,11 @@ class Solution:
 
 @dataclass(frozen=True)
 class LocalModel:
-    """S(theta) about a fitted rig.
+    """Statistic S(theta) about a fitted rig.
 
-    spectra holds X and spectrum r, windowed spectra in the nominal rig's standard deviations, real and imaginary parts,
-    scaled so that the squares of a cell's rows add up to L; cell says which band and sensor a row is of. always are
-    the columns that every solution has: tolerances, whose `pulls` are p, then the rig's own effects.
+    spectra holds X and spectrum r: windowed spectra in the nominal rig's standard deviations, real and imaginary parts,
+    scaled so that the squares of a cell's rows add up to L. cell is the index of a row's band and sensor. base_columns
+    are the columns that every solution has: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
 
     spectra: Float[np.ndarray, "columns rows"]
@@ -107,188 +106,186 @@ class LocalModel:
     high: Theta
     samples_per_cell: float
     samples: float
-    always: Int[np.ndarray, " some"]
+    base_columns: Int[np.ndarray, " selected"]
     terms: tuple[CandidateTerm, ...]
 
     def levels(self, theta: Theta) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " contacts"]]:
-        """L of every cell and of every contact."""
-        used = np.flatnonzero(theta)
-        residual = self.spectrum - theta[used].astype(np.float32) @ self.spectra[used]
-        contacts = self.contact_level + np.einsum("k,jkl,l->j", theta, self.contact_matrix, theta)
-        contacts -= 2 * self.contact_gradient @ theta
-        return np.bincount(self.cell, residual.astype(float) ** 2), np.maximum(contacts, 0.0)
+        """Levels L of all cells, and of all contacts."""
+        moved_columns = np.flatnonzero(theta)
+        residual = self.spectrum - theta[moved_columns].astype(np.float32) @ self.spectra[moved_columns]
+        contact_levels = self.contact_level + np.einsum("k,jkl,l->j", theta, self.contact_matrix, theta)
+        contact_levels -= 2 * self.contact_gradient @ theta
+        return np.bincount(self.cell, residual.astype(float) ** 2), np.maximum(contact_levels, 0.0)
 
     def statistic(self, theta: Theta) -> float:
-        """S, up to a constant of the record."""
+        """Statistic S, up to a constant of the record."""
         cells, contacts = self.levels(theta)
-        by_bands = self.samples_per_cell * np.sum(np.log1p(cells)) + self.samples * np.sum(np.log1p(contacts))
-        inputs = theta @ self.input_matrix @ theta - 2 * self.input_gradient @ theta
-        return float(by_bands + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + inputs)
+        residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.samples * np.sum(np.log1p(contacts))
+        input_cost = theta @ self.input_matrix @ theta - 2 * self.input_gradient @ theta
+        return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
 
     def normal(
-        self, theta: Theta, columns: Int[np.ndarray, " some"]
-    ) -> tuple[Float[np.ndarray, "some some"], Float[np.ndarray, " some"]]:
-        """Matrix and right-hand side of the majorised S at theta: least where matrix @ x = right-hand side."""
-        cells, contacts = self.levels(theta)
-        weights = self.samples_per_cell / (1 + cells)
-        by_row = np.sqrt(weights[self.cell]).astype(np.float32)
+        self, theta: Theta, columns: Int[np.ndarray, " selected"]
+    ) -> tuple[Float[np.ndarray, "selected selected"], Float[np.ndarray, " selected"]]:
+        """Matrix A and right-hand side b of S majorised at theta, whose minimum x solves A x = b."""
+        cell_levels, contact_levels = self.levels(theta)
+        weights = self.samples_per_cell / (1 + cell_levels)
+        row_weights = np.sqrt(weights[self.cell]).astype(np.float32)
         rows = self.spectra[columns]
-        rows *= by_row
+        rows *= row_weights
         matrix = (rows @ rows.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
-        vector = (rows @ (self.spectrum * by_row)).astype(float)
+        vector = (rows @ (self.spectrum * row_weights)).astype(float)
         vector += self.input_gradient[columns]
-        for weight, by_pair, by_one in zip(
-            self.samples / (1 + contacts), self.contact_matrix, self.contact_gradient, strict=True
+        for weight, contact_matrix, contact_gradient in zip(
+            self.samples / (1 + contact_levels), self.contact_matrix, self.contact_gradient, strict=True
         ):
-            matrix += weight * by_pair[np.ix_(columns, columns)]
-            vector += weight * by_one[columns]
-        tolerances = columns < self.pulls.size
-        matrix[tolerances, tolerances] += 1.0
-        vector[tolerances] -= self.pulls[columns[tolerances]]
+            matrix += weight * contact_matrix[np.ix_(columns, columns)]
+            vector += weight * contact_gradient[columns]
+        is_tolerance = columns < self.pulls.size
+        matrix[is_tolerance, is_tolerance] += 1.0
+        vector[is_tolerance] -= self.pulls[columns[is_tolerance]]
         return matrix, vector
 
     def solved(self, terms: Sequence[CandidateTerm], start: Theta | None = None) -> Solution:
-        """The least S with some candidates, by majorisation from `start`."""
-        columns = np.concatenate([self.always, *(term.columns for term in terms)]).astype(int)
+        """Minimum of S with some candidates, by majorisation from `start`."""
+        columns = np.concatenate([self.base_columns, *(term.columns for term in terms)]).astype(int)
         theta = np.zeros(len(self.spectra))
         if start is not None:
             theta[columns] = start[columns]
         best = Solution(theta, self.statistic(theta))
         for _ in range(MAJORIZATIONS):
             matrix, vector = self.normal(best.theta, columns)
-            size = np.diag(matrix)
-            matrix += np.diag(ROUNDING * size + UNSEEN * size.max())  # what nothing shows stays zero
+            diagonal = np.diag(matrix)
+            matrix += np.diag(RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max())  # what is not shown stays zero
             theta = np.zeros(len(self.spectra))
-            here = best.theta[columns]
-            step = bounded(matrix, vector - matrix @ here, self.low[columns] - here, self.high[columns] - here)
-            theta[columns] = here + step
+            current = best.theta[columns]
+            low, high = self.low[columns] - current, self.high[columns] - current
+            step = bounded_minimum(matrix, vector - matrix @ current, low, high)
+            theta[columns] = current + step
             solution = Solution(theta, self.statistic(theta))
             gain = best.statistic - solution.statistic
             if gain > 0:
                 best = solution
-            if gain < SETTLED:
+            if gain < STATISTIC_TOLERANCE:
                 break
         return best
 
-    def promised(self, terms: Sequence[CandidateTerm], at: Solution) -> Float[np.ndarray, " terms"]:
-        """Least fall of S if a candidate joins: the gain of the majorised S, within the range of theta."""
-        every = np.arange(len(self.spectra))
-        matrix, vector = self.normal(at.theta, every)
-        slope = vector - matrix @ at.theta
-        inside = np.concatenate([self.always, *(term.columns for term in terms)]).astype(int)
-        inner = np.linalg.solve(matrix[np.ix_(inside, inside)] + 1e-12 * np.eye(inside.size), matrix[inside])
+    def promised(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
+        """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
+        all_columns = np.arange(len(self.spectra))
+        matrix, vector = self.normal(solution.theta, all_columns)
+        slope = vector - matrix @ solution.theta
+        base = np.concatenate([self.base_columns, *(term.columns for term in terms)]).astype(int)
+        response = np.linalg.solve(matrix[np.ix_(base, base)] + 1e-12 * np.eye(base.size), matrix[base])
         gains = np.zeros(len(self.terms))
         for k, term in enumerate(self.terms):
-            own = term.columns
-            curvature = matrix[np.ix_(own, own)] - matrix[np.ix_(own, inside)] @ inner[:, own]
-            if np.any(np.isin(own, inside)) or np.any(np.diag(curvature) <= VISIBLE * np.diag(matrix)[own]):
+            columns = term.columns
+            curvature = matrix[np.ix_(columns, columns)] - matrix[np.ix_(columns, base)] @ response[:, columns]
+            is_hidden = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(matrix)[columns]
+            if np.any(np.isin(columns, base)) or np.any(is_hidden):
                 continue
-            mine = slope[own] - inner[:, own].T @ slope[inside]
-            size = np.clip(np.linalg.solve(curvature, mine), term.low, term.high)
-            gains[k] = 2 * mine @ size - size @ curvature @ size
+            reduced_slope = slope[columns] - response[:, columns].T @ slope[base]
+            step = np.clip(np.linalg.solve(curvature, reduced_slope), term.low, term.high)
+            gains[k] = 2 * reduced_slope @ step - step @ curvature @ step
         return gains
 
 
 def local_model(
     linearization: Linearization,
-    at: Residual,
+    residual: Residual,
     reference: Reference,
     rig: Rig,
     present: Hypothesis,
-    known: Sequence[Candidate],
+    candidates: Sequence[Candidate],
 ) -> LocalModel:
-    """The statistic about a residual of `rig` with the effects `present`, and every candidate's columns."""
-    tolerances = linearization.columns.parameters
-    parts: list[Column] = list(_present_columns(linearization, at, rig, present))
-    own, terms = len(parts), list[CandidateTerm]()
-    contact_pulls = [c.pulls.size for c in at.contacts]
-    first = len(tolerances) + sum(contact_pulls)
-    for candidate in known:
+    """Local model about the residual of `rig` with the effects `present`, with the columns of every candidate."""
+    columns: list[Column] = list(_present_columns(linearization, residual, rig, present))
+    present_count, terms = len(columns), list[CandidateTerm]()
+    first = residual.pulls.size
+    for candidate in candidates:
         for start in candidate.starts():
-            chosen = list(candidate.parameters.strengths)
             with suppress(RigError):  # no such rig
-                columns = [_column(linearization, at, candidate, start, k) for k in chosen]
-                low, high = (
-                    (ends[chosen] - start[chosen]) / candidate.steps[chosen] for ends in candidate.parameters.bounds
-                )
-                index = first + len(parts) + np.arange(len(columns))
-                terms.append(
-                    CandidateTerm(candidate, start, tuple(chosen), index, np.minimum(low, high), np.maximum(low, high))
-                )
-                parts += columns
-    return _assembled(linearization, at, reference, parts, own, tuple(terms), _present_range(present))
+                new_columns = strength_columns(linearization, residual, candidate, start)
+                terms.append(_term(candidate, start, first + len(columns)))
+                columns += [
+                    (linear.astype(np.float32), [column.astype(np.float32) for column in contacts])
+                    for linear, contacts in new_columns
+                ]
+    return _assembled(linearization, residual, reference, columns, present_count, tuple(terms), _present_range(present))
 
 
-def _column(
-    linearization: Linearization, at: Residual, candidate: Candidate, start: Float[np.ndarray, " parameters"], k: int
-) -> Column:
-    """Decrease of the residuals by a step of a candidate's strength."""
-    moved = start.copy()
-    moved[k] = start[k] + candidate.steps[k]
-    rig = candidate.applied(linearization.rig, moved)
-    linear, contacts = attached(linearization, rig, at) or derivative(linearization, rig, at)
-    return linear.astype(np.float32), [column.astype(np.float32) for column in contacts]
+def _term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first: int) -> CandidateTerm:
+    """Term of a candidate at `start`, whose columns begin with column `first`."""
+    strengths = list(candidate.parameters.strengths)
+    low, high = (
+        (bound[strengths] - start[strengths]) / candidate.steps[strengths] for bound in candidate.parameters.bounds
+    )
+    columns = first + np.arange(len(strengths))
+    return CandidateTerm(candidate, start, tuple(strengths), columns, np.minimum(low, high), np.maximum(low, high))
 
 
-def _present_columns(linearization: Linearization, at: Residual, rig: Rig, present: Hypothesis) -> Iterator[Column]:
-    """Decrease of the residuals by a step of each parameter of the effects in the rig."""
-    parts, values = present.parts, present.values
-    build = partial(applied, rig, parts)
-    steps = steps_of(parts)
-    signs = np.where(values + steps > parameters_of(parts).bounds[1], -FINE, FINE)
-    for sign, move in zip(signs, np.diag(steps), strict=True):
-        linear, contacts = derivative(linearization, build(values + sign * move), at)
+def _present_columns(
+    linearization: Linearization, residual: Residual, rig: Rig, present: Hypothesis
+) -> Iterator[Column]:
+    """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
+    candidates, values = present.candidates, present.values
+    build = partial(applied, rig, candidates)
+    steps = steps_of(candidates)
+    signs = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
+    for sign, step in zip(signs, np.diag(steps), strict=True):
+        linear, contacts = derivative(linearization, build(values + sign * step), residual)
         yield linear / sign, [column / sign for column in contacts]
 
 
-def _present_range(present: Hypothesis) -> tuple[Float[np.ndarray, " own"], Float[np.ndarray, " own"]]:
-    if not present.parts:
+def _present_range(present: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
+    if not present.candidates:
         return np.zeros(0), np.zeros(0)
-    ends = [(end - present.values) / steps_of(present.parts) for end in parameters_of(present.parts).bounds]
-    return np.minimum(*ends), np.maximum(*ends)
+    limits = parameters_of(present.candidates).bounds
+    bounds = [(limit - present.values) / steps_of(present.candidates) for limit in limits]
+    return np.minimum(*bounds), np.maximum(*bounds)
 
 
 def _assembled(
     linearization: Linearization,
-    at: Residual,
+    residual: Residual,
     reference: Reference,
-    parts: Sequence[Column],
-    own: int,
+    added_columns: Sequence[Column],
+    present_count: int,
     terms: tuple[CandidateTerm, ...],
-    present_range: tuple[Float[np.ndarray, " own"], Float[np.ndarray, " own"]],
+    present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
     record, nuisances = linearization.record, len(linearization.columns.parameters)
-    sensors, times = len(record.sensors), at.linear.shape[1]
-    pulls = at.pulls
-    size = pulls.size + len(parts)
+    sensors, times = len(record.sensors), residual.linear.shape[1]
+    pulls = residual.pulls
+    size = pulls.size + len(added_columns)
     scale, cell = _cells(linearization, reference, times)
     spectra = np.zeros((size, cell.size), np.float32)
-    inputs = np.zeros((size, (len(at.linear) - sensors) * times), np.float32)
+    inputs = np.zeros((size, (len(residual.linear) - sensors) * times), np.float32)
     for k, column in enumerate(linearization.columns.residual):
         spectra[k], inputs[k] = _windowed(record.rate_hz, column[:sensors], scale), column[sensors:].ravel()
-    for k, (linear, _) in enumerate(parts, pulls.size):
+    for k, (linear, _) in enumerate(added_columns, pulls.size):
         spectra[k], inputs[k] = _windowed(record.rate_hz, linear[:sensors], scale), linear[sensors:].ravel()
     matrices, gradients, levels = [], [], []
     first = nuisances
-    for j, contact in enumerate(at.contacts):
+    for j, contact in enumerate(residual.contacts):
         rows = np.zeros((contact.residual.size, size))
-        rows[:, :nuisances] = by_nuisance(linearization, at, j)
-        moving = contact.seen.weights.size
+        rows[:, :nuisances] = contact_jacobian(linearization, residual, j)
+        sample_count = contact.observation.weights.size
         tolerances = slice(first, first + contact.pulls.size)
         first = tolerances.stop
-        rows[:moving, tolerances] = contact.columns[:moving, contact.seen.tolerances].toarray()
-        for k, (_, contacts) in enumerate(parts, pulls.size):
+        rows[:sample_count, tolerances] = contact.columns[:sample_count, contact.observation.tolerance_slice].toarray()
+        for k, (_, contacts) in enumerate(added_columns, pulls.size):
             rows[:, k] = contacts[j]
-        matrix, gradient = without_drift(at, j, rows)
-        matrix += np.diag(ELIMINATED * np.sum(rows**2, axis=0))
-        in_own = float(np.sum(contact.residual[:moving] ** 2))
-        level = _contact_level(reference, at, j)
-        matrices.append(matrix * level / in_own if in_own else matrix)
-        gradients.append(gradient * level / in_own if in_own else gradient)
+        matrix, gradient = without_drift(residual, j, rows)
+        matrix += np.diag(ELIMINATION_ROUNDING * np.sum(rows**2, axis=0))
+        sum_of_squares = float(np.sum(contact.residual[:sample_count] ** 2))
+        level = _contact_level(reference, residual, j)
+        matrices.append(matrix * level / sum_of_squares if sum_of_squares else matrix)
+        gradients.append(gradient * level / sum_of_squares if sum_of_squares else gradient)
         levels.append(level)
     low, high = np.full(size, -np.inf), np.full(size, np.inf)
     low[: pulls.size], high[: pulls.size] = -LIMIT - pulls, LIMIT - pulls
-    low[pulls.size : pulls.size + own], high[pulls.size : pulls.size + own] = present_range
+    low[pulls.size : pulls.size + present_count], high[pulls.size : pulls.size + present_count] = present_range
     for term in terms:
         low[term.columns], high[term.columns] = term.low, term.high
     ratio = record.sample_ratio
@@ -296,32 +293,32 @@ def _assembled(
     samples = times / ratio
     return LocalModel(
         spectra=spectra,
-        spectrum=_windowed(record.rate_hz, at.quiet[:sensors], scale),
+        spectrum=_windowed(record.rate_hz, residual.linear_without_lines[:sensors], scale),
         cell=cell,
         contact_matrix=np.array(matrices).reshape(len(matrices), size, size),
         contact_gradient=np.array(gradients).reshape(len(gradients), size),
         contact_level=np.array(levels),
         input_matrix=(inputs @ inputs.T).astype(float) / ratio,
-        input_gradient=(inputs @ at.linear[sensors:].ravel().astype(np.float32)).astype(float) / ratio,
+        input_gradient=(inputs @ residual.linear[sensors:].ravel().astype(np.float32)).astype(float) / ratio,
         pulls=pulls,
         low=low,
         high=high,
         samples_per_cell=samples / bands,
         samples=samples,
-        always=np.arange(pulls.size + own),
+        base_columns=np.arange(pulls.size + present_count),
         terms=terms,
     )
 
 
-def _contact_level(reference: Reference, at: Residual, j: int) -> float:
-    """Mean square of a contact's residual in the nominal rig's variances."""
-    contact, weights = at.contacts[j], at.contacts[j].seen.weights
+def _contact_level(reference: Reference, residual: Residual, j: int) -> float:
+    """Mean square of a contact's residual relative to the nominal rig's variances."""
+    contact, weights = residual.contacts[j], residual.contacts[j].observation.weights
     residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
-    return float(np.mean((residual_n * reference.seen[j].weights) ** 2))
+    return float(np.mean((residual_n * reference.observations[j].weights) ** 2))
 
 
 def _segments(rate_hz: float, times: int) -> tuple[int, int, int, int]:
-    """Samples of a segment, segments, lines of a band and bands, as `scales.second_levels` has them."""
+    """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
     segment = min(round(SEGMENT_S * rate_hz), times)
     per_band = max(1, round(BAND_HZ * segment / rate_hz))
     return segment, times // segment, per_band, (segment // 2 + 1) // per_band
@@ -330,10 +327,10 @@ def _segments(rate_hz: float, times: int) -> tuple[int, int, int, int]:
 def _cells(
     linearization: Linearization, reference: Reference, times: int
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
-    """Factors by which the squares of spectra in standard deviations add up to L; and the cell of each row."""
+    """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record = linearization.record
     _, count, per_band, bands = _segments(record.rate_hz, times)
-    variance = by_band(record, linearization.model.deviation**2, bands) / reference.usual
+    variance = by_band(record, linearization.model.deviation**2, bands) / reference.expected_variance
     scale = np.sqrt(variance.T / (count * per_band))
     sensors = len(record.sensors)
     shape = (sensors, count, bands, per_band, 2)
@@ -344,7 +341,7 @@ def _cells(
 def _windowed(
     rate_hz: float, rows: Float[np.ndarray, "sensors times"], scale: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
-    """Spectra of the seconds under a Hann window, real and imaginary parts, scaled by band and sensor."""
+    """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
     segment, count, per_band, bands = _segments(rate_hz, rows.shape[1])
     window = hann(segment, sym=False)
     pieces = rows[:, : count * segment].reshape(len(rows), count, segment) * (window / np.sqrt(np.sum(window**2)))

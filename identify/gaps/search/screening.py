@@ -1,4 +1,12 @@
-"""Screening of effects: by the slope of the cost at the nominal rig, and over a grid of large values."""
+"""Screening of effects: by the slope of the cost, over a grid of large values, and by the modes of a free decay.
+
+Notes for maintainers
+1. A resonance that lies off by more than its width has no slope towards the measured one, so no fit over time or over
+   frequencies leads there; the logarithms of the frequencies and damping ratios do. With z those of measured over
+   nominal,
+
+       cost = z' C^-1 z,   C = diag(error^2 + tolerance of the mode^2) + (common tolerance)^2 of the modes of a body
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
@@ -6,118 +14,130 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
+from scipy.linalg import block_diag
+from scipy.optimize import least_squares
 
-from identify.gaps.residual.fit import Column, Reduced, derivative, reduced
-from identify.gaps.residual.grounded import needs_every_line
+from identify.gaps.residual.fit import ReducedEquations, reduced_equations
 from identify.gaps.residual.linear import linear_model
-from identify.gaps.residual.lines import sharpest
+from identify.gaps.residual.lines import sharpest_frequencies
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, residual_of, same_but_laws
-from identify.gaps.search.attached import attached
-from identify.gaps.search.candidates import Candidate
+from identify.gaps.residual.residual import Column, Linearization, Residual, residual_of, same_but_laws
+from identify.gaps.residual.tuning import matched_modes
+from identify.gaps.residual.windowed import needs_every_line
+from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.linear.model import ResponseCache
 from rig.errors import RigError
 from rig.model.description import Rig
 
 STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
-"""Multiples of what a typical effect adds: a grid on which no minimum of the linear residual is missed."""
-THINNED = 16
-"""Every so-many-th line tells enough of where a minimum lies."""
-PEAKS, AROUND_HZ = 1, 2.0
-"""So many lines of a residual are followed, by how far they stand out within this band."""
+"""Trial strengths as multiples of what a typical effect adds, dense enough for every minimum of the linear residual."""
+LINE_STRIDE = 16
+"""Step between the lines used: these suffice to locate a minimum."""
+PEAKS, PEAK_BAND_HZ = 1, 2.0
+"""Number of followed lines, and bandwidth (Hz) above whose other lines they must stand out."""
+FOLLOWED_PLACES, DISTINCT_SHARE = 3, 0.01
+"""Number of an effect's places from which minima are sought; share of the range below which two minima are one."""
+MAX_EVALUATIONS, RELATIVE_STEP = 40, 1e-4
+"""Evaluations per minimum at most; relative step of derivatives, above the accuracy of computed modes."""
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A candidate, what it promises to gain, and the values to begin a fit with."""
+    """Screened candidate: the gain that it promises, and the parameter values from which to fit it."""
 
     candidate: Candidate
     gain: float
     values: Float[np.ndarray, " parameters"]
 
 
-def score_screening(linearization: Linearization, at: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
-    """The gain of the linearised cost at a residual, with nuisance parameters and drifts free; the best first.
-
-    This is Rao's score test of each effect, at every place that it is tried at.
-    """
-    equations = reduced(linearization, at)
-    sharp_hz, loud = [], equations
-    if any(c.kind.grid_screened for c in candidates):
-        sharp_hz, loud = followed_hz(linearization, at, PEAKS).tolist(), equations.with_lines()
-    found = [
-        max(_looked(linearization, loud if c.kind.grid_screened else equations, c, sharp_hz), key=lambda one: one.gain)
-        for c in candidates
-    ]
-    return sorted(found, key=lambda one: -one.gain)
-
-
-def followed_hz(linearization: Linearization, at: Residual, count: int) -> Float[np.ndarray, " lines"]:
-    """Frequencies of the lines that stand out most of the linear and the contact residuals."""
-    rows = np.concatenate([at.linear, *(c.residual[None, : at.linear.shape[1]] for c in at.contacts)])
-    rate_hz = linearization.record.rate_hz
-    return rate_hz * sharpest(rows, count, AROUND_HZ / rate_hz, linearization.record.repeats)
-
-
-def _looked(
-    linearization: Linearization, equations: Reduced, candidate: Candidate, sharp_hz: Sequence[float]
+def score_screening(
+    linearization: Linearization, residual: Residual, candidates: Sequence[Candidate]
 ) -> list[Screened]:
-    """Gains of the strengths from every start, each within its bounds; none where the record sees nothing."""
-    strong, at = candidate.parameters.strengths, equations.at
-    found = [Screened(candidate, 0.0, candidate.default)]
+    """Screening by the gain of the linearised cost, with nuisance parameters and drifts free; the best first.
+
+    This is Rao's score test of each effect at every trial place.
+    """
+    equations = reduced_equations(linearization, residual)
+    peaks_hz, equations_with_lines = [], equations
+    if any(candidate.kind.grid_screened for candidate in candidates):
+        peaks_hz = peak_frequencies_hz(linearization, residual, PEAKS).tolist()
+        equations_with_lines = equations.with_lines()
+    screened = []
+    for candidate in candidates:
+        candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
+        starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
+        screened.append(max(starts, key=lambda item: item.gain))
+    return sorted(screened, key=lambda item: -item.gain)
+
+
+def peak_frequencies_hz(linearization: Linearization, residual: Residual, count: int) -> Float[np.ndarray, " lines"]:
+    """Frequencies of the lines that stand out most in the linear and the contact residuals."""
+    rows = np.concatenate(
+        [residual.linear, *(contact.residual[None, : residual.linear.shape[1]] for contact in residual.contacts)]
+    )
+    rate_hz = linearization.record.rate_hz
+    return rate_hz * sharpest_frequencies(rows, count, PEAK_BAND_HZ / rate_hz, linearization.record.repeats)
+
+
+def _strength_gains(
+    linearization: Linearization, equations: ReducedEquations, candidate: Candidate, peaks_hz: Sequence[float]
+) -> list[Screened]:
+    """Gains of the strengths at every start, within their bounds; none where the record shows no change."""
+    strengths, residual = candidate.parameters.strengths, equations.residual
+    screened = [Screened(candidate, 0.0, candidate.default)]
     starts: list[Float[np.ndarray, " parameters"]] = []
     columns: list[Column] = []
-    for start in candidate.starts(sharp_hz):
+    for start in candidate.starts(peaks_hz):
         with suppress(RigError):  # no such rig
-            own: list[Column] = []
-            for i in strong:
-                moved = start.copy()
-                moved[i] = start[i] + candidate.steps[i]
-                rig = candidate.applied(linearization.rig, moved)
-                own.append(attached(linearization, rig, at) or derivative(linearization, rig, at))
+            columns += strength_columns(linearization, residual, candidate, start)
             starts.append(start)
-            columns += own
-    normal = equations.joined(columns)
-    count = len(equations.gradient)
-    free = np.flatnonzero(np.abs(at.nuisance) < LIMIT - 1e-6)
-    inner = np.linalg.solve(normal.matrix[np.ix_(free, free)], normal.matrix[free, count:])
-    steps = candidate.steps[strong]
-    low, high = (ends[strong] for ends in candidate.parameters.bounds)
+    normal = equations.with_columns(columns)
+    nuisance_count = len(equations.gradient)
+    free_nuisance = np.flatnonzero(np.abs(residual.nuisance) < LIMIT - 1e-6)
+    response = np.linalg.solve(
+        normal.matrix[np.ix_(free_nuisance, free_nuisance)], normal.matrix[free_nuisance, nuisance_count:]
+    )
+    steps = candidate.steps[strengths]
+    low, high = (bound[strengths] for bound in candidate.parameters.bounds)
     for k, start in enumerate(starts):
-        mine = slice(count + k * len(strong), count + (k + 1) * len(strong))
-        solved = inner[:, mine.start - count : mine.stop - count]
-        curvature = normal.matrix[mine, mine] - normal.matrix[mine][:, free] @ solved
-        slope = normal.gradient[mine] - solved.T @ normal.gradient[free]
-        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[mine], 1.0)):
-            continue  # nothing moves there, as a force on a clamp
-        size = (np.clip(start[strong] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strong]) / steps
+        term = slice(nuisance_count + k * len(strengths), nuisance_count + (k + 1) * len(strengths))
+        term_response = response[:, term.start - nuisance_count : term.stop - nuisance_count]
+        curvature = normal.matrix[term, term] - normal.matrix[term][:, free_nuisance] @ term_response
+        slope = normal.gradient[term] - term_response.T @ normal.gradient[free_nuisance]
+        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[term], 1.0)):
+            continue  # without influence, such as a force on a clamp
+        step = (
+            np.clip(start[strengths] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strengths]
+        ) / steps
         values = start.copy()
-        values[strong] = start[strong] + size * steps
-        found.append(Screened(candidate, float(2 * slope @ size - size @ curvature @ size), values))
-    return found
+        values[strengths] = start[strengths] + step * steps
+        screened.append(Screened(candidate, float(2 * slope @ step - step @ curvature @ step), values))
+    return screened
 
 
 def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Screening by the linear residual over a grid of strengths and places, of what is too large for a slope.
+    """Screening by the linear residual over a grid of strengths and places, for effects too large for a slope.
 
-    Of effects that change the linear model, where a selection of lines tells it: not of a rig that rubs on the ground.
+    It holds for effects that change the linear model and need a selection of lines only: not with friction to the
+    ground.
     """
     if needs_every_line(linearization.rig):
         return []
-    thin = _thinned(linearization.record)
-    discrepancy, cache = linearization.scales.discrepancy[:, 1::THINNED], ResponseCache(thin.omega)
+    thinned_record = _thinned(linearization.record)
+    discrepancy, responses = linearization.scales.discrepancy[:, 1::LINE_STRIDE], ResponseCache(thinned_record.omega)
 
     def cost(rig: Rig) -> float:
-        model = linear_model(thin, rig, discrepancy, cache)
-        return THINNED * float(np.sum(np.abs(model.residual) ** 2))
+        model = linear_model(thinned_record, rig, discrepancy, responses)
+        return LINE_STRIDE * float(np.sum(np.abs(model.residual) ** 2))
 
-    before = cost(linearization.rig)
-    found = []
+    nominal_cost = cost(linearization.rig)
+    screened = []
     for candidate in candidates:
-        changed = candidate.applied(linearization.rig, candidate.default)
-        linear = not same_but_laws(linearization.rig, changed) and changed.loads == linearization.rig.loads
-        if not linear or candidate.kind.stochastic or needs_every_line(changed):
+        changed_rig = candidate.applied(linearization.rig, candidate.default)
+        has_linear_change = not same_but_laws(linearization.rig, changed_rig)
+        has_same_loads = changed_rig.loads == linearization.rig.loads
+        if not (has_linear_change and has_same_loads) or candidate.kind.stochastic or needs_every_line(changed_rig):
             continue
         costs = []
         for values in _grid(candidate):
@@ -126,44 +146,51 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
             except RigError:
                 continue
         if costs:
-            least, values = min(costs, key=lambda c: c[0])
-            found.append(Screened(candidate, before - least, values))
-    return sorted(found, key=lambda one: -one.gain)
+            least_cost, values = min(costs, key=lambda pair: pair[0])
+            screened.append(Screened(candidate, nominal_cost - least_cost, values))
+    return sorted(screened, key=lambda item: -item.gain)
 
 
-def of_laws(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
+def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that change contact laws alone."""
     return [c for c in candidates if same_but_laws(rig, c.applied(rig, c.default))]
 
 
-def law_screening(linearization: Linearization, fresh: Residual, candidates: Sequence[Candidate]) -> list[Screened]:
-    """Screening by the contact residuals over a grid of strengths, of effects `of_laws`, the best first; at a residual
-    whose slow motion followed no law yet.
+def law_screening(
+    linearization: Linearization, law_free_residual: Residual, candidates: Sequence[Candidate]
+) -> list[Screened]:
+    """Screening of `law_candidates` by the contact residuals over a grid of strengths; the best first.
 
-    A smaller clearance has no slope where the believed contact is open. The gain is that of a variance which is not
-    known, sum of n ln(mean square) over the contacts, as the slow motion errs more at one contact than at another.
+    `law_free_residual` is one whose slow motion follows no law yet. A smaller clearance has no slope where the nominal
+    contact is open. The gain is that for unknown variances, sum over contacts of n ln(mean square), as the error of the
+    slow motion differs between contacts.
     """
-    unknowns, before = tuple(c.unknowns for c in fresh.contacts), _scatter(fresh)
-    found = []
+    contact_unknowns, nominal_scatter = (
+        tuple(c.unknowns for c in law_free_residual.contacts),
+        _scatter(law_free_residual),
+    )
+    screened = []
     for candidate in candidates:
         values = candidate.starts()[0]
         best = Screened(candidate, 0.0, values)
         for strength in candidate.strengths(STRENGTHS):
-            tried = np.append(strength, values[1:])
+            trial_values = np.append(strength, values[1:])
             with suppress(RigError):  # no such law
-                rig = candidate.applied(linearization.rig, tried)
-                there = residual_of(linearization, rig, fresh.nuisance, unknowns, like=fresh)
-                best = max(best, Screened(candidate, before - _scatter(there), tried), key=lambda one: one.gain)
-        found.append(best)
-    return sorted(found, key=lambda one: -one.gain)
+                rig = candidate.applied(linearization.rig, trial_values)
+                nuisance = law_free_residual.nuisance
+                residual = residual_of(linearization, rig, nuisance, contact_unknowns, base=law_free_residual)
+                trial = Screened(candidate, nominal_scatter - _scatter(residual), trial_values)
+                best = max(best, trial, key=lambda item: item.gain)
+        screened.append(best)
+    return sorted(screened, key=lambda item: -item.gain)
 
 
-def _scatter(at: Residual) -> float:
-    return float(sum(c.residual.size * np.log(c.cost) for c in at.contacts))
+def _scatter(residual: Residual) -> float:
+    return float(sum(contact.residual.size * np.log(contact.cost) for contact in residual.contacts))
 
 
 def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
-    """Strengths within the bounds, at every place."""
+    """Parameter values on the grid of strengths within the bounds, at every place."""
     for place in candidate.starts():
         for strength in candidate.strengths(STRENGTHS):
             values = place.copy()
@@ -172,13 +199,82 @@ def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
 
 
 def _thinned(record: Record) -> Record:
-    some = slice(1, None, THINNED)
+    lines = slice(1, None, LINE_STRIDE)
     return replace(
         record,
-        omega=record.omega[some],
+        omega=record.omega[lines],
         windows_responses=False,
         **{
-            name: getattr(record, name)[..., some]
+            name: getattr(record, name)[..., lines]
             for name in ("forces", "delivered", "displaced", "faded", "noise", "power")
         },
     )
+
+
+def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) -> list[Screened]:
+    """Screening by the modes of a free decay, each effect at its best values; the best first, empty without modes."""
+    if not record.modes:
+        return []
+    nominal_cost = float(np.sum(mode_mismatch(record, rig) ** 2))
+    screened = []
+    for candidate in candidates:
+        if candidate.kind.stochastic or candidate.kind.grid_screened:
+            continue
+        screened += [
+            Screened(candidate, nominal_cost - cost, values) for cost, values in _cost_minima(record, rig, candidate)
+        ]
+    return sorted(screened, key=lambda item: -item.gain)
+
+
+def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
+    """Deviation z of the measured modes from a rig's, whitened by their errors and the tolerances."""
+    modes, tolerances = matched_modes(record.modes, rig), record.tolerances
+    mode_tolerances = [tolerances.of_mode(mode.body, mode.mode) for mode in modes]
+    is_same_body = np.equal.outer([mode.body for mode in modes], [mode.body for mode in modes])
+    frequency = np.diag(
+        [m.measured.frequency_error**2 + t.frequency**2 for m, t in zip(modes, mode_tolerances, strict=True)]
+    )
+    damping = np.diag([m.measured.damping_error**2 + t.damping**2 for m, t in zip(modes, mode_tolerances, strict=True)])
+    covariance = block_diag(
+        frequency + is_same_body * tolerances.frequency**2, damping + is_same_body * tolerances.damping**2
+    )
+    logarithms = np.array([mode.logarithms for mode in modes]).reshape(-1, 2)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), logarithms.T.ravel()))
+
+
+def _cost_minima(
+    record: Record, rig: Rig, candidate: Candidate
+) -> list[tuple[float, Float[np.ndarray, " parameters"]]]:
+    """Minima of the modes' cost, with their values, from the best strength at each of the best places.
+
+    Few modes may fit one mass at one place as well as another elsewhere; the mode shapes at the sensors decide later.
+    """
+
+    def mismatch(values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " mismatch"]:
+        return mode_mismatch(record, candidate.applied(rig, values))
+
+    low, high = candidate.parameters.bounds
+    starts = []
+    for place in candidate.starts():
+        fits = []
+        for strength in candidate.strengths(STRENGTHS):
+            values = np.append(strength, place[1:])
+            with suppress(RigError):
+                fits.append((float(np.sum(mismatch(values) ** 2)), values))
+        starts += [min(fits, key=_cost)] if fits else []
+    minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
+    options = {"diff_step": RELATIVE_STEP, "x_scale": high - low, "max_nfev": MAX_EVALUATIONS}
+    for start in sorted(starts, key=_cost)[:FOLLOWED_PLACES]:
+        minimum = start
+        with suppress(RigError, ValueError):
+            values = np.clip(start[1], low, high)
+            solution = least_squares(mismatch, values, bounds=(low, high), method="dogbox", **options)
+            minimum = 2 * float(solution.cost), solution.x
+        distances = [np.abs(minimum[1] - values) for _, values in minima]
+        if all(np.any(distance > DISTINCT_SHARE * (high - low)) for distance in distances):
+            minima.append(minimum)
+    return minima
+
+
+def _cost(fit: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
+    return fit[0]

@@ -1,4 +1,4 @@
-"""Single effects that no slope shows: screened over their whole range, fitted, the likeliest first."""
+"""Single effects too large for a slope: screened over their whole range, fitted, and ranked by likelihood."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
@@ -9,9 +9,9 @@ import numpy as np
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
-    WORTH,
+    MIN_GAIN,
+    FittedHypothesis,
     Search,
-    Tried,
     fit_afresh,
     fit_briefly,
     fit_effects,
@@ -19,134 +19,152 @@ from identify.gaps.search.hypothesis import (
     refined,
     reset_saturated_nuisance,
 )
-from identify.gaps.search.ringing_screening import ringing_screening
-from identify.gaps.search.screening import Screened, grid_screening, law_screening, of_laws, score_screening
+from identify.gaps.search.screening import (
+    Screened,
+    grid_screening,
+    law_candidates,
+    law_screening,
+    mode_screening,
+    score_screening,
+)
 from rig.errors import RigError
 
-BY_SCORE, BY_GRID, FRESH, BY_LAW, BY_MODES = 3, 2, 2, 1, 5
-"""So many candidates of each screening are fitted for a few steps."""
-KEPT, RIVAL = 3, 0.5
-"""So many of those are fitted to the end, if they gained this share of what the best one did."""
+BY_SCORE, BY_GRID, BY_LAW_SCORE, BY_LAW, BY_MODES = 3, 2, 2, 1, 5
+"""Numbers of candidates of each screening that are fitted for a few steps."""
+MAX_REFINED, RIVAL_GAIN = 3, 0.5
+"""Number of these that are refined, and share of the best one's gain that they must reach."""
 
 
-def _cost(tried: Tried) -> float:
-    return tried.cost
+def _cost_of(fit: FittedHypothesis) -> float:
+    return fit.cost
 
 
-class _Kept:
-    """The best few hypotheses of different effects, as each takes memory."""
+class _BestFits:
+    """Best few fits of different effects, as each takes much memory."""
 
     def __init__(self) -> None:
-        self.by_name: dict[str, Tried] = {}
+        self.by_name: dict[str, FittedHypothesis] = {}
 
-    def take(self, tried: Tried) -> None:
-        name = tried.hypothesis.parts[0].name
-        if name not in self.by_name or tried.cost < self.by_name[name].cost:
-            self.by_name[name] = tried
-        for worse in sorted(self.by_name, key=lambda n: self.by_name[n].cost)[KEPT:]:
-            del self.by_name[worse]
+    def take(self, fit: FittedHypothesis) -> None:
+        name = fit.hypothesis.candidates[0].name
+        if name not in self.by_name or fit.cost < self.by_name[name].cost:
+            self.by_name[name] = fit
+        for dropped_name in sorted(self.by_name, key=lambda n: self.by_name[n].cost)[MAX_REFINED:]:
+            del self.by_name[dropped_name]
 
 
-def single_effects(context: Search, nothing: Tried) -> list[Tried]:
-    """Single effects fitted to the end, the likeliest first."""
-    linearization, residual = context.linearization, reset_saturated_nuisance(context.at)
-    fresh = residual_of(linearization, linearization.rig, residual.nuisance)
-    steady = [c for c in context.known if not c.kind.stochastic]
-    laws = of_laws(linearization.rig, steady)
-    kept = _Kept()
-    for tried in chain(
-        _screened_fits(context, nothing, residual, fresh, steady, laws),
-        _law_fits(context, fresh, laws),
-        _spectrum_fits(context, nothing),
+def single_effects(context: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
+    """Refined fits of single effects, the likeliest first."""
+    linearization, residual = context.linearization, reset_saturated_nuisance(context.residual)
+    law_free_residual = residual_of(linearization, linearization.rig, residual.nuisance)
+    steady = [candidate for candidate in context.candidates if not candidate.kind.stochastic]
+    laws = law_candidates(linearization.rig, steady)
+    best_fits = _BestFits()
+    for fit in chain(
+        _screened_fits(context, nominal_fit, residual, law_free_residual, steady, laws),
+        _law_fits(context, law_free_residual, laws),
+        _spectrum_fits(context, nominal_fit),
     ):
-        kept.take(tried)
-    refined = _refined_all(context, _rivals(kept.by_name.values(), nothing))
-    if not min(refined, key=_cost, default=nothing).hypothesis.at_limit:
-        return refined
-    kept.by_name = {one.hypothesis.parts[0].name: one for one in refined}
-    for tried in _typical_fits(context, fresh, steady, laws):
-        kept.take(tried)
-    return sorted(kept.by_name.values(), key=_cost)
+        best_fits.take(fit)
+    refined_fits = _refined_all(context, _rivals(best_fits.by_name.values(), nominal_fit))
+    if not min(refined_fits, key=_cost_of, default=nominal_fit).hypothesis.at_limit:
+        return refined_fits
+    best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
+    for fit in _typical_fits(context, law_free_residual, steady, laws):
+        best_fits.take(fit)
+    return sorted(best_fits.by_name.values(), key=_cost_of)
 
 
 def _screened_fits(
     context: Search,
-    nothing: Tried,
+    nominal_fit: FittedHypothesis,
     residual: Residual,
-    fresh: Residual,
+    law_free_residual: Residual,
     steady: Sequence[Candidate],
     laws: Sequence[Candidate],
-) -> Iterator[Tried]:
-    """Fits of a few steps of the candidates that the screenings promise most of."""
+) -> Iterator[FittedHypothesis]:
+    """Brief fits of the candidates of which the screenings promise most."""
     linearization = context.linearization
     screened: Iterator[tuple[Screened, Residual | None]] = chain(
-        ((s, residual) for s in _by_score(linearization, residual, steady, nothing, BY_SCORE)),
-        ((s, fresh) for s in _worth(linearization, score_screening(linearization, fresh, laws), FRESH)),
-        ((s, None) for s in _worth(linearization, grid_screening(linearization, steady), BY_GRID)),
-        ((s, None) for s in ringing_screening(linearization.record, linearization.rig, steady)[:BY_MODES]),
+        ((s, residual) for s in _score_screened(linearization, residual, steady, nominal_fit, BY_SCORE)),
+        (
+            (s, law_free_residual)
+            for s in _worthwhile(linearization, score_screening(linearization, law_free_residual, laws), BY_LAW_SCORE)
+        ),
+        ((s, None) for s in _worthwhile(linearization, grid_screening(linearization, steady), BY_GRID)),
+        ((s, None) for s in mode_screening(linearization.record, linearization.rig, steady)[:BY_MODES]),
     )
-    for one, start in screened:
+    for item, start in screened:
         with suppress(RigError):
-            yield fit_briefly(context, (one.candidate,), one.values, start)
+            yield fit_briefly(context, (item.candidate,), item.values, start)
 
 
-def _law_fits(context: Search, fresh: Residual, laws: Sequence[Candidate]) -> Iterator[Tried]:
-    """Contact laws that the contact residual promises, far from where the believed law's scales hold."""
+def _law_fits(context: Search, law_free_residual: Residual, laws: Sequence[Candidate]) -> Iterator[FittedHypothesis]:
+    """Fits of contact laws that the contact residual promises, far from where the scales of the nominal law hold."""
     linearization = context.linearization
-    for one in _worth(linearization, law_screening(linearization, fresh, laws), BY_LAW):
+    for item in _worthwhile(linearization, law_screening(linearization, law_free_residual, laws), BY_LAW):
         with suppress(RigError):
-            yield fit_effects(context, (one.candidate,), one.values, fresh)
+            yield fit_effects(context, (item.candidate,), item.values, law_free_residual)
             if not linearization.record.forced:
-                yield fit_afresh(context, (one.candidate,), one.values)
+                yield fit_afresh(context, (item.candidate,), item.values)
 
 
-def _spectrum_fits(context: Search, nothing: Tried) -> Iterator[Tried]:
-    """Effects of which only the spectrum is known."""
-    for candidate in context.known:
-        if candidate.kind.stochastic and (shaken := fit_spectrum(context, nothing, candidate)):
-            yield shaken
+def _spectrum_fits(context: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
+    """Fits of effects that are known by their spectrum alone."""
+    for candidate in context.candidates:
+        if candidate.kind.stochastic and (fit := fit_spectrum(context, nominal_fit, candidate)):
+            yield fit
 
 
 def _typical_fits(
-    context: Search, fresh: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
-) -> Iterator[Tried]:
-    """Ratios and linear effects from their typical size, whatever they promise; those of single sensors left out."""
-    placed = [c for c in steady if "sensor" not in c.place]
-    for candidate in (c for c in placed if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
+    context: Search, law_free_residual: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
+) -> Iterator[FittedHypothesis]:
+    """Fits of ratios and linear effects from their typical size, those of single sensors left out."""
+    not_of_sensors = [c for c in steady if "sensor" not in c.place]
+    for candidate in (c for c in not_of_sensors if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
         with suppress(RigError):
-            yield fit_effects(context, (candidate,), candidate.default, fresh)
+            yield fit_effects(context, (candidate,), candidate.default, law_free_residual)
 
 
-def _worth(linearization: Linearization, screened: Sequence[Screened], most: int) -> list[Screened]:
-    """The best of a screening, as far as they are worth a fit."""
-    return [one for one in screened[:most] if one.gain > WORTH * linearization.record.sample_ratio]
+def _worthwhile(linearization: Linearization, screened: Sequence[Screened], count: int) -> list[Screened]:
+    """Best candidates of a screening, as far as they gain enough for a fit."""
+    return [item for item in screened[:count] if item.gain > MIN_GAIN * linearization.record.sample_ratio]
 
 
-def _by_score(
-    linearization: Linearization, residual: Residual, candidates: Sequence[Candidate], nominal: Tried, most: int
+def _score_screened(
+    linearization: Linearization,
+    residual: Residual,
+    candidates: Sequence[Candidate],
+    nominal_fit: FittedHypothesis,
+    count: int,
 ) -> list[Screened]:
-    """The best by score; and where lines stand out of what is left, a tone on each body, which raises one line only.
+    """Best candidates by score and, where lines stand out of the residual, a tone on each body.
 
-    Where much is left the best is worth a fit whatever it promises: scales that what is left made itself hide its gain.
+    Where the misfit is large the best candidate is fitted whatever it promises: scales that the misfit itself raised
+    hide its gain.
     """
-    found = score_screening(linearization, residual, candidates)
-    tones = [one for one in found if one.candidate.kind.grid_screened]
-    others = [one for one in found if not one.candidate.kind.grid_screened]
-    promising = _worth(linearization, others, most) or (others[:1] if nominal.hypothesis.leaves_something else [])
-    return promising + (tones if nominal.hypothesis.misfit.sharp > WORTH else [])
+    screened = score_screening(linearization, residual, candidates)
+    tones = [item for item in screened if item.candidate.kind.grid_screened]
+    steady = [item for item in screened if not item.candidate.kind.grid_screened]
+    promising = _worthwhile(linearization, steady, count) or (
+        steady[:1] if nominal_fit.hypothesis.is_incomplete else []
+    )
+    return promising + (tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 
 
-def _rivals(found: Iterable[Tried], before: Tried) -> list[Tried]:
-    """Fits that gained about as much as the best one."""
-    gains = [(before.cost - one.cost, one) for one in found]
-    least = max(WORTH / 2, RIVAL * max((gain for gain, _ in gains), default=0.0))
-    return [one for gain, one in gains if gain > least]
+def _rivals(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
+    """Fits whose gain is near that of the best one."""
+    gains = [(nominal_fit.cost - fit.cost, fit) for fit in fits]
+    min_gain = max(MIN_GAIN / 2, RIVAL_GAIN * max((gain for gain, _ in gains), default=0.0))
+    return [fit for gain, fit in gains if gain > min_gain]
 
 
-def _refined_all(context: Search, rivals: Iterable[Tried], least: float = np.inf) -> list[Tried]:
-    """The best to the end, the others as far as they stay near it."""
-    found = []
-    for one in sorted(rivals, key=_cost):
-        found.append(refined(context, one, least))
-        least = min(least, found[-1].cost)
-    return sorted(found, key=_cost)
+def _refined_all(
+    context: Search, rivals: Iterable[FittedHypothesis], best_cost: float = np.inf
+) -> list[FittedHypothesis]:
+    """Refined fits by cost; refinement ends for those that stay far above the best."""
+    refined_fits = []
+    for fit in sorted(rivals, key=_cost_of):
+        refined_fits.append(refined(context, fit, best_cost))
+        best_cost = min(best_cost, refined_fits[-1].cost)
+    return sorted(refined_fits, key=_cost_of)

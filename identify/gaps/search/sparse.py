@@ -1,19 +1,19 @@
-"""The search for any number of effects: joint sparse selection in the local model, refined by fits of the set.
+"""Search for any number of effects: joint sparse selection in the local model, refined by fits of the set.
 
 Notes for maintainers
 1. Select (`selected`): from the local model about the fitted rig, candidates enter one at a time, the six that promise
-   most solved with all others free; one enters if S falls by `WORTH`, one leaves if S then rises by less. A candidate
-   may stand at two places of a body (two cables are two masses).
+   most solved with all others free. One enters if S falls by `MIN_GAIN`; one leaves if S then rises by less. A
+   candidate may stand at two places of a body (two cables are two masses).
 2. Refine (`refined_set`): the whole set is fitted by Gauss-Newton, the local model is made anew about it, and more is
-   selected beside it, until nothing enters or a fit does not lower S by `GAINED`. Where nothing is selected, the three
-   that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
-3. Begin elsewhere (`_begun_by_single`): where a set leaves more than half of the mismatch, an effect is so large, or a
-   line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range. A free decay
-   whose modes are told begins so at once: no slope leads from one resonance to another.
-4. Leave out (`without_each`): linear removal of strong effects misleads, so the set is fitted again without each of its
-   members. A member without which S rises by less than `WORTH` leaves the set. Then members leave one after the other,
-   the least first, so that the record that was not fitted may ask for fewer.
-5. Exchange (`_exchanged`): about the set without a member, the candidate that then lowers S most is fitted in its
+   selected beside it, until nothing enters or a fit does not lower S by `MIN_REFINED_GAIN`. Where nothing is selected,
+   the three that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
+3. Start from a single effect (`_started_from_single`): where a set leaves more than half of the mismatch, an effect is
+   so large, or a line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range.
+   A free decay whose modes are known starts so at once: no slope leads from one resonance to another.
+4. Leave out (`reduced_sets`): linear removal of strong effects misleads, so the set is fitted again without each of its
+   members. A member without which S rises by less than `MIN_GAIN` leaves the set. Then members leave one after the
+   other, the least important first, so that the record that was not fitted may demand fewer.
+5. Exchange (`_look_alike_fit`): about the set without a member, the candidate that then lowers S most is fitted in its
    place, so that look-alikes are compared on the record that was not fitted.
 """
 
@@ -24,39 +24,40 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.search.candidates import Candidate, joins
+from identify.gaps.search.candidates import Candidate, is_possible
 from identify.gaps.search.hypothesis import (
-    FAR,
-    WORTH,
+    MAX_EXCESS_COST,
+    MIN_GAIN,
+    FittedHypothesis,
     Hypothesis,
     Search,
-    Tried,
-    beside,
+    combined,
     fit_briefly,
     fit_spectrum,
     refined,
     reset_saturated_nuisance,
 )
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
-from identify.gaps.search.nominal import fitted
+from identify.gaps.search.nominal import fitted_nuisance
 from identify.gaps.search.singles import single_effects
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
 from rig.model.description import Rig
 
-SOLVED = 6
-"""Candidates solved for each entry: those that promise most, at two places of an effect at most."""
-PLACES = 2
+SOLVED_CANDIDATES = 6
+"""Candidates solved for each entry, those that promise most."""
+PLACES_PER_CANDIDATE = 2
+"""Places of one candidate among these at most."""
 LARGEST_SET = 8
-SAME_PLACE = 2
+MAX_EQUAL_EFFECTS = 2
 """Effects of one kind on one body at most."""
 ROUNDS = 4
-GAINED = 3.0
-"""A refined set must lower S by so much, or the last one stands: odds of e^(3/12) on this record."""
-HINT, HINTS = WORTH / 3, 3
-"""So many candidates that gain so much less than `WORTH` in the local model are fitted all the same."""
-DOMINANT = 0.5
-"""A set that leaves more than this share of the mismatch is tried against one that begins with a single effect."""
+MIN_REFINED_GAIN = 3.0
+"""Decrease of S below which a refined set is dropped: odds of e^(3/12) on this record."""
+HINT_GAIN, MAX_HINTS = MIN_GAIN / 3, 3
+"""Gain in the local model from which a candidate is fitted if none gains `MIN_GAIN`; number at most."""
+DOMINANT_SHARE = 0.5
+"""Share of the mismatch above which a set is compared with one that starts from a single effect."""
 
 Progress = Callable[[float], None]
 Values = Float[np.ndarray, " _"]
@@ -65,237 +66,252 @@ Values = Float[np.ndarray, " _"]
 
 @dataclass(frozen=True)
 class Selection:
-    """Candidates chosen in a local model with the values of their parameters. hints are those that gain something,
-    though less than is asked for."""
+    """Candidates chosen in a local model with the values of their parameters; hints gain too little to be chosen."""
 
-    parts: tuple[Candidate, ...]
+    candidates: tuple[Candidate, ...]
     values: tuple[Values, ...]
     hints: tuple[tuple[Candidate, Values], ...] = ()
 
 
 def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
-    """The nominal rig, the best set of effects, that set without each of its members, and its look-alikes.
+    """Hypotheses by their -2 ln p on this record, least first.
 
-    The one of least -2 ln p on this record first.
+    These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
-    nominal = context.nothing()
+    nominal = context.nominal_fit()
     best = nominal if context.linearization.record.modes else _refined_from(context, nominal)
     progress(0.4)
-    best = _begun_by_single(context, nominal, best)
+    best = _started_from_single(context, nominal, best)
     progress(0.6)
-    best, others = without_each(context, _with_base_motion(context, best))
+    best, variants = reduced_sets(context, _with_base_motion(context, best))
     progress(1.0)
-    hypotheses = (nominal.hypothesis, best.hypothesis, *others)
+    hypotheses = (nominal.hypothesis, best.hypothesis, *variants)
     return sorted({h.key: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
-def _refined_from(context: Search, start: Tried) -> Tried:
-    """The set that rounds of selection and refinement end at."""
+def _refined_from(context: Search, start: FittedHypothesis) -> FittedHypothesis:
+    """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
         start, lambda best: refined_set(context, best), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
-def _begun_by_single(context: Search, nominal: Tried, best: Tried) -> Tried:
-    """The better of a set and one that begins with the best single effect, where the set leaves most of the misfit, or
-    the record tells modes."""
-    before, after = nominal.hypothesis.misfit, best.hypothesis.misfit
+def _started_from_single(context: Search, nominal: FittedHypothesis, best: FittedHypothesis) -> FittedHypothesis:
+    """Better one of a set and of the set started from the best single effect.
+
+    The latter is made where the former leaves most of the misfit or, if the modes of a decay are known, any of it.
+    """
+    nominal_misfit, set_misfit = nominal.hypothesis.misfit, best.hypothesis.misfit
     if context.linearization.record.modes:
-        leaves_most = best.hypothesis.leaves_something
+        is_mostly_unexplained = best.hypothesis.is_incomplete
     else:
-        leaves_most = after.sharp > WORTH or after.excess >= max(FAR, DOMINANT * before.excess)
-    singles = single_effects(context, nominal) if leaves_most else []
+        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess)
+        is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess >= dominant_excess
+    singles = single_effects(context, nominal) if is_mostly_unexplained else []
     if not singles or singles[0].cost >= best.cost:
         return best
-    first, *_ = singles
-    return _with_set_beside(context, first) if _is_stochastic(first.hypothesis) else _refined_from(context, first)
+    likeliest = singles[0]
+    is_base_motion = _is_stochastic(likeliest.hypothesis)
+    return _base_motion_with_set(context, likeliest) if is_base_motion else _refined_from(context, likeliest)
 
 
 def _is_stochastic(hypothesis: Hypothesis) -> bool:
-    return any(part.kind.stochastic for part in hypothesis.parts)
+    return any(candidate.kind.stochastic for candidate in hypothesis.candidates)
 
 
-def _with_set_beside(context: Search, base: Tried) -> Tried:
-    """A base motion, and the set beside it, searched on the shaken rig: a spectrum is not fitted by Gauss-Newton."""
-    shaken = _search_about(context, base, [c for c in context.known if not c.kind.stochastic])
-    settled = _refined_from(shaken, shaken.nothing())
-    return Tried(beside(base, settled), settled.linearization, settled.residual) if settled.hypothesis.parts else base
+def _base_motion_with_set(context: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
+    """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
+    shaken_search = _search_about_set(context, base_motion, [c for c in context.candidates if not c.kind.stochastic])
+    best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
+    if not best_set.hypothesis.candidates:
+        return base_motion
+    return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
-def _search_about(context: Search, tried: Tried, candidates: Sequence[Candidate]) -> Search:
-    """A search whose nominal rig is that of a fitted set."""
-    rig = tried.hypothesis.applied_to(context.linearization.rig)
-    return Search(context.reference, *_about(tried, rig), tuple(candidates))
+def _search_about_set(context: Search, fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
+    """Search whose nominal rig is that of a fitted set."""
+    rig = fit.hypothesis.applied_to(context.linearization.rig)
+    return Search(context.reference, *_relinearized(fit, rig), tuple(candidates))
 
 
-def refined_set(context: Search, best: Tried) -> Tried:
-    """The set with what the local model selects beside it, fitted together; itself where nothing more is worth it."""
-    if not best.hypothesis.leaves_something:
+def refined_set(context: Search, best: FittedHypothesis) -> FittedHypothesis:
+    """Set fitted together with what the local model selects beside it; the set itself where that gains too little."""
+    if not best.hypothesis.is_incomplete:
         return best
-    linearization, residual, model = _model_about(context, best)
+    linearization, residual, model = _local_model_of(context, best)
     selection = selected(model, best.hypothesis)
-    more = [(selection.parts, selection.values)] if selection.parts else [((c,), (v,)) for c, v in selection.hints]
-    fits = (_fitted_beside(context, best.hypothesis, *one, residual, linearization) for one in more)
-    brief = min((one for one in fits if one is not None), key=lambda one: one.cost, default=None)
-    asked = GAINED if selection.parts else WORTH
-    if brief is None or (not selection.parts and best.cost - brief.cost <= asked):
+    hints = [((candidate,), (values,)) for candidate, values in selection.hints]
+    additions = [(selection.candidates, selection.values)] if selection.candidates else hints
+    fits = (_brief_fit_with(context, best.hypothesis, *addition, residual, linearization) for addition in additions)
+    brief_fit = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
+    min_gain = MIN_REFINED_GAIN if selection.candidates else MIN_GAIN
+    if brief_fit is None or (not selection.candidates and best.cost - brief_fit.cost <= min_gain):
         return best
-    better = refined(context, brief)
-    return better if best.cost - better.cost > asked else best
+    refined_fit = refined(context, brief_fit)
+    return refined_fit if best.cost - refined_fit.cost > min_gain else best
 
 
-def _model_about(context: Search, tried: Tried) -> tuple[Linearization, Residual, LocalModel]:
-    """The local model about a fitted set, of every candidate that its rig can have beside."""
-    rig = tried.hypothesis.applied_to(context.linearization.rig)
-    linearization, residual = _about(tried, rig)
-    steady = [c for c in context.known if not (c.kind.stochastic or c.kind.grid_screened) and joins(c, rig)]
-    nominal, present = context.linearization.rig, tried.hypothesis
+def _local_model_of(context: Search, fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
+    """Local model about a fitted set, with every further candidate that its rig can have."""
+    rig = fit.hypothesis.applied_to(context.linearization.rig)
+    linearization, residual = _relinearized(fit, rig)
+    steady = [c for c in context.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
+    nominal, present = context.linearization.rig, fit.hypothesis
     return linearization, residual, local_model(linearization, residual, context.reference, nominal, present, steady)
 
 
-def _fitted_beside(
+def _brief_fit_with(
     context: Search,
     present: Hypothesis,
-    parts: tuple[Candidate, ...],
+    candidates: tuple[Candidate, ...],
     values: tuple[Values, ...],
-    at: Residual,
+    residual: Residual,
     linearization: Linearization,
-) -> Tried | None:
-    """A set with more members, fitted for a few steps; None where no rig has them all."""
-    together = np.concatenate([present.values, *values])
+) -> FittedHypothesis | None:
+    """Fit of a set with further members by a few steps; None where no rig has them all."""
+    start_values = np.concatenate([present.values, *values])
     try:
-        return fit_briefly(context, (*present.parts, *parts), together, reset_saturated_nuisance(at), linearization)
+        return fit_briefly(
+            context, (*present.candidates, *candidates), start_values, reset_saturated_nuisance(residual), linearization
+        )
     except RigError:
         return None
 
 
-def _about(tried: Tried, rig: Rig) -> tuple[Linearization, Residual]:
-    """A fitted set linearised about its own rig, tolerances fitted there."""
-    linearization = tried.linearization.about(rig, tried.residual, tried.linearization.scales)
-    return linearization, fitted(linearization, tried.residual).residual
+def _relinearized(fit: FittedHypothesis, rig: Rig) -> tuple[Linearization, Residual]:
+    """Linearisation about the rig of a fitted set, with the tolerances fitted in it."""
+    linearization = fit.linearization.relinearized(rig, fit.residual, fit.linearization.scales)
+    return linearization, fitted_nuisance(linearization, fit.residual).residual
 
 
 def selected(model: LocalModel, present: Hypothesis) -> Selection:
-    """The candidates that together lower S most, each by `WORTH` or more beside the others."""
+    """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
     chosen: list[CandidateTerm] = []
     solution = model.solved(chosen)
     hints: tuple[tuple[Candidate, Values], ...] = ()
-    while len(present.parts) + len(chosen) < LARGEST_SET:
+    while len(present.candidates) + len(chosen) < LARGEST_SET:
         promising = _promising(model, chosen, present, solution)
-        tried = [(model.solved([*chosen, term], solution.theta), term) for term in promising]
-        if not tried:
+        trials = [(model.solved([*chosen, term], solution.theta), term) for term in promising]
+        if not trials:
             break
-        better, term = min(tried, key=lambda pair: pair[0].statistic)
-        if solution.statistic - better.statistic < WORTH:
-            hints = _hints(tried, solution)
+        best_trial, term = min(trials, key=lambda pair: pair[0].statistic)
+        if solution.statistic - best_trial.statistic < MIN_GAIN:
+            hints = _hints(trials, solution)
             break
-        dominates = solution.statistic - better.statistic > FAR
-        chosen, solution = _pruned(model, [*chosen, term], better)
-        if dominates:  # so large a change bends the model: it is fitted before others are selected
+        dominates = solution.statistic - best_trial.statistic > MAX_EXCESS_COST
+        chosen, solution = _pruned(model, [*chosen, term], best_trial)
+        if dominates:  # the local model does not hold that far: fit first, then select further
             break
     return Selection(
         tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
     )
 
 
-def _hints(tried: Sequence[tuple[Solution, CandidateTerm]], before: Solution) -> tuple[tuple[Candidate, Values], ...]:
-    """The best candidates that gain `HINT`, each at one place."""
-    ranked = sorted(tried, key=lambda pair: pair[0].statistic)
-    worth = {
+def _hints(trials: Sequence[tuple[Solution, CandidateTerm]], current: Solution) -> tuple[tuple[Candidate, Values], ...]:
+    """Best candidates that gain `HINT_GAIN`, each at one place."""
+    ranked = sorted(trials, key=lambda pair: pair[0].statistic)
+    hints = {
         term.candidate.name: (term.candidate, term.values(solution.theta))
         for solution, term in reversed(ranked)
-        if before.statistic - solution.statistic > HINT
+        if current.statistic - solution.statistic > HINT_GAIN
     }
-    return tuple(reversed(worth.values()))[:HINTS]
+    return tuple(reversed(hints.values()))[:MAX_HINTS]
 
 
 def _promising(
     model: LocalModel, chosen: Sequence[CandidateTerm], present: Hypothesis, solution: Solution
 ) -> list[CandidateTerm]:
-    """The terms that promise most, at most `PLACES` of any candidate and none too often in the set."""
-    taken = [*present.parts, *(term.candidate for term in chosen)]
+    """Terms that promise most: of each candidate at most `PLACES_PER_CANDIDATE`, and none too often in the set."""
+    selected_candidates = [*present.candidates, *(term.candidate for term in chosen)]
     promised = model.promised(chosen, solution)
-    found: list[CandidateTerm] = []
+    promising_terms: list[CandidateTerm] = []
     for k in np.argsort(-promised):
         term = model.terms[k]
-        same = [c for c in taken if c.name == term.candidate.name]
-        most = SAME_PLACE if len(term.candidate.parameters) > len(term.strengths) else 1
-        if len(found) == SOLVED or promised[k] <= 0:
+        equal_candidates = [c for c in selected_candidates if c.name == term.candidate.name]
+        max_equal = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
+        if len(promising_terms) == SOLVED_CANDIDATES or promised[k] <= 0:
             break
-        if len(same) < most and sum(f.candidate is term.candidate for f in found) < PLACES:
-            found.append(term)
-    return found
+        places = sum(item.candidate is term.candidate for item in promising_terms)
+        if len(equal_candidates) < max_equal and places < PLACES_PER_CANDIDATE:
+            promising_terms.append(term)
+    return promising_terms
 
 
 def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) -> tuple[list[CandidateTerm], Solution]:
-    """Set without the members that the others have made superfluous."""
+    """Set without the members that the others have made superfluous, and its solution."""
     for term in chosen[:-1]:
-        rest = [other for other in chosen if other is not term]
-        without = model.solved(rest, solution.theta)
-        if without.statistic - solution.statistic < WORTH:
-            chosen, solution = rest, without
+        remaining_terms = [item for item in chosen if item is not term]
+        reduced_solution = model.solved(remaining_terms, solution.theta)
+        if reduced_solution.statistic - solution.statistic < MIN_GAIN:
+            chosen, solution = remaining_terms, reduced_solution
     return chosen, solution
 
 
-def without_each(context: Search, best: Tried) -> tuple[Tried, list[Hypothesis]]:
-    """The set, less members that are not worth it; and it fitted again without each of those that stay, with a
-    look-alike in the place of each, and without the least two, three and so on."""
-    parts = best.hypothesis.parts
-    if not parts or _is_stochastic(best.hypothesis):
+def reduced_sets(context: Search, best: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
+    """Best set without members that gain too little, and its variants.
+
+    The variants are the set without each member, with a look-alike in the place of each, and without the two, three and
+    more least important ones.
+    """
+    candidates = best.hypothesis.candidates
+    if not candidates or _is_stochastic(best.hypothesis):
         return best, []
-    every = range(len(parts))
+    indices = range(len(candidates))
     costs: list[float] = []
     hypotheses: list[Hypothesis] = []
-    for k in every:
-        without = _with_members(context, best, [i for i in every if i != k])
-        if len(parts) > 1 and without.cost - best.cost < WORTH:
-            return without_each(context, without)
-        costs.append(without.cost)
-        hypotheses.append(without.hypothesis)
-        if (exchanged := _exchanged(context, without, parts[k], best)) is not None:
-            hypotheses.append(exchanged.hypothesis)
+    for k in indices:
+        reduced_fit = _subset_fit(context, best, [i for i in indices if i != k])
+        if len(candidates) > 1 and reduced_fit.cost - best.cost < MIN_GAIN:
+            return reduced_sets(context, reduced_fit)
+        costs.append(reduced_fit.cost)
+        hypotheses.append(reduced_fit.hypothesis)
+        if (alternative_fit := _look_alike_fit(context, reduced_fit, candidates[k], best)) is not None:
+            hypotheses.append(alternative_fit.hypothesis)
     order = np.argsort(costs)  # the least important first
-    for leaving in range(2, len(parts)):
-        rest = sorted(order[leaving:].tolist())
-        hypotheses.append(_with_members(context, best, rest).hypothesis)
+    for dropped_count in range(2, len(candidates)):
+        retained = sorted(order[dropped_count:].tolist())
+        hypotheses.append(_subset_fit(context, best, retained).hypothesis)
     return best, hypotheses
 
 
-def _exchanged(context: Search, without: Tried, member: Candidate, best: Tried) -> Tried | None:
-    """The set with what stands best in a member's place; None where nothing comes near it."""
-    linearization, residual, model = _model_about(context, without)
+def _look_alike_fit(
+    context: Search, reduced_fit: FittedHypothesis, member: Candidate, best: FittedHypothesis
+) -> FittedHypothesis | None:
+    """Set with the best look-alike in a member's place; None where its cost is far above the best."""
+    linearization, residual, model = _local_model_of(context, reduced_fit)
     nominal = model.solved([])
-    others = [t for t in _promising(model, [], without.hypothesis, nominal) if t.candidate.name != member.name]
-    solved = [(model.solved([term], nominal.theta), term) for term in others]
-    if not solved:
+    look_alikes = [t for t in _promising(model, [], reduced_fit.hypothesis, nominal) if t.candidate.name != member.name]
+    trials = [(model.solved([term], nominal.theta), term) for term in look_alikes]
+    if not trials:
         return None
-    solution, term = min(solved, key=lambda pair: pair[0].statistic)
+    solution, term = min(trials, key=lambda pair: pair[0].statistic)
     values = (term.values(solution.theta),)
-    brief = _fitted_beside(context, without.hypothesis, (term.candidate,), values, residual, linearization)
-    if brief is None or brief.cost > best.cost + FAR:
+    brief_fit = _brief_fit_with(context, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
+    if brief_fit is None or brief_fit.cost > best.cost + MAX_EXCESS_COST:
         return None
-    return refined(context, brief, best.cost)
+    return refined(context, brief_fit, best.cost)
 
 
-def _with_members(context: Search, best: Tried, members: Sequence[int]) -> Tried:
-    """Some members of the set, fitted again without the others; the nominal rig where there are none."""
+def _subset_fit(context: Search, best: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
+    """Fit of some members of the set without the others; the nominal rig where there are none."""
     if not members:
-        return context.nothing()
-    parts, values = best.hypothesis.parts, best.hypothesis.split()
-    rest = tuple(parts[k] for k in members)
+        return context.nominal_fit()
+    candidates, values = best.hypothesis.candidates, best.hypothesis.split()
+    subset = tuple(candidates[k] for k in members)
     start = reset_saturated_nuisance(best.residual)
-    brief = fit_briefly(context, rest, np.concatenate([values[k] for k in members]), start, best.linearization)
-    return refined(context, brief, best.cost)
+    brief_fit = fit_briefly(context, subset, np.concatenate([values[k] for k in members]), start, best.linearization)
+    return refined(context, brief_fit, best.cost)
 
 
-def _with_base_motion(context: Search, best: Tried) -> Tried:
-    """A base motion beside the settled set, where its own likelihood is strong."""
-    stochastic = [c for c in context.known if c.kind.stochastic]
-    if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.leaves_something:
+def _with_base_motion(context: Search, best: FittedHypothesis) -> FittedHypothesis:
+    """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
+    stochastic = [c for c in context.candidates if c.kind.stochastic]
+    if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.is_incomplete:
         return best
-    about = _search_about(context, best, ())
+    search_about_set = _search_about_set(context, best, ())
     for candidate in stochastic:
-        shaken = fit_spectrum(about, about.nothing(), candidate)
-        if shaken and best.cost - shaken.cost > WORTH:
-            return Tried(beside(best, shaken), shaken.linearization, shaken.residual)
+        base_motion_fit = fit_spectrum(search_about_set, search_about_set.nominal_fit(), candidate)
+        if base_motion_fit and best.cost - base_motion_fit.cost > MIN_GAIN:
+            hypothesis = combined(best, base_motion_fit)
+            return FittedHypothesis(hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
     return best

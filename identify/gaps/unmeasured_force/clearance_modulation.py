@@ -1,6 +1,7 @@
-"""A contact whose clearance changes during the record: by what, and at which frequency.
+"""Harmonic change of a contact's clearance during the record: its amplitude and frequency.
 
-While a contact presses, its residual force r over the law's tangent k is a change of its clearance, -sign(depth) r / k.
+While a contact is pressed, its residual force r over the law's tangent stiffness k is a change of its clearance,
+-sign(eta) r / k with the relative displacement eta.
 """
 
 from dataclasses import dataclass
@@ -16,16 +17,17 @@ from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
 LOWEST_HZ = 0.2
-STEEP = 0.5
-"""A contact presses where its tangent, low-passed, is this share of its largest."""
-LEAST = 0.3
-"""A harmonic change is named if it makes this share of the clearance's changes; chance makes a hundredth."""
-FEW = 50
+PRESSED_SHARE = 0.5
+"""A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest."""
+NAMED_SHARE = 0.3
+"""Share of the variance of the clearance from which a harmonic change is named; chance makes a hundredth."""
+FEWEST_SAMPLES = 50
+"""Count of pressed samples below which a contact is not analysed."""
 
 
 @dataclass(frozen=True)
 class ClearanceModulation:
-    """A clearance that swings: amplitude and frequency, and the share of the clearance's changes that this is."""
+    """Harmonic change of a clearance; share is its part of the variance of the clearance while pressed."""
 
     contact: str
     amplitude_m: float
@@ -33,7 +35,7 @@ class ClearanceModulation:
     share: float
 
     def described(self, contact: Contact) -> UnmeasuredForce:
-        """Description in the words of gap.json."""
+        """Entry of gap.json, as an unmeasured force of the kind "contact"."""
         size = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
         return UnmeasuredForce(
             sentence=f"the clearance of {self.contact} swings by {size}",
@@ -52,27 +54,30 @@ class ClearanceModulation:
         )
 
 
-def clearance_modulation(record: Record, at: Residual) -> ClearanceModulation | None:
-    """The contact whose clearance swings most clearly; None if none does."""
-    found = [_of(record, c.name, contact) for c, contact in zip(at.model.rig.contacts, at.contacts, strict=True)]
-    clear = [b for b in found if b is not None and b.share > LEAST]
-    return max(clear, key=lambda b: b.share, default=None)
+def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulation | None:
+    """Modulation with the largest share among the contacts; None if none reaches `NAMED_SHARE`."""
+    modulations = [
+        _contact_modulation(record, c.name, contact)
+        for c, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
+    ]
+    named = [modulation for modulation in modulations if modulation is not None and modulation.share > NAMED_SHARE]
+    return max(named, key=lambda modulation: modulation.share, default=None)
 
 
-def _of(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
-    """Modulation by the periodogram of the samples at which the contact presses, refined about its peak."""
-    weights = contact.seen.weights
-    tangent, side, _ = contact.slopes.sum(axis=1)
-    pressed = (weights > 0) & (tangent > STEEP * max(float(tangent.max()), 1e-300))
-    if np.count_nonzero(pressed) < FEW:
+def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
+    """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
+    weights = contact.observation.weights
+    tangent, signed_slope_n_per_m, _ = contact.slopes.sum(axis=1)
+    pressed = (weights > 0) & (tangent > PRESSED_SHARE * max(float(tangent.max()), 1e-300))
+    if np.count_nonzero(pressed) < FEWEST_SAMPLES:
         return None
     time_s = record.time_s[pressed]
-    left_n = contact.residual[: weights.size][pressed] / weights[pressed]
-    change_m = -left_n * side[pressed] / tangent[pressed] ** 2
+    residual_force_n = contact.residual[: weights.size][pressed] / weights[pressed]
+    change_m = -residual_force_n * signed_slope_n_per_m[pressed] / tangent[pressed] ** 2
     resolution_hz = 1 / (time_s[-1] - time_s[0])
     hz, shares = _periodogram(change_m, pressed, record.rate_hz)
-    near = hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    fits = [_harmonic(time_s, change_m, f) for f in near if f > 0]
+    trial_hz = hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
+    fits = [_harmonic(time_s, change_m, f) for f in trial_hz if f > 0]
     share, amplitude_m, frequency_hz = max(fits)
     return ClearanceModulation(name, amplitude_m, frequency_hz, share)
 
@@ -80,8 +85,10 @@ def _of(record: Record, name: str, contact: ContactResidual) -> ClearanceModulat
 def _periodogram(
     change_m: Float[np.ndarray, " taken"], pressed: Bool[np.ndarray, " times"], rate_hz: float
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
-    """Frequencies, and the share of the square of some even samples less their mean that a harmonic makes (Lomb,
-    Astrophys. Space Sci. 39, 1976). With Y their transform, W that of ones in their places, both zero elsewhere,
+    """Frequencies (Hz), and the share of the samples' variance that a harmonic at each explains.
+
+    The samples lie at some places of a uniform grid (Lomb, Astrophys. Space Sci. 39, 1976). With the transforms Y of
+    the samples y less their mean, and W of ones in their places, both zero elsewhere, the share is
 
         2 (W(0) |Y|^2 - Re(W(2 f) conj(Y)^2)) / (W(0)^2 - |W(2 f)|^2) / sum y^2
     """
@@ -90,17 +97,19 @@ def _periodogram(
     length = next_fast_len(3 * pressed.size, real=True)
     ones, transform = rfft(pressed.astype(float), length), rfft(centred, length)
     lines = np.arange(int(np.ceil(LOWEST_HZ * length / rate_hz)), length // 4)
-    count, twice, y = float(ones[0].real), ones[2 * lines], transform[lines]
-    fitted = 2 * (count * np.abs(y) ** 2 - (twice * y.conj() ** 2).real) / (count**2 - np.abs(twice) ** 2)
+    count, ones_at_double, y = float(ones[0].real), ones[2 * lines], transform[lines]
+    fitted = (
+        2 * (count * np.abs(y) ** 2 - (ones_at_double * y.conj() ** 2).real) / (count**2 - np.abs(ones_at_double) ** 2)
+    )
     return lines * rate_hz / length, fitted / max(float(centred @ centred), 1e-300)
 
 
 def _harmonic(
     time_s: Float[np.ndarray, " times"], change_m: Float[np.ndarray, " times"], hz: float
 ) -> tuple[float, float, float]:
-    """Share of the variance, amplitude and frequency of the harmonic that fits best beside a mean."""
+    """Share of the variance, amplitude and frequency of a harmonic at hz, fitted by least squares with a mean."""
     angle = 2 * np.pi * hz * time_s
     columns = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    found = np.linalg.lstsq(columns, change_m, rcond=None)[0]
-    left = float(np.var(change_m - columns @ found))
-    return 1 - left / max(float(np.var(change_m)), 1e-300), float(np.hypot(*found[1:])), float(hz)
+    coefficients = np.linalg.lstsq(columns, change_m, rcond=None)[0]
+    residual_variance = float(np.var(change_m - columns @ coefficients))
+    return 1 - residual_variance / max(float(np.var(change_m)), 1e-300), float(np.hypot(*coefficients[1:])), float(hz)

@@ -1,13 +1,13 @@
-"""Evidence J for an unmeasured force: how much better it explains a record.
+"""Evidence J of a record for an unmeasured force: -2 ln L of the whitened residual with and without the force.
 
-With the direction u = g / |g| of a candidate's residual g and its share t = u^H (r - D theta) of the residual,
+With the direction u = g / |g| of the response g to a unit force, and t = u^H (r - D theta), the residual along it,
 
     J = n sum over lines [(R - 1) ln s + Q / s + ln(s + S |g|^2) + |t|^2 / (s + S |g|^2) + 2 Re tr' theta]
         + theta' theta
 
-is -2 ln L up to a constant: the force has the spectrum S and what nothing explains the variance s, both constant in
-bands of 2 Hz (s is one where a line has one row only, which cannot tell it from S); Q = |r - D theta|^2 - |t|^2, R rows
-a line, n independent real values a line. s, S and theta take turns.
+is -2 ln L up to a constant. The force has the spectrum S and the unexplained rest the variance s, both constant in
+bands of 2 Hz (s = 1 where a line has one row only, which cannot separate it from S); Q = |r - D theta|^2 - |t|^2, with
+R rows and n independent real values a line. J is minimised over s and S in turn with theta.
 """
 
 from dataclasses import dataclass
@@ -16,162 +16,184 @@ import numpy as np
 from jaxtyping import Complex, Float
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unmeasured_force.observed import WhitenedRecord
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 
 ROUNDS, SCORINGS = 4, 5
-"""Of s and S in turn with theta; of Fisher scoring within each."""
-LEAST = 1e-12
+"""Rounds of s and S in turn with theta; steps of Fisher scoring within each."""
+VARIANCE_FLOOR = 1e-12
 
 
 @dataclass(frozen=True)
-class Explained:
-    """A record with one candidate: J, nuisances in their tolerances, s and S by band, and the residual's share t.
+class ForceEvidence:
+    """J at its minimum, with the estimates there; without a force S, |g| and t are zero.
 
-    Without a candidate S is zero, and so is t.
+    criterion is J, theta the nuisance parameters in tolerances, noise s and spectrum S by band, response_norm |g| and
+    projection t by line.
     """
 
     criterion: float
     theta: Float[np.ndarray, " columns"]
     noise: Float[np.ndarray, " bands"]
     spectrum: Float[np.ndarray, " bands"]
-    size: Float[np.ndarray, " lines"]
-    along: Complex[np.ndarray, " lines"]
+    response_norm: Float[np.ndarray, " lines"]
+    projection: Complex[np.ndarray, " lines"]
 
 
-def solved(
-    matrix: Float[np.ndarray, "columns columns"], rest: Float[np.ndarray, "columns"]
+def _solve_positive_definite(
+    matrix: Float[np.ndarray, "columns columns"], right_side: Float[np.ndarray, "columns"]
 ) -> Float[np.ndarray, "columns"]:
-    return np.asarray(cho_solve(cho_factor(matrix), rest))
+    return np.asarray(cho_solve(cho_factor(matrix), right_side))
 
 
-def left(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
-    """|r - D theta|^2 by band."""
-    return np.maximum(own.squares - 2 * own.crossed @ theta + (own.gram @ theta) @ theta, LEAST * own.squares)
+def residual_squares(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
+    """|r - D theta|^2, summed over each band."""
+    return np.maximum(
+        whitened.residual_squares - 2 * whitened.cross_products @ theta + (whitened.gram @ theta) @ theta,
+        VARIANCE_FLOOR * whitened.residual_squares,
+    )
 
 
-def normal(
-    own: WhitenedRecord, noise: Float[np.ndarray, " bands"]
+def nuisance_equations(
+    whitened: WhitenedRecord, noise: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
-    """Normal equations of theta at some s, without a candidate."""
-    matrix = own.count * np.tensordot(1 / noise, own.gram, 1) + np.eye(len(own.parameters))
-    return matrix, own.count * (own.crossed.T @ (1 / noise) - own.trace / 2)
+    """Matrix and right side of the normal equations of theta at the noise variance s, without a force."""
+    matrix = whitened.reals_per_line * np.tensordot(1 / noise, whitened.gram, 1) + np.eye(len(whitened.parameters))
+    return matrix, whitened.reals_per_line * (whitened.cross_products.T @ (1 / noise) - whitened.trace / 2)
 
 
-def without(own: WhitenedRecord) -> Explained:
-    """The record by nuisances and noise alone."""
-    counts = own.sizes * own.rows
-    known = own.rows == 1
-    theta, noise = np.zeros(len(own.parameters)), np.ones(counts.size) if known else own.squares / counts
+def evidence_without_force(whitened: WhitenedRecord) -> ForceEvidence:
+    """Evidence of the record by nuisance parameters and noise alone: S = 0."""
+    counts = whitened.band_sizes * whitened.rows
+    noise_is_fixed = whitened.rows == 1
+    theta = np.zeros(len(whitened.parameters))
+    noise = np.ones(counts.size) if noise_is_fixed else whitened.residual_squares / counts
     for _ in range(3 * ROUNDS):
-        theta = solved(*normal(own, noise))
-        if not known:
-            noise = left(own, theta) / counts
-    beside = left(own, theta)
-    criterion = own.count * float(np.sum(counts * np.log(noise) + beside / noise)) + _held(own, theta)
-    zero = np.zeros(own.residual.shape[0])
-    return Explained(criterion, theta, noise, np.zeros(noise.size), zero, zero.astype(complex))
+        theta = _solve_positive_definite(*nuisance_equations(whitened, noise))
+        if not noise_is_fixed:
+            noise = residual_squares(whitened, theta) / counts
+    squares = residual_squares(whitened, theta)
+    criterion = whitened.reals_per_line * float(np.sum(counts * np.log(noise) + squares / noise))
+    criterion = criterion + _nuisance_penalty(whitened, theta)
+    zeros = np.zeros(whitened.residual.shape[0])
+    return ForceEvidence(criterion, theta, noise, np.zeros(noise.size), zeros, zeros.astype(complex))
 
 
-def explained(
-    own: WhitenedRecord,
-    candidate: Complex[np.ndarray, "lines rows"],
-    start: Explained,
-    cleared: Complex[np.ndarray, "lines rows"] | None = None,
+def evidence_with_force(
+    whitened: WhitenedRecord,
+    response: Complex[np.ndarray, "lines rows"],
+    start: ForceEvidence,
+    cleared_residual: Complex[np.ndarray, "lines rows"] | None = None,
     shape: Float[np.ndarray, " bands"] | None = None,
-) -> Explained:
-    """Evidence with a force of the candidate's residual per unit force, from the nuisances and noise of `start`.
+) -> ForceEvidence:
+    """Evidence with a force to which the residual responds by g = `response`; theta, s and S start from `start`.
 
-    With the residual `cleared` of the nuisances of `start` these stay where they are: quick, for a first choice.
-    `shape` is a spectrum of which only the size is free.
+    `cleared_residual` is r - D theta at the theta of `start`, which then stays fixed: fast, for screening. `shape` is a
+    spectrum S up to a factor; without one S is free in every band.
     """
-    held = cleared is not None
-    size = np.linalg.norm(candidate, axis=1)
-    direction = candidate.conj() / np.maximum(size, 1e-300)[:, None]
-    bare = np.einsum("lr,lr->l", direction, own.residual if cleared is None else cleared)
-    columns = np.zeros((len(own.parameters), 0)) if held else _along(direction, own.columns)
+    nuisance_held, reals_per_line, on_lines = cleared_residual is not None, whitened.reals_per_line, whitened.on_lines
+    response_norm = np.linalg.norm(response, axis=1)
+    direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
+    whole_projection = np.einsum(
+        "lr,lr->l", direction, whitened.residual if cleared_residual is None else cleared_residual
+    )
+    projected_columns = (
+        np.zeros((len(whitened.parameters), 0)) if nuisance_held else _project_columns(direction, whitened.columns)
+    )
     theta, noise = start.theta, start.noise
     spectrum = start.spectrum if np.any(start.spectrum) else None
-    squares = size**2
-    for turn in range(1 if held else ROUNDS):
-        along = bare if held else bare - theta @ columns
-        noise, spectrum = _scored(own, squares, np.abs(along) ** 2, left(own, theta), noise, spectrum, shape)
-        if held or turn == ROUNDS - 1:
+    response_squares = response_norm**2
+    for round_number in range(1 if nuisance_held else ROUNDS):
+        projection = whole_projection if nuisance_held else whole_projection - theta @ projected_columns
+        squares, projection_power = residual_squares(whitened, theta), np.abs(projection) ** 2
+        noise, spectrum = _score_variances(
+            whitened, response_squares, projection_power, squares, noise, spectrum, shape
+        )
+        if nuisance_held or round_number == ROUNDS - 1:
             break
-        weights = own.on_lines(1 / noise)
-        less = weights - 1 / (own.on_lines(noise) + own.on_lines(spectrum) * squares)
-        matrix, rest = normal(own, noise)
-        matrix -= own.count * (_halves(less * columns) @ _halves(columns).T)
-        rest -= own.count * (_halves(less * columns) @ _halves(bare))
-        theta = solved(matrix, rest)
+        weight_loss = on_lines(1 / noise) - 1 / (on_lines(noise) + on_lines(spectrum) * response_squares)
+        matrix, right_side = nuisance_equations(whitened, noise)
+        lost_columns = real_pairs(weight_loss * projected_columns)
+        matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
+        right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
+        theta = _solve_positive_definite(matrix, right_side)
     assert spectrum is not None
-    whole = own.on_lines(noise) + own.on_lines(spectrum) * squares
-    beside = np.maximum(left(own, theta) - _summed(own, np.abs(along) ** 2), 0.0)
-    criterion = own.count * float(
-        np.sum(own.sizes * (own.rows - 1) * np.log(noise) + beside / noise)
-        + np.sum(np.log(whole) + np.abs(along) ** 2 / whole)
-    ) + _held(own, theta)
-    return Explained(criterion, theta, noise, spectrum, size, along)
+    line_variance, projection_power = on_lines(noise) + on_lines(spectrum) * response_squares, np.abs(projection) ** 2
+    squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
+    criterion = reals_per_line * float(
+        np.sum(whitened.band_sizes * (whitened.rows - 1) * np.log(noise) + squares / noise)
+        + np.sum(np.log(line_variance) + projection_power / line_variance)
+    )
+    criterion = criterion + _nuisance_penalty(whitened, theta)
+    return ForceEvidence(criterion, theta, noise, spectrum, response_norm, projection)
 
 
-def cleared_of(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Complex[np.ndarray, "lines rows"]:
-    """The residual without what the nuisances make."""
-    found = own.residual.copy()
-    for value, column in zip(theta, own.columns, strict=True):
-        found -= value * column
-    return found
+def subtract_nuisance(
+    whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]
+) -> Complex[np.ndarray, "lines rows"]:
+    """Residual r - D theta, computed one column at a time to spare memory."""
+    residual = whitened.residual.copy()
+    for value, column in zip(theta, whitened.columns, strict=True):
+        residual -= value * column
+    return residual
 
 
-def _held(own: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> float:
-    """theta' theta, and what theta stretches the data by."""
-    return float(theta @ theta) + own.count * float(own.trace @ theta)
+def _nuisance_penalty(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> float:
+    """Terms of J in theta alone: the prior theta' theta, and n 2 Re tr' theta, as D is made from measured data."""
+    return float(theta @ theta) + whitened.reals_per_line * float(whitened.trace @ theta)
 
 
-def _along(
+def _project_columns(
     direction: Complex[np.ndarray, "lines rows"], columns: Complex[np.ndarray, "columns lines rows"]
 ) -> Complex[np.ndarray, "columns lines"]:
     return np.einsum("lr,clr->cl", direction, columns)
 
 
-def _halves(values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
-    """Real and imaginary parts beside each other."""
+def real_pairs(values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
+    """Real and imaginary parts, interleaved along the last axis."""
     return np.ascontiguousarray(values).view(float)
 
 
-def _summed(own: WhitenedRecord, lines: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
-    return np.asarray(np.add.reduceat(lines, own.starts))
+def _band_sums(whitened: WhitenedRecord, lines: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
+    return np.asarray(np.add.reduceat(lines, whitened.band_starts))
 
 
-def _scored(
-    own: WhitenedRecord,
-    squares: Float[np.ndarray, " lines"],
-    power: Float[np.ndarray, " lines"],
-    whole: Float[np.ndarray, " bands"],
+def _score_variances(
+    whitened: WhitenedRecord,
+    response_squares: Float[np.ndarray, " lines"],
+    projection_power: Float[np.ndarray, " lines"],
+    total_squares: Float[np.ndarray, " bands"],
     noise: Float[np.ndarray, " bands"],
     spectrum: Float[np.ndarray, " bands"] | None,
     shape: Float[np.ndarray, " bands"] | None,
 ) -> tuple[Float[np.ndarray, " bands"], Float[np.ndarray, " bands"]]:
-    """s and S by Fisher scoring, one in turn with the other."""
-    beside = np.maximum(whole - _summed(own, power), 0.0)
-    others = own.sizes * (own.rows - 1)
-    known = own.rows == 1
+    """Noise variance s and spectrum S by Fisher scoring, one in turn with the other, at a fixed theta.
+
+    total_squares is |r - D theta|^2 by band and projection_power |t|^2 by line; without a spectrum, S starts from the
+    excess of |t|^2 over s.
+    """
+    on_lines = whitened.on_lines
+    unexplained_squares = np.maximum(total_squares - _band_sums(whitened, projection_power), 0.0)
+    unexplained_count = whitened.band_sizes * (whitened.rows - 1)
+    noise_is_fixed = whitened.rows == 1
     if spectrum is None:
-        noise = noise if known else np.maximum(beside / others, LEAST * noise)
-        excess = _summed(own, power) - noise * own.sizes
-        spectrum = np.maximum(excess, 0.0) / np.maximum(_summed(own, squares), 1e-300)
+        noise = noise if noise_is_fixed else np.maximum(unexplained_squares / unexplained_count, VARIANCE_FLOOR * noise)
+        excess = _band_sums(whitened, projection_power) - noise * whitened.band_sizes
+        spectrum = np.maximum(excess, 0.0) / np.maximum(_band_sums(whitened, response_squares), 1e-300)
     for _ in range(SCORINGS):
-        variance = own.on_lines(noise) + own.on_lines(spectrum) * squares
-        weights = 1 / variance**2
-        fall = beside / noise**2 + _summed(own, weights * (power - own.on_lines(spectrum) * squares))
-        noise = noise if known else np.maximum(fall / (others / noise**2 + _summed(own, weights)), LEAST * noise)
-        variance = own.on_lines(noise) + own.on_lines(spectrum) * squares
-        weights = squares / variance**2
+        if not noise_is_fixed:
+            weights = 1 / (on_lines(noise) + on_lines(spectrum) * response_squares) ** 2
+            excess = _band_sums(whitened, weights * (projection_power - on_lines(spectrum) * response_squares))
+            numerator = unexplained_squares / noise**2 + excess
+            denominator = unexplained_count / noise**2 + _band_sums(whitened, weights)
+            noise = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise)
+        weights = response_squares / (on_lines(noise) + on_lines(spectrum) * response_squares) ** 2
         if shape is None:
-            fall = _summed(own, weights * (power - own.on_lines(noise)))
-            spectrum = np.maximum(fall, 0.0) / np.maximum(_summed(own, weights * squares), 1e-300)
+            numerator = _band_sums(whitened, weights * (projection_power - on_lines(noise)))
+            spectrum = np.maximum(numerator, 0.0) / np.maximum(_band_sums(whitened, weights * response_squares), 1e-300)
         else:
-            form = own.on_lines(shape)
-            times = np.sum(weights * form * (power - own.on_lines(noise))) / max(
-                float(np.sum(weights * squares * form**2)), 1e-300
+            line_shape = on_lines(shape)
+            scale = np.sum(weights * line_shape * (projection_power - on_lines(noise))) / max(
+                float(np.sum(weights * response_squares * line_shape**2)), 1e-300
             )
-            spectrum = max(float(times), 0.0) * shape
+            spectrum = max(float(scale), 0.0) * shape
     return noise, spectrum

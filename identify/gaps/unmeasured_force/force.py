@@ -1,4 +1,4 @@
-"""The smallest unmeasured force that explains a gap: found on one record, demanded of another."""
+"""Fit of one unmeasured force: located on the fit record, then validated on a second record."""
 
 from dataclasses import dataclass
 
@@ -6,26 +6,28 @@ import numpy as np
 from jaxtyping import Complex
 
 from identify.gaps.residual.record import Record
-from identify.gaps.unmeasured_force.evidence import explained
-from identify.gaps.unmeasured_force.location import Located, located, response_of
-from identify.gaps.unmeasured_force.nuisance import drift_accelerations, observed
-from identify.gaps.unmeasured_force.observed import WhitenedRecord
-from identify.gaps.unmeasured_force.time_history import force_of
+from identify.gaps.unmeasured_force.evidence import evidence_with_force
+from identify.gaps.unmeasured_force.location import LocatedForce, locate_force, response_of
+from identify.gaps.unmeasured_force.nuisance import drift_accelerations, whitened_record
+from identify.gaps.unmeasured_force.time_history import force_spectrum
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 from rig.model.description import Rig
 
 SAME_M = 0.05
-"""Two records show the same place if theirs differ by no more, or by five standard errors."""
+"""Two records show the same place if their positions differ by no more than this, or five standard errors."""
 
 
 @dataclass(frozen=True)
 class UnmeasuredForceFit:
-    """The unmeasured force that explains the fit record best, what the validation record alone shows, and that record
-    with the place and the shape of the spectrum held.
+    """One unmeasured force on two records.
+
+    on_fit is the best candidate of the fit record, on_validation that of the validation record alone, and held the
+    validation record with the place and the spectrum's shape of the fit record.
     """
 
-    on_fit: Located
-    on_validation: Located
-    held: Located
+    on_fit: LocatedForce
+    on_validation: LocatedForce
+    held: LocatedForce
 
     @property
     def same_place(self) -> bool:
@@ -33,56 +35,57 @@ class UnmeasuredForceFit:
 
     @property
     def directions(self) -> int:
-        """Count of directions of the residual, of `held.observed.rows`, that are free to follow the force."""
+        """Count of the residual's directions, of `held.whitened.rows`, that are free to follow the force."""
         return 0 if self.on_fit.candidate.kind == "distributed" else 1
 
     def delivered(self) -> Complex[np.ndarray, "sensors alllines"]:
-        """Signals that the sensors of the validation record deliver of the force, at its likeliest time history."""
-        own, candidate = self.held.observed, self.held.candidate
-        accelerations = np.zeros(own.model.sensor_response.shape, dtype=complex)
+        """Spectra of the validation sensors' signals caused by the force with its likeliest time history."""
+        whitened, candidate = self.held.whitened, self.held.candidate
+        accelerations = np.zeros(whitened.model.sensor_response.shape, dtype=complex)
         if candidate.kind == "distributed":
             for body, growth in zip(candidate.bodies, self.held.growth, strict=True):
-                accelerations += growth * drift_accelerations(own, body)
+                accelerations += growth * drift_accelerations(whitened, body)
         elif candidate.kind == "sensor":
-            accelerations[[s.name for s in own.record.sensors].index(candidate.sensor)] = force_of(self.held)
+            accelerations[[s.name for s in whitened.record.sensors].index(candidate.sensor)] = force_spectrum(self.held)
         else:
             for station, sign in zip(candidate.stations, (1.0, -1.0), strict=False):
-                accelerations += sign * own.accelerance(station) * force_of(self.held)
-        return own.model.sensor_response * accelerations
+                accelerations += sign * whitened.accelerance(station) * force_spectrum(self.held)
+        return whitened.model.sensor_response * accelerations
 
 
 def likeliest_force(fit: Record, rig: Rig, validation: Record) -> UnmeasuredForceFit:
-    """The unmeasured force that explains the fit record best beside a rig, and how far both records agree.
+    """Unmeasured force beside a rig that explains the fit record best, with its fit to the validation record.
 
-    Whether it deserves to be believed, `same_place` and the gains say. Raises RigError if there are too few sensors to
-    show an unmeasured force.
+    `same_place` and the gains of the result say whether the records agree. Raises RigError if there are too few sensors
+    to show an unmeasured force.
     """
-    on_fit = located(observed(fit, rig))
-    whitened = observed(validation, rig)
-    on_validation = located(whitened)
-    return UnmeasuredForceFit(on_fit, on_validation, _held(on_fit, whitened, on_validation))
+    on_fit = locate_force(whitened_record(fit, rig))
+    validation_record = whitened_record(validation, rig)
+    on_validation = locate_force(validation_record)
+    return UnmeasuredForceFit(on_fit, on_validation, _fit_at_place(on_fit, validation_record, on_validation))
 
 
-def _held(on_fit: Located, own: WhitenedRecord, on_validation: Located) -> Located:
-    """Another record with the place, and the shape of the spectrum, of the fit record; of a drift its bodies."""
+def _fit_at_place(on_fit: LocatedForce, whitened: WhitenedRecord, on_validation: LocatedForce) -> LocatedForce:
+    """Fit of the validation record with the place and the spectrum's shape of the fit record, or a drift's bodies."""
     candidate = on_fit.candidate
     if candidate.kind == "distributed":
-        return on_validation if on_validation.candidate == candidate else located(own, near=candidate)
-    shape = np.zeros(own.starts.size)
-    common = min(shape.size, on_fit.after.spectrum.size)
-    shape[:common] = on_fit.after.spectrum[:common]
-    before, response = on_validation.before, response_of(own, candidate)
-    after = explained(own, response, before, shape=shape)
-    return Located(candidate, before.criterion - after.criterion, 0.0, before, after, own, response)
+        return on_validation if on_validation.candidate == candidate else locate_force(whitened, expected=candidate)
+    shape = np.zeros(whitened.band_starts.size)
+    band_count = min(shape.size, on_fit.with_force.spectrum.size)
+    shape[:band_count] = on_fit.with_force.spectrum[:band_count]
+    without_force, response = on_validation.without_force, response_of(whitened, candidate)
+    with_force = evidence_with_force(whitened, response, without_force, shape=shape)
+    gain = without_force.criterion - with_force.criterion
+    return LocatedForce(candidate, gain, 0.0, without_force, with_force, whitened, response)
 
 
-def same_place(one: Located, other: Located) -> bool:
-    """True if two records show the same place."""
-    a, b = one.candidate, other.candidate
-    if (a.kind, a.sensor, a.bodies) != (b.kind, b.sensor, b.bodies):
+def same_place(first: LocatedForce, second: LocatedForce) -> bool:
+    """True if two records show the same kind at the same place, within the larger of `SAME_M` and five errors."""
+    place, other_place = first.candidate, second.candidate
+    if (place.kind, place.sensor, place.bodies) != (other_place.kind, other_place.sensor, other_place.bodies):
         return False
-    near = max(SAME_M, 5 * float(np.hypot(one.error_m, other.error_m)))
+    tolerance_m = max(SAME_M, 5 * float(np.hypot(first.error_m, second.error_m)))
     return all(
-        p.body == q.body and abs(p.position_m - q.position_m) <= near
-        for p, q in zip(a.stations, b.stations, strict=True)
+        station.body == other_station.body and abs(station.position_m - other_station.position_m) <= tolerance_m
+        for station, other_station in zip(place.stations, other_place.stations, strict=True)
     )

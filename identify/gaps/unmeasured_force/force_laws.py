@@ -1,31 +1,30 @@
-"""Laws of the motion at its place that an unmeasured force may follow, and such a law fitted to its time history."""
+"""Laws by which an unmeasured force may depend on the motion at its place: their forms, and a form with its values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize_scalar
 
 from identify.gaps.unmeasured_force.time_history import ForceHistory
 from rig.model.contact_laws import penetration_m
 from rig.model.unmeasured_force import Against, Value
 
-Fine = Float[np.ndarray, " fine"]
-Shape = Callable[[Fine, Fine, float], list[Fine]]
-"""From displacement (m), velocity (m/s) and a parameter to the forces per unit of each coefficient."""
+Series = Float[np.ndarray, " fine"]
+Shape = Callable[[Series, Series, float], list[Series]]
+"""Forces per unit of each coefficient, by displacement (m), velocity (m/s) and the parameter."""
 
 CREEP = 0.01
-"""Friction changes its sign over this share of the velocity's root mean square."""
+"""Velocity over which friction changes its sign, as a share of the velocity's root mean square."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """A law up to its numbers: the force against the motion is the sum of coefficients times shapes.
+    """Form of a law: the force against the motion is the sum of coefficients times shapes.
 
-    `parameter` names what the shapes depend on beside (none: ""), within `range_share` of the largest motion; `slow`
-    says that it needs the slow motion that integration loses. The text holds {0}, {1} for the coefficients and {p},
-    the words {where} for the place.
+    `parameter` is the name of the one nonlinear parameter of the shapes ("" if there is none). `range_share` holds its
+    bounds, which a `slow` form takes in shares of the largest displacement: its force depends on the slow motion, which
+    integration loses. `text` has the places {0}, {1} for the coefficients and {p}, `words` {where} for the place.
     """
 
     name: str
@@ -41,6 +40,7 @@ class Form:
 
     @property
     def length(self) -> int:
+        """Count of fitted values."""
         return len(self.units) + bool(self.parameter)
 
     @property
@@ -53,10 +53,11 @@ TONE = "tone"
 
 @dataclass(frozen=True)
 class ForceLaw:
-    """A form with its numbers: the force on the body is minus the coefficients times the shapes.
+    """Form with fitted values: the force on the body is minus the sum of coefficients times shapes.
 
-    share is how much of the free force's gain in -2 ln L it keeps. offset_m is the mean of the slow motion. A tone has
-    the coefficients of cosine and sine, and its frequency as the parameter.
+    errors are standard errors of the coefficients. share is the law's gain in -2 ln L over that of the free force.
+    offset_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its frequency as the
+    parameter.
     """
 
     form: Form
@@ -69,30 +70,31 @@ class ForceLaw:
 
     @property
     def text(self) -> str:
-        """The force against the motion, N, with w in m and v in m/s, every number with its unit."""
+        """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
         form = self.form
-        shown = [f"{c:.4g} {u}" for c, u in zip(self.coefficients, form.units, strict=True)]
-        held = f"{self.parameter:.4g} {form.unit}" if form.unit not in ("", "1") else f"{self.parameter:.3g}"
+        terms = [f"{c:.4g} {u}" for c, u in zip(self.coefficients, form.units, strict=True)]
+        parameter_text = f"{self.parameter:.4g} {form.unit}" if form.unit not in ("", "1") else f"{self.parameter:.3g}"
         if form.unit == "m":
-            held = f"{1e3 * self.parameter:.4g} mm"
-        return form.text.format(*shown, p=held)
+            parameter_text = f"{1e3 * self.parameter:.4g} mm"
+        return form.text.format(*terms, p=parameter_text)
 
     @property
     def parameters(self) -> dict[str, Value]:
         names = ("amplitude of cosine", "amplitude of sine") if self.form.is_tone else ("coefficient", "cubic")
-        found = {
+        values = {
             name: Value(value, error, unit)
             for name, value, error, unit in zip(names, self.coefficients, self.errors, self.form.units, strict=False)
         }
         if self.form.parameter:
-            found[self.form.parameter] = Value(self.parameter, self.parameter_error, self.form.unit)
+            values[self.form.parameter] = Value(self.parameter, self.parameter_error, self.form.unit)
         if self.form.slow:
-            found["offset"] = Value(self.offset_m, 0.0, "m")
-        return found
+            values["offset"] = Value(self.offset_m, 0.0, "m")
+        return values
 
 
-def creep_m_per_s(rate_m_per_s: Fine) -> float:
-    return CREEP * float(np.std(rate_m_per_s)) + 1e-300
+def creep_m_per_s(velocity_m_per_s: Series) -> float:
+    """Velocity over which friction changes its sign, above zero."""
+    return CREEP * float(np.std(velocity_m_per_s)) + 1e-300
 
 
 FORMS: tuple[Form, ...] = (
@@ -188,48 +190,12 @@ FORMS: tuple[Form, ...] = (
 )
 
 
-def tone_of(history: ForceHistory) -> Form:
-    def shapes(_: Fine, __: Fine, hz: float) -> list[Fine]:
+def tone_form(history: ForceHistory) -> Form:
+    """Form of a harmonic force of time, with its frequency f (Hz) as the parameter."""
+
+    def shapes(_: Series, __: Series, hz: float) -> list[Series]:
         phase = 2 * np.pi * hz * history.fine_s
         return [np.cos(phase), np.sin(phase)]
 
     text = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
     return Form(TONE, "", "time", text, ("N", "N"), shapes, "f", "Hz")
-
-
-def fitted(history: ForceHistory, form: Form, within: tuple[float, float] | None = None) -> ForceLaw:
-    """Coefficients by least squares, the parameter by bounded minimisation."""
-    low, high = within or form.range_share
-    parameter, error = 0.0, 0.0
-    if form.parameter and low == high:
-        parameter = low
-    elif form.parameter:
-        found = minimize_scalar(lambda p: -solved(history, form, p)[1], bounds=(low, high), method="bounded")
-        parameter = float(found.x)
-        step = 1e-3 * (high - low)
-        beside = [solved(history, form, parameter + k * step)[1] for k in (-1, 0, 1)]
-        curved = (2 * beside[1] - beside[0] - beside[2]) / step**2
-        error = float(np.sqrt(2 / curved)) if curved > 0 else float("inf")
-    coefficients, gain, errors = solved(history, form, parameter)
-    return ForceLaw(
-        form,
-        tuple((-coefficients).tolist()),
-        tuple(errors.tolist()),
-        parameter,
-        error,
-        0.0,
-        gain / max(history.free_gain, 1e-300),
-    )
-
-
-def solved(
-    history: ForceHistory, form: Form, parameter: float
-) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
-    """Coefficients of the force on the body, what they gain, and their standard errors."""
-    shapes = np.stack(form.shapes(history.moved_m, history.rate_m_per_s, parameter))
-    matrix, rest = history.reduced(history.spectra(shapes))
-    size = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    scaled = matrix / np.outer(size, size)
-    inverse = np.linalg.pinv(scaled, rcond=1e-10, hermitian=True)
-    found = inverse @ (rest / size)
-    return found / size, float(found @ (rest / size)), np.sqrt(np.maximum(np.diag(inverse), 0.0)) / size

@@ -1,4 +1,5 @@
-"""Location of an unmeasured force: places of every body, pairs between bodies, sensors, a drifting modulus."""
+"""Location of an unmeasured force: the candidate of the lowest J among places of every body, pairs of opposite forces
+between bodies, sensors with a signal of their own, and moduli that drift."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -8,23 +9,30 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Complex
 
-from identify.gaps.unmeasured_force.evidence import Explained, cleared_of, explained, normal, without
-from identify.gaps.unmeasured_force.nuisance import drifting
-from identify.gaps.unmeasured_force.observed import WhitenedRecord, with_columns
+from identify.gaps.unmeasured_force.evidence import (
+    ForceEvidence,
+    evidence_with_force,
+    evidence_without_force,
+    nuisance_equations,
+    subtract_nuisance,
+)
+from identify.gaps.unmeasured_force.nuisance import modulus_drift_column
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, with_columns
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig, Sensor, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
 SPACING_M, FINE_M = 0.05, 0.002
-LOOKED_AT = 3
-"""So many places of each kind, the best with the nuisances held, are judged with them fitted."""
+REFITTED_PER_KIND = 3
+"""Count of candidates of each kind, the best with theta fixed, whose J is computed again with theta fitted."""
 FLAT_PRIOR = 1e4
+"""Norm of a drift's column at one prior standard deviation: in effect no prior."""
 
 
 @dataclass(frozen=True)
 class ForcePlace:
-    """Place of what may act unmeasured: a force at `stations[0]`, less the same at `stations[1]` of a pair; or a
-    sensor's signal of its own; or a modulus of the `bodies` that drifts.
+    """Candidate of an unmeasured force by its kind: "force" at one station, "pair" with the opposite force at a second
+    station, "sensor" with a signal of its own, or "distributed", a modulus of the `bodies` that drifts.
     """
 
     kind: Kind
@@ -34,89 +42,101 @@ class ForcePlace:
 
 
 @dataclass(frozen=True)
-class Located:
-    """The candidate that explains a record best: gain is by how much -2 ln L falls against the same without any.
+class LocatedForce:
+    """Candidate fitted to a record; gain is the fall of J against the record without a force.
 
-    error_m is the standard error of the place by the curvature of J. growth is the relative change of the modulus of
-    each body over the record, with its standard errors.
+    error_m is the standard error of the position by the curvature of J. response is g, the residual per unit force.
+    growth is the relative change of the modulus of each body over the record, with its standard errors.
     """
 
     candidate: ForcePlace
     gain: float
     error_m: float
-    before: Explained
-    after: Explained
-    observed: WhitenedRecord
+    without_force: ForceEvidence
+    with_force: ForceEvidence
+    whitened: WhitenedRecord
     response: Complex[np.ndarray, "lines rows"]
     growth: tuple[float, ...] = ()
     growth_errors: tuple[float, ...] = ()
 
 
-def response_of(own: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
-    """Response of the residual to a candidate per newton; to a sensor's per m/s^2."""
+def response_of(whitened: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
+    """Response g of the residual per newton of a candidate's force, or per m/s^2 of a sensor's own signal."""
     if candidate.kind == "sensor":
-        row = [s.name for s in own.record.sensors].index(candidate.sensor)
-        only = np.zeros((len(own.record.sensors), own.record.omega.size), dtype=complex)
-        only[row] = 1.0
-        return own.seen(only)
-    first, *others = candidate.stations
-    found = own.accelerance(first)
-    for other in others:
-        found = found - own.accelerance(other)
-    return own.seen(found)
+        row = [s.name for s in whitened.record.sensors].index(candidate.sensor)
+        unit_signal = np.zeros((len(whitened.record.sensors), whitened.record.omega.size), dtype=complex)
+        unit_signal[row] = 1.0
+        return whitened.ungated_residual(unit_signal)
+    first, *opposing = candidate.stations
+    accelerances = whitened.accelerance(first)
+    for station in opposing:
+        accelerances = accelerances - whitened.accelerance(station)
+    return whitened.ungated_residual(accelerances)
 
 
-def located(own: WhitenedRecord, near: ForcePlace | None = None, within_m: float = 0.1) -> Located:
-    """The best candidate of all; `near` looks at its kind only, no further than `within_m` from it."""
-    before = without(own)
-    places = [c for c in candidates(own.record.rig, own.record.sensors) if near is None or _beside(c, near, within_m)]
-    if near is not None and near.kind != "distributed":
-        places.append(near)
-    cleared = cleared_of(own, before.theta)
-    firsts = {c: explained(own, response_of(own, c), before, cleared) for c in places}
-    best: list[Located] = []
+def locate_force(whitened: WhitenedRecord, expected: ForcePlace | None = None, radius_m: float = 0.1) -> LocatedForce:
+    """Candidate with the largest gain, its position refined.
+
+    With an `expected` one only its kind, no further than radius_m from it, is tried.
+    """
+    without_force = evidence_without_force(whitened)
+    places = [
+        c
+        for c in candidates(whitened.record.rig, whitened.record.sensors)
+        if expected is None or _within_radius(c, expected, radius_m)
+    ]
+    if expected is not None and expected.kind != "distributed":
+        places.append(expected)
+    cleared_residual = subtract_nuisance(whitened, without_force.theta)
+    screened = {
+        c: evidence_with_force(whitened, response_of(whitened, c), without_force, cleared_residual) for c in places
+    }
+    best_of_kinds: list[LocatedForce] = []
     for kind in ("force", "pair", "sensor"):
-        chosen = sorted((c for c in firsts if c.kind == kind), key=lambda c: firsts[c].criterion)[:LOOKED_AT]
-        judged = [(explained(own, response_of(own, c), before), c) for c in chosen]
-        if judged:
-            after, candidate = min(judged, key=lambda one: one[0].criterion)
-            best.append(_located(own, candidate, before, after))
-    if near is None or near.kind == "distributed":
-        best += [d for d in [_distributed(own, before, near)] if d is not None]
-    return _refined(max(best, key=lambda one: one.gain))
+        chosen = sorted((c for c in screened if c.kind == kind), key=lambda c: screened[c].criterion)[
+            :REFITTED_PER_KIND
+        ]
+        refitted = [(evidence_with_force(whitened, response_of(whitened, c), without_force), c) for c in chosen]
+        if refitted:
+            with_force, candidate = min(refitted, key=lambda choice: choice[0].criterion)
+            best_of_kinds.append(_located_force(whitened, candidate, without_force, with_force))
+    if expected is None or expected.kind == "distributed":
+        best_of_kinds += [d for d in [_locate_drift(whitened, without_force, expected)] if d is not None]
+    return _refine_position(max(best_of_kinds, key=lambda choice: choice.gain))
 
 
 def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
-    """Places at every 0.05 m, pairs of bodies side by side, and the sensors that the record is taken from."""
+    """Candidates: every 0.05 m of each body, pairs side by side on two bodies, and the record's sensors if several."""
     for body in rig.bodies:
-        for place in _places(body.length_m):
-            yield ForcePlace("force", (Station(body.name, place),))
-    for one, other in combinations(rig.bodies, 2):
-        shift = offset_m(rig, one.name, other.name)
-        for place in _places(one.length_m):
-            if 0 <= place + shift <= other.length_m:
-                yield ForcePlace("pair", (Station(one.name, place), Station(other.name, place + shift)))
+        for position_m in _grid_m(body.length_m):
+            yield ForcePlace("force", (Station(body.name, position_m),))
+    for first, second in combinations(rig.bodies, 2):
+        shift_m = offset_m(rig, first.name, second.name)
+        for position_m in _grid_m(first.length_m):
+            if 0 <= position_m + shift_m <= second.length_m:
+                yield ForcePlace("pair", (Station(first.name, position_m), Station(second.name, position_m + shift_m)))
     if len(sensors) > 1:
         for sensor in sensors:
             yield ForcePlace("sensor", sensor=sensor.name)
 
 
-def offset_m(rig: Rig, one: str, other: str) -> float:
-    """Offset from a place on one body to that beside it on another, by the contacts between them; 0 without any."""
-    shifts = []
+def offset_m(rig: Rig, from_body: str, to_body: str) -> float:
+    """Offset from a position on one body to that beside it on the other: the median over the contacts between them, 0
+    without any."""
+    offsets_m = []
     for contact in rig.contacts:
-        if contact.against is not None and {contact.at.body, contact.against.body} == {one, other}:
-            shift = contact.against.position_m - contact.at.position_m
-            shifts.append(shift if contact.at.body == one else -shift)
-    return float(np.median(shifts)) if shifts else 0.0
+        if contact.against is not None and {contact.at.body, contact.against.body} == {from_body, to_body}:
+            distance_m = contact.against.position_m - contact.at.position_m
+            offsets_m.append(distance_m if contact.at.body == from_body else -distance_m)
+    return float(np.median(offsets_m)) if offsets_m else 0.0
 
 
-def moved(candidate: ForcePlace, by_m: float) -> ForcePlace:
-    return replace(candidate, stations=tuple(Station(s.body, s.position_m + by_m) for s in candidate.stations))
+def _shifted(candidate: ForcePlace, shift_m: float) -> ForcePlace:
+    return replace(candidate, stations=tuple(Station(s.body, s.position_m + shift_m) for s in candidate.stations))
 
 
-def reach_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
-    """Reach of a candidate to either side, m."""
+def _shift_range_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
+    """Lowest and highest shift (m) with which every station stays on its body."""
     lengths = [rig.body(s.body).length_m for s in candidate.stations]
     return (
         max(-s.position_m for s in candidate.stations),
@@ -124,86 +144,97 @@ def reach_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
     )
 
 
-def _places(length_m: float) -> list[float]:
+def _grid_m(length_m: float) -> list[float]:
+    """Positions (m) along a body, evenly spaced by about `SPACING_M`; 0 alone on a point mass."""
     if not length_m:
         return [0.0]
     return [float(x) for x in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
 
 
-def _beside(candidate: ForcePlace, near: ForcePlace, within_m: float) -> bool:
-    if candidate.kind != near.kind or candidate.sensor != near.sensor:
+def _within_radius(candidate: ForcePlace, expected: ForcePlace, radius_m: float) -> bool:
+    if candidate.kind != expected.kind or candidate.sensor != expected.sensor:
         return False
     return all(
-        a.body == b.body and abs(a.position_m - b.position_m) <= within_m
-        for a, b in zip(candidate.stations, near.stations, strict=True)
+        a.body == b.body and abs(a.position_m - b.position_m) <= radius_m
+        for a, b in zip(candidate.stations, expected.stations, strict=True)
     )
 
 
-def _located(own: WhitenedRecord, candidate: ForcePlace, before: Explained, after: Explained) -> Located:
-    gain = before.criterion - after.criterion
-    return Located(candidate, gain, 0.0, before, after, own, response_of(own, candidate))
+def _located_force(
+    whitened: WhitenedRecord, candidate: ForcePlace, without_force: ForceEvidence, with_force: ForceEvidence
+) -> LocatedForce:
+    gain = without_force.criterion - with_force.criterion
+    return LocatedForce(candidate, gain, 0.0, without_force, with_force, whitened, response_of(whitened, candidate))
 
 
-def _refined(found: Located) -> Located:
-    """The place to 2 mm by halving steps, each a parabola through J at three places."""
-    own, candidate = found.observed, found.candidate
-    if not candidate.stations or not own.record.rig.body(candidate.stations[0].body).length_m:
-        return found
-    known: dict[float, Explained] = {}
+def _refine_position(estimate: LocatedForce) -> LocatedForce:
+    """Candidate at the minimum of J over its shift, to `FINE_M`: each round takes the vertex of a parabola through J at
+    three shifts, then a shorter step. Its standard error follows from the curvature of J."""
+    whitened, candidate = estimate.whitened, estimate.candidate
+    if not candidate.stations or not whitened.record.rig.body(candidate.stations[0].body).length_m:
+        return estimate
+    evidence: dict[float, ForceEvidence] = {}
 
-    def at(by_m: float) -> float:
-        if by_m not in known:
-            known[by_m] = explained(own, response_of(own, moved(candidate, by_m)), found.after)
-        return known[by_m].criterion
+    def criterion_at(shift_m: float) -> float:
+        if shift_m not in evidence:
+            evidence[shift_m] = evidence_with_force(
+                whitened, response_of(whitened, _shifted(candidate, shift_m)), estimate.with_force
+            )
+        return evidence[shift_m].criterion
 
-    low, high = reach_m(own.record.rig, candidate)
-    best, step = 0.0, SPACING_M / 2
+    low, high = _shift_range_m(whitened.record.rig, candidate)
+    best_m, step_m = 0.0, SPACING_M / 2
     while True:
-        around = [float(np.clip(best + k * step, low, high)) for k in (-1, 0, 1)]
-        best = min(around, key=at)
-        if step <= FINE_M:
+        shifts_m = [float(np.clip(best_m + k * step_m, low, high)) for k in (-1, 0, 1)]
+        best_m = min(shifts_m, key=criterion_at)
+        if step_m <= FINE_M:
             break
-        middle = float(np.clip(_vertex(around, [at(x) for x in around]), low, high))
-        best, step = min((best, middle), key=at), step / 3.5
-    around = [float(np.clip(best + k * 2 * FINE_M, low, high)) for k in (-2, -1, 0, 1, 2)]
-    curved = 2 * float(np.polyfit(around, [at(x) for x in around], 2)[0])
-    error = float(np.sqrt(2 / curved)) if curved > 0 else SPACING_M
-    there = moved(candidate, best)
-    return replace(_located(own, there, found.before, known[best]), error_m=min(error, SPACING_M))
+        vertex_m = float(np.clip(_parabola_vertex(shifts_m, [criterion_at(x) for x in shifts_m]), low, high))
+        best_m, step_m = min((best_m, vertex_m), key=criterion_at), step_m / 3.5
+    shifts_m = [float(np.clip(best_m + k * 2 * FINE_M, low, high)) for k in (-2, -1, 0, 1, 2)]
+    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(x) for x in shifts_m], 2)[0])
+    error = float(np.sqrt(2 / curvature)) if curvature > 0 else SPACING_M
+    place = _shifted(candidate, best_m)
+    return replace(
+        _located_force(whitened, place, estimate.without_force, evidence[best_m]), error_m=min(error, SPACING_M)
+    )
 
 
-def _vertex(x: list[float], y: list[float]) -> float:
+def _parabola_vertex(x: list[float], y: list[float]) -> float:
+    """Minimum of the parabola through three points within their range, or the lowest point if it has none."""
     if len(set(x)) < 3:
         return x[int(np.argmin(y))]
     a, b, _ = np.polyfit(x, y, 2)
     return float(np.clip(-b / (2 * a), x[0], x[-1])) if a > 0 else x[int(np.argmin(y))]
 
 
-def _distributed(own: WhitenedRecord, before: Explained, near: ForcePlace | None) -> Located | None:
-    """A modulus that drifts, of one body or of all; the one body where others add little."""
-    names = near.bodies if near else tuple(b.name for b in own.record.rig.bodies if b.length_m)
-    columns = {name: drifting(own, name) for name in names}
+def _locate_drift(
+    whitened: WhitenedRecord, without_force: ForceEvidence, expected: ForcePlace | None
+) -> LocatedForce | None:
+    """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
+    names = expected.bodies if expected else tuple(b.name for b in whitened.record.rig.bodies if b.length_m)
+    columns = {name: modulus_drift_column(whitened, name) for name in names}
     columns = {name: c for name, c in columns.items() if np.any(c)}
     if not columns:
         return None
-    choices = [tuple(columns)] if near else [*((name,) for name in columns), tuple(columns)]
-    best: Located | None = None
+    choices = [tuple(columns)] if expected else [*((name,) for name in columns), tuple(columns)]
+    best: LocatedForce | None = None
     for bodies in dict.fromkeys(choices):
         scale = [FLAT_PRIOR / max(float(np.linalg.norm(columns[b])), 1e-300) for b in bodies]
-        added = np.stack([s * columns[b] for s, b in zip(scale, bodies, strict=True)])
-        wider = with_columns(
-            own,
-            (*own.parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)),
-            np.concatenate([own.columns, added]),
-            np.append(own.trace, 0.0 * np.array(scale)),
+        drift_columns = np.stack([s * columns[b] for s, b in zip(scale, bodies, strict=True)])
+        extended = with_columns(
+            whitened,
+            (*whitened.parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)),
+            np.concatenate([whitened.columns, drift_columns]),
+            np.append(whitened.trace, 0.0 * np.array(scale)),
         )
-        after = without(wider)
-        gain = before.criterion - after.criterion
-        growth = tuple(float(v) for v in after.theta[-len(bodies) :] * scale)
+        with_force = evidence_without_force(extended)
+        gain = without_force.criterion - with_force.criterion
+        growth = tuple(float(v) for v in with_force.theta[-len(bodies) :] * scale)
         if best is None or gain > 1.05 * best.gain:
-            rest = np.zeros(own.residual.shape, dtype=complex)
-            covariance = np.linalg.inv(normal(wider, after.noise)[0])
+            no_response = np.zeros(whitened.residual.shape, dtype=complex)
+            covariance = np.linalg.inv(nuisance_equations(extended, with_force.noise)[0])
             errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
-            found = ForcePlace("distributed", bodies=bodies)
-            best = Located(found, gain, 0.0, before, after, wider, rest, growth, errors)
+            place = ForcePlace("distributed", bodies=bodies)
+            best = LocatedForce(place, gain, 0.0, without_force, with_force, extended, no_response, growth, errors)
     return best

@@ -1,54 +1,54 @@
-"""Nuisance parameters, and a modulus that drifts, as columns of the whitened residual."""
+"""Nuisance columns D of the whitened residual, and the column of a modulus that drifts."""
 
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.gaps.residual.nuisance import BEYOND
+from identify.gaps.residual.nuisance import MODE_REACH
 from identify.gaps.residual.record import Record
-from identify.gaps.unmeasured_force.observed import WhitenedRecord, bare_residual, inverse_of, with_columns
+from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, bare_residual, modal_inverse, with_columns
 from identify.linear.free_motion import state_changes
 from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of, crosstalk_of
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Rig
 
 
-def observed(record: Record, rig: Rig) -> WhitenedRecord:
-    """The residual of a rig's linear part against a record, with its nuisance columns.
+def whitened_record(record: Record, rig: Rig) -> WhitenedRecord:
+    """Whitened residual of a record against the linear part of a rig, with its nuisance columns.
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
     bare = bare_residual(record, rig)
-    return with_columns(bare, *nuisances(bare))
+    return with_columns(bare, *nuisance_columns(bare))
 
 
-def nuisances(
+def nuisance_columns(
     bare: WhitenedRecord,
 ) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
-    """The parameters, columns D by one tolerance each, and how much each stretches the data."""
+    """Nuisance parameters, the columns D by one tolerance of each, and the trace term 2 Re tr(dD/dA) of each."""
     model = bare.model
-    size, bodies = float(np.linalg.norm(bare.record.delivered)), [r.body.name for r in model.responses]
+    delivered_norm, bodies = float(np.linalg.norm(bare.record.delivered)), [r.body.name for r in model.responses]
     parameters: list[Nuisance] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace: list[float] = []
-    measured = _measured(bare)
+    measured = _measured_motion(bare)
     for changes in (
         changes_of(measured, common=False),
         crosstalk_of(measured),
-        state_changes(model.free, bodies, model.sensor_response, size),
+        state_changes(model.free, bodies, model.sensor_response, delivered_norm),
     ):
         for change in changes:
-            column = bare.gated(change.at_all(len(bare.record.sensors)) / model.deviation)
+            column = bare.gated_residual(change.at_all_sensors(len(bare.record.sensors)) / model.deviation)
             if np.any(column):
                 parameters.append(change.parameter)
                 columns.append(column.astype(np.complex64))  # they are many
-                trace.append(_stretching(bare, change))
+                trace.append(_data_trace(bare, change))
     return tuple(parameters), np.array(columns).reshape(len(columns), *bare.residual.shape), np.array(trace)
 
 
-def _measured(bare: WhitenedRecord) -> Observed:
-    """The accelerations as measured: about the modelled ones they would lack what an unmeasured force does."""
+def _measured_motion(bare: WhitenedRecord) -> Observed:
+    """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = bare.record, bare.model
-    highest = BEYOND * record.omega[-1] / (2 * np.pi)
+    highest = MODE_REACH * record.omega[-1] / (2 * np.pi)
     return Observed(
         sensors=record.sensors,
         displaced_by=record.sensors,
@@ -63,47 +63,51 @@ def _measured(bare: WhitenedRecord) -> Observed:
                 response,
                 motion,
                 np.flatnonzero((response.dynamics.natural_hz > 0) & (response.dynamics.natural_hz < highest)),
-                inverse_of(record, response),
+                modal_inverse(record, response),
             )
-            for response, motion in zip(model.responses, bare.modal, strict=True)
+            for response, motion in zip(model.responses, bare.modal_accelerations, strict=True)
         ),
     )
 
 
-def _stretching(bare: WhitenedRecord, change: Change) -> float:
-    """Twice the trace of a column's derivative by the data: 2 Re sum of tr(dr/dA)."""
+def _data_trace(bare: WhitenedRecord, change: Change) -> float:
+    """Twice the trace of a column's derivative by the data, 2 Re sum of tr(dD/dA); zero if it does not read them."""
     if change.reading is None:
         return 0.0
     response, deviation = bare.model.sensor_response, bare.model.deviation
     pattern = np.zeros_like(response)
     pattern[change.sensors] = change.reading.pattern
-    back = bare.rowed((change.reading.weights[:, None] * deviation / response.conj())[:, bare.lines])
-    there = bare.rowed((pattern / deviation)[:, bare.lines])
-    return 2 * float(np.sum(back.conj() * there).real)
+    weighted_rows = bare.project((change.reading.weights[:, None] * deviation / response.conj())[:, bare.lines])
+    pattern_rows = bare.project((pattern / deviation)[:, bare.lines])
+    return 2 * float(np.sum(weighted_rows.conj() * pattern_rows).real)
 
 
-def drifting(own: WhitenedRecord, body: str) -> Complex[np.ndarray, "lines rows"]:
-    """The residual by a modulus of a body that grows by its own size over the record."""
-    return own.gated(own.model.sensor_response * drift_accelerations(own, body) / own.model.deviation)
+def modulus_drift_column(whitened: WhitenedRecord, body: str) -> Complex[np.ndarray, "lines rows"]:
+    """Gated residual of `drift_accelerations`."""
+    return whitened.gated_residual(
+        whitened.model.sensor_response * drift_accelerations(whitened, body) / whitened.model.deviation
+    )
 
 
-def drift_accelerations(own: WhitenedRecord, body: str) -> Complex[np.ndarray, "sensors alllines"]:
-    """Accelerations by a modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
+def drift_accelerations(whitened: WhitenedRecord, body: str) -> Complex[np.ndarray, "sensors alllines"]:
+    """Accelerations by a body's modulus that grows by its own size over the record: -Phi H FFT[tau omega_n^2 q].
 
-    tau runs from -1/2 to 1/2; a constant change is a nuisance already.
+    tau runs from -1/2 to 1/2 over the record; a constant change is among the nuisance parameters.
     """
-    record, model = own.record, own.model
+    record, model = whitened.record, whitened.model
     length = record.length // record.factor
     tau = np.arange(length) / (record.samples / record.factor) - 0.5
     tau[tau > 0.5] = 0.0
-    found = np.zeros(model.sensor_response.shape, dtype=complex)
-    twice = integrated(record.omega, -2, CORNER_HZ)
-    for response, motion in zip(model.responses, own.modal, strict=True):
+    accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
+    double_integration = integrated(record.omega, -2, CORNER_HZ)
+    for response, motion in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body and not response.body.is_mass:
-            natural = 2 * np.pi * response.modes.frequencies_hz(response.count)
-            near = natural < BEYOND * record.omega[-1]
-            pushed = -np.fft.rfft(tau * np.fft.irfft(natural[near, None] ** 2 * twice * motion[near], length))
-            found += response.shapes([s.station for s in record.sensors])[:, near] @ (
-                response.accelerance[near] * pushed
+            natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.count)
+            in_band = natural_omega < MODE_REACH * record.omega[-1]
+            modal_forces = -np.fft.rfft(
+                tau * np.fft.irfft(natural_omega[in_band, None] ** 2 * double_integration * motion[in_band], length)
             )
-    return found
+            accelerations += response.shapes([s.station for s in record.sensors])[:, in_band] @ (
+                response.accelerance[in_band] * modal_forces
+            )
+    return accelerations

@@ -1,4 +1,4 @@
-"""The time history of an unmeasured force whose place is known, and of the motion there; laws laid against it."""
+"""Time history of a located force and of the motion at its place, with the regression of the force on other forces."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -8,193 +8,192 @@ from jaxtyping import Complex, Float
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_factor, cho_solve
 
-from identify.gaps.unmeasured_force.evidence import left, normal
-from identify.gaps.unmeasured_force.location import Located
+from identify.gaps.unmeasured_force.evidence import nuisance_equations, real_pairs, residual_squares
+from identify.gaps.unmeasured_force.location import LocatedForce
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Station
 
-FINER = 4
-"""Laws are evaluated at so many times the residual's rate, as their kinks widen the band."""
+OVERSAMPLING = 4
+"""Rate at which laws are evaluated, over the residual's: their kinks widen the band."""
 LAW_ERROR = 0.03
-"""Share of the force that no law explains: beyond it nothing decides between laws."""
-KNOTS_S = 0.25
-"""Of the slow motion that integration loses."""
+"""Share of the force that even the true law may miss, which keeps strong lines from deciding alone."""
+KNOT_SPACING_S = 0.25
+"""Knots of the spline of the slow motion, which integration loses."""
 
 
 @dataclass(frozen=True)
 class ForceHistory:
-    """A located force in time: what laws of the motion at its place are regressed on.
+    """Located force and the motion at its place over time, and the normal equations for forces in its direction.
 
-    moved_m and rate_m_per_s are fine (`FINER`), along the whole transform; a pair's are relative. found_n is the free
-    force (Wiener), gated. reduced costs are -2 ln L at the noise s of the free force, nuisances fitted each time:
-    nothing, the free force, and what noise alone gains the free force.
+    displacement_m and velocity_m_per_s are oversampled along the whole transform, of a pair relative. force_n is the
+    free force: the likeliest one without a law (a Wiener filter). weights are n over the variance of each line of the
+    projected residual u^H r; projected_columns are u^H D, and normal_matrix and right_side the normal equations of the
+    nuisance parameters at these weights, without a force.
     """
 
-    located: Located
-    moved_m: Float[np.ndarray, " fine"]
-    rate_m_per_s: Float[np.ndarray, " fine"]
-    found_n: Float[np.ndarray, " alltimes"]
+    located: LocatedForce
+    displacement_m: Float[np.ndarray, " fine"]
+    velocity_m_per_s: Float[np.ndarray, " fine"]
+    force_n: Float[np.ndarray, " alltimes"]
     weights: Float[np.ndarray, " lines"]
-    bare: Complex[np.ndarray, " lines"]
-    nuisances: Complex[np.ndarray, "columns lines"]
-    matrix: Float[np.ndarray, "columns columns"]
-    rest: Float[np.ndarray, " columns"]
+    projected_residual: Complex[np.ndarray, " lines"]
+    projected_columns: Complex[np.ndarray, "columns lines"]
+    normal_matrix: Float[np.ndarray, "columns columns"]
+    right_side: Float[np.ndarray, " columns"]
 
     @property
     def rate_hz(self) -> float:
-        return self.located.observed.record.rate_hz
+        return self.located.whitened.record.rate_hz
 
     @property
     def fine_s(self) -> Float[np.ndarray, " fine"]:
-        return np.arange(self.moved_m.size) / (FINER * self.rate_hz)
+        return np.arange(self.displacement_m.size) / (OVERSAMPLING * self.rate_hz)
 
     @property
-    def counted(self) -> Float[np.ndarray, " alltimes"]:
-        return self.located.observed.gate
+    def gate(self) -> Float[np.ndarray, " alltimes"]:
+        return self.located.whitened.gate
 
     @cached_property
-    def factor(self) -> tuple[Float[np.ndarray, "columns columns"], bool]:
-        found, lower = cho_factor(self.matrix)
-        return found, bool(lower)
+    def cholesky(self) -> tuple[Float[np.ndarray, "columns columns"], bool]:
+        factor, lower = cho_factor(self.normal_matrix)
+        return factor, bool(lower)
 
     @cached_property
     def free_gain(self) -> float:
-        """Gain of the free force beyond that from noise alone."""
-        halves = _halves(self.nuisances * np.sqrt(self.weights))
-        bare = _halves(self.bare * np.sqrt(self.weights))
-        beside = self.matrix - halves @ halves.T
-        rest = self.rest - halves @ bare
-        without = float(self.rest @ cho_solve(self.factor, self.rest))
-        freely = float(rest @ np.linalg.solve(beside, rest))
-        own = self.located.observed
-        noise = float(self.weights @ own.on_lines(self.located.after.noise))
-        return float(bare @ bare) - without + freely - noise
+        """Gain in -2 ln L of a force that is free at every line, less what noise alone would gain."""
+        weighted_columns = real_pairs(self.projected_columns * np.sqrt(self.weights))
+        weighted_residual = real_pairs(self.projected_residual * np.sqrt(self.weights))
+        free_matrix = self.normal_matrix - weighted_columns @ weighted_columns.T
+        free_right_side = self.right_side - weighted_columns @ weighted_residual
+        nuisance_gain = float(self.right_side @ cho_solve(self.cholesky, self.right_side))
+        free_nuisance_gain = float(free_right_side @ np.linalg.solve(free_matrix, free_right_side))
+        whitened = self.located.whitened
+        noise_gain = float(self.weights @ whitened.on_lines(self.located.with_force.noise))
+        return float(weighted_residual @ weighted_residual) - nuisance_gain + free_nuisance_gain - noise_gain
 
-    def spectra(self, fine_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
-        """Spectra of forces given finely, in the direction of the located force's residual, gated."""
-        record = self.located.observed.record
-        lines = record.omega.size
-        coarse = np.fft.irfft(np.fft.rfft(fine_n)[..., :lines] / FINER, record.length // record.factor)
-        return self.coarsely(coarse)
+    def gated_spectra(self, fine_n: Float[np.ndarray, "*rows fine"]) -> Complex[np.ndarray, "*rows lines"]:
+        """Projected residual spectra of oversampled forces (N), low-passed, through the gate."""
+        record = self.located.whitened.record
+        spectra = np.fft.rfft(fine_n)[..., : record.omega.size] / OVERSAMPLING
+        samples_n = np.fft.irfft(spectra, record.length // record.factor)
+        return self.spectra_of_samples(samples_n)
 
-    def coarsely(self, history_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
-        own = self.located.observed
-        found = np.fft.rfft(history_n * self.counted)[..., own.lines] * own.record.factor
-        return np.asarray(found * self.located.after.size)
+    def spectra_of_samples(self, samples_n: Float[np.ndarray, "*rows alltimes"]) -> Complex[np.ndarray, "*rows lines"]:
+        """Projected residual spectra of forces (N) at the residual's rate, through the gate."""
+        whitened = self.located.whitened
+        spectra = np.fft.rfft(samples_n * self.gate)[..., whitened.lines] * whitened.record.factor
+        return np.asarray(spectra * self.located.with_force.response_norm)
 
-    def reduced(
+    def reduced_equations(
         self, columns: Complex[np.ndarray, "columns lines"]
     ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
-        """Normal equations of force columns with the nuisances eliminated."""
-        weighted = _halves(columns * self.weights)
-        coupled = weighted @ _halves(self.nuisances).T
-        rest = weighted @ _halves(self.bare) - coupled @ cho_solve(self.factor, self.rest)
-        return weighted @ _halves(columns).T - coupled @ cho_solve(self.factor, coupled.T), rest
+        """Normal equations of the amounts of some forces, with the nuisance parameters eliminated."""
+        weighted = real_pairs(columns * self.weights)
+        coupling = weighted @ real_pairs(self.projected_columns).T
+        right_side = weighted @ real_pairs(self.projected_residual)
+        right_side = right_side - coupling @ cho_solve(self.cholesky, self.right_side)
+        return weighted @ real_pairs(columns).T - coupling @ cho_solve(self.cholesky, coupling.T), right_side
 
     def gain(self, force: Complex[np.ndarray, " lines"]) -> float:
-        """Decrease of -2 ln L with a given force."""
-        matrix, rest = self.reduced(force[None])
-        return float(2 * rest[0] - matrix[0, 0])
+        """Fall of -2 ln L by a given force."""
+        matrix, right_side = self.reduced_equations(force[None])
+        return float(2 * right_side[0] - matrix[0, 0])
 
     @cached_property
-    def slow(self) -> Float[np.ndarray, "alltimes knots"]:
-        """Cubic B-splines over the record, zero behind it."""
-        record = self.located.observed.record
-        last = record.taken.stop / self.rate_hz
-        inner = np.linspace(0, last, max(2, round(last / KNOTS_S) + 1))
-        knots = np.concatenate([[0.0] * 3, inner, [last] * 3])
-        at = np.arange(record.taken.stop) / self.rate_hz
-        found = np.zeros((record.length // record.factor, knots.size - 4))
-        found[: at.size] = BSpline.design_matrix(np.minimum(at, last), knots, 3).toarray()
-        return found
+    def slow_basis(self) -> Float[np.ndarray, "alltimes knots"]:
+        """Cubic B-splines over the record, zero beyond its end."""
+        record = self.located.whitened.record
+        last_s = record.counted_samples.stop / self.rate_hz
+        inner_knots_s = np.linspace(0, last_s, max(2, round(last_s / KNOT_SPACING_S) + 1))
+        knots_s = np.concatenate([[0.0] * 3, inner_knots_s, [last_s] * 3])
+        sample_s = np.arange(record.counted_samples.stop) / self.rate_hz
+        basis = np.zeros((record.length // record.factor, knots_s.size - 4))
+        basis[: sample_s.size] = BSpline.design_matrix(np.minimum(sample_s, last_s), knots_s, 3).toarray()
+        return basis
 
-    def finely(self, coarse: Float[np.ndarray, " alltimes"]) -> Float[np.ndarray, " fine"]:
-        at = np.arange(coarse.size * FINER) / FINER
-        return np.asarray(np.interp(at, np.arange(coarse.size), coarse))
+    def oversample(self, samples: Float[np.ndarray, " alltimes"]) -> Float[np.ndarray, " fine"]:
+        """Linear interpolation to the oversampled rate."""
+        position = np.arange(samples.size * OVERSAMPLING) / OVERSAMPLING
+        return np.asarray(np.interp(position, np.arange(samples.size), samples))
 
 
-def force_of(located: Located) -> Complex[np.ndarray, " alllines"]:
-    """The likeliest force, or the likeliest signal of a sensor: S |g| t / (s + S |g|^2)."""
-    own, after = located.observed, located.after
-    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
-    force = np.zeros(own.record.omega.size, dtype=complex)
-    force[own.lines] = spectrum * after.size * after.along / (noise + spectrum * after.size**2)
+def force_spectrum(located: LocatedForce) -> Complex[np.ndarray, " alllines"]:
+    """Likeliest spectrum of the force, or of a sensor's own signal: S |g| t / (s + S |g|^2), a Wiener filter."""
+    whitened, with_force = located.whitened, located.with_force
+    noise, spectrum = whitened.on_lines(with_force.noise), whitened.on_lines(with_force.spectrum)
+    force = np.zeros(whitened.record.omega.size, dtype=complex)
+    force[whitened.lines] = (
+        spectrum * with_force.response_norm * with_force.projection / (noise + spectrum * with_force.response_norm**2)
+    )
     return force
 
 
-def history_of(located: Located) -> ForceHistory:
-    """Time history of a force or a pair."""
-    own, after = located.observed, located.after
-    record, force = own.record, force_of(located)
-    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
+def force_history(located: LocatedForce) -> ForceHistory:
+    """Time history of a force or a pair, weighted for laws that may miss `LAW_ERROR` of it."""
+    whitened, with_force = located.whitened, located.with_force
+    record, force = whitened.record, force_spectrum(located)
     acceleration = np.zeros(record.omega.size, dtype=complex)
     for station, sign in zip(located.candidate.stations, (1.0, -1.0), strict=False):
-        acceleration += sign * (own.motion(station) + sign * _beyond(located, station) * force)
-    moved, rate = (
-        _fine(acceleration * integrated(record.omega, power, CORNER_HZ), record.length // record.factor) / record.factor
+        acceleration += sign * (whitened.motion(station) + sign * _unobserved_accelerance(located, station) * force)
+    displacement_m, velocity_m_per_s = (
+        _oversampled(acceleration * integrated(record.omega, power, CORNER_HZ), record.length // record.factor)
+        / record.factor
         for power in (-2, -1)
     )
-    weights = own.count / (noise + LAW_ERROR**2 * spectrum * after.size**2)
-    direction = located.response.conj() / np.maximum(after.size, 1e-300)[:, None]
-    matrix, rest = normal(own, after.noise)
-    whole = ForceHistory(
+    direction = located.response.conj() / np.maximum(with_force.response_norm, 1e-300)[:, None]
+    matrix, right_side = nuisance_equations(whitened, with_force.noise)
+    history = ForceHistory(
         located=located,
-        moved_m=moved,
-        rate_m_per_s=rate,
-        found_n=np.fft.irfft(force, record.length // record.factor) / record.factor,
-        weights=own.count / noise,
-        bare=np.einsum("lr,lr->l", direction, own.residual),
-        nuisances=np.einsum("lr,clr->cl", direction, own.columns),
-        matrix=matrix,
-        rest=rest,
+        displacement_m=displacement_m,
+        velocity_m_per_s=velocity_m_per_s,
+        force_n=np.fft.irfft(force, record.length // record.factor) / record.factor,
+        weights=whitened.reals_per_line / whitened.on_lines(with_force.noise),
+        projected_residual=np.einsum("lr,lr->l", direction, whitened.residual),
+        projected_columns=np.einsum("lr,clr->cl", direction, whitened.columns),
+        normal_matrix=matrix,
+        right_side=right_side,
     )
-    return weighing(whole, weights)
+    return with_law_error(history, LAW_ERROR)
 
 
-def softened(history: ForceHistory, law_error: float) -> ForceHistory:
-    """History with a law trusted to this share of the force only."""
-    own, after = history.located.observed, history.located.after
-    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
-    return weighing(history, own.count / (noise + law_error**2 * spectrum * after.size**2))
-
-
-def weighing(history: ForceHistory, weights: Float[np.ndarray, " lines"]) -> ForceHistory:
-    """History with other weights of the lines in the direction of the force."""
-    less = history.weights - weights
-    halves = _halves(history.nuisances)
+def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
+    """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
+    whitened, with_force = history.located.whitened, history.located.with_force
+    noise, spectrum = whitened.on_lines(with_force.noise), whitened.on_lines(with_force.spectrum)
+    weights = whitened.reals_per_line / (noise + law_error**2 * spectrum * with_force.response_norm**2)
+    lost_columns = real_pairs(history.projected_columns * (history.weights - weights))
     return replace(
         history,
         weights=weights,
-        matrix=history.matrix - _halves(history.nuisances * less) @ halves.T,
-        rest=history.rest - _halves(history.nuisances * less) @ _halves(history.bare),
+        normal_matrix=history.normal_matrix - lost_columns @ real_pairs(history.projected_columns).T,
+        right_side=history.right_side - lost_columns @ real_pairs(history.projected_residual),
     )
 
 
-def explained_share(located: Located) -> float:
-    """Share of the mean square of the linear residual that nuisances leave."""
-    own, after = located.observed, located.after
-    power = np.abs(after.along) ** 2
-    noise, spectrum = own.on_lines(after.noise), own.on_lines(after.spectrum)
-    kept = 1 - (noise / (noise + spectrum * after.size**2)) ** 2
-    theta = np.zeros(len(own.parameters))  # a drift has columns of its own
-    theta[: located.before.theta.size] = located.before.theta
-    before = float(np.sum(left(own, theta)))
-    return 1 - (float(np.sum(left(own, after.theta))) - float(power @ kept)) / before
+def explained_share(located: LocatedForce) -> float:
+    """Share that the force takes off the sum of squares of the linear residual, after the nuisance parameters."""
+    whitened, with_force = located.whitened, located.with_force
+    power = np.abs(with_force.projection) ** 2
+    noise, spectrum = whitened.on_lines(with_force.noise), whitened.on_lines(with_force.spectrum)
+    explained = 1 - (noise / (noise + spectrum * with_force.response_norm**2)) ** 2
+    theta = np.zeros(len(whitened.parameters))  # a drift has columns of its own
+    theta[: located.without_force.theta.size] = located.without_force.theta
+    squares_without = float(np.sum(residual_squares(whitened, theta)))
+    squares_with = float(np.sum(residual_squares(whitened, with_force.theta))) - float(power @ explained)
+    return 1 - squares_with / squares_without
 
 
-def _beyond(located: Located, station: Station) -> Complex[np.ndarray, " alllines"]:
-    """Acceleration at a place by a force there, of those modes that the sensors do not show."""
-    own = located.observed
-    for response in own.model.responses:
+def _unobserved_accelerance(located: LocatedForce, station: Station) -> Complex[np.ndarray, " alllines"]:
+    """Driving-point accelerance of the modes that the sensors do not observe."""
+    whitened = located.whitened
+    for response in whitened.model.responses:
         if response.body.name == station.body:
-            low = sum(s.station.body == station.body for s in own.record.sensors)
-            return np.asarray(response.shapes([station])[0, low:] ** 2 @ response.accelerance[low:])
+            observed_modes = sum(s.station.body == station.body for s in whitened.record.sensors)
+            return np.asarray(
+                response.shapes([station])[0, observed_modes:] ** 2 @ response.accelerance[observed_modes:]
+            )
     raise KeyError(station.body)
 
 
-def _fine(spectrum: Complex[np.ndarray, " alllines"], length: int) -> Float[np.ndarray, " fine"]:
-    return np.asarray(FINER * np.fft.irfft(spectrum, FINER * length))
-
-
-def _halves(values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
-    return np.ascontiguousarray(values).view(float)
+def _oversampled(spectrum: Complex[np.ndarray, " alllines"], length: int) -> Float[np.ndarray, " fine"]:
+    return np.asarray(OVERSAMPLING * np.fft.irfft(spectrum, OVERSAMPLING * length))

@@ -1,12 +1,10 @@
-"""Rigs from a few numbers: what `rig init` writes as the first rig.json, and the import map beside it."""
+"""First rigs from a few numbers: the rig.json and the import map that `rig init` writes."""
 
 from pathlib import Path
 
-from rig.errors import RigError
-from rig.files import write_bytes
+from rig.files import make_folder, write_bytes
+from rig.lab.starting.analytic import BeamsRig, MassRig
 from rig.lab.starting.base import Start, StartWithStops
-from rig.lab.starting.beams import BeamsRig
-from rig.lab.starting.mass import MassRig
 from rig.lab.starting.measured import MeasuredRig
 from rig.lab.starting.structure import StructureRig
 from rig.model.description import Rig, to_json
@@ -27,13 +25,9 @@ _HEAD = """# Which column of a measured file is which sensor, for `rig import FI
 
 
 def write_start(rig: Rig, map_text: str, folder: Path) -> tuple[Path, Path]:
-    """Writes rig.json and the import map; returns both paths."""
-    told = _HEAD.format(name=MAP_NAME) + map_text
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RigError(f"{folder}: cannot be made a folder ({error.strerror}); choose another place") from error
+    """Write rig.json and the import map; return both paths."""
+    make_folder(folder)
     rig_path, map_path = folder / RIG_NAME, folder / MAP_NAME
     write_bytes(to_json(rig) + b"\n", rig_path)
-    write_bytes(told.encode(), map_path)
+    write_bytes((_HEAD.format(name=MAP_NAME) + map_text).encode(), map_path)
     return rig_path, map_path

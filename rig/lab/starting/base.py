@@ -1,4 +1,4 @@
-"""Options of every first rig beside its bodies."""
+"""Options that all first rigs share, besides their bodies."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -15,8 +15,8 @@ from rig.model.quantities import QuantityName
 from rig.model.sensing import named_sensor
 from rig.recording import channel_groups
 
-STATIONS = 6
-"""Of a body's sensors, the contacts among them: as many as the reference rig has."""
+STATION_COUNT = 6
+"""Sensor stations of a body, including the contacts, as in the reference rig."""
 
 
 class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -29,15 +29,15 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     name: Annotated[str, msgspec.Meta(description="Name of the rig.")] = "rig"
 
     def rig(self) -> Rig:
-        """The rig that these numbers describe; raises RigError where they do not fit."""
+        """Rig that the options describe; raises RigError where they are inconsistent."""
         return self.described()[0]
 
     def described(self) -> tuple[Rig, tuple[str, ...]]:
-        """The rig, and sentences on where its numbers come from."""
+        """Rig, and sentences on the origin of its numbers."""
         raise NotImplementedError
 
     def map_text(self, rig: Rig) -> str:
-        """The import map of a CSV file with the rig's channels."""
+        """Import map of a CSV file with the rig's channels."""
         return map_of(channel_groups(rig), "csv")
 
 
@@ -69,26 +69,29 @@ class StartWithStops(Start, frozen=True, kw_only=True):
 
 
 def contacts_of(meetings: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
-    """Contacts of one law, numbered."""
+    """Numbered contacts with one law, from pairs of stations."""
     return tuple(
-        Contact(name=f"contact_{k}", at=at, against=against, law=law) for k, (at, against) in enumerate(meetings, 1)
+        Contact(name=f"contact_{k}", at=station, against=against, law=law)
+        for k, (station, against) in enumerate(meetings, 1)
     )
 
 
 def spread(
-    taken_m: Sequence[float],
+    required_m: Sequence[float],
     length_m: float,
-    without: Sequence[float] = (),
+    avoided_m: Sequence[float] = (),
     among_m: Sequence[float] | None = None,
-    count: int = STATIONS,
+    count: int = STATION_COUNT,
 ) -> tuple[float, ...]:
-    """The places taken and more, `count` in all, each as far as can be from those before it and from `without`.
+    """Required positions and further ones, `count` in all, each as far as possible from the others and from avoided_m.
 
-    More are chosen on a grid of a fortieth of the length, or among the places given.
+    Further ones are chosen from a grid of a fortieth of the length, or from among_m.
     """
-    chosen = sorted(set(taken_m))
+    chosen = sorted(set(required_m))
     offered = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
     while len(chosen) < min(count, len(offered)):
-        away = np.abs(offered[:, None] - np.array([*chosen, *without])).min(axis=1)
-        chosen.append(float(f"{offered[np.argmax(away)]:.9g}") if among_m is None else float(offered[np.argmax(away)]))
+        distance_m = np.abs(offered[:, None] - np.array([*chosen, *avoided_m])).min(axis=1)
+        chosen.append(
+            float(f"{offered[np.argmax(distance_m)]:.9g}") if among_m is None else float(offered[np.argmax(distance_m)])
+        )
     return tuple(sorted(chosen))

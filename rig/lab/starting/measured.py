@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.lab.clock import even
 from rig.lab.csv_text import TextForm
-from rig.lab.importing import Source, clock_of, rows_in_si, taken_columns
+from rig.lab.importing import Source, clock_of, rows_in_si, source_columns
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
 from rig.lab.tables import read_table
@@ -63,17 +63,17 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         driving = self.positions_m.index(self.force_m)
         length_m = max(self.positions_m) if self.length_m is None else self.length_m
         try:
-            found = fit_record(measured, self.positions_m, driving, length_m, self.band_hz, self.name)
+            fit = fit_record(measured, self.positions_m, driving, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        noises = found.noise_density.tolist()
+        noises = fit.noise_density.tolist()
         if self.noise_density is not None:
             noises = [self.noise_density] * len(noises)
         stops = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
         places = [Station(self.name, x) for x in self.positions_m]
         rig = Rig(
             name=self.name,
-            bodies=(found.body,),
+            bodies=(fit.body,),
             contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], stops),
             force_at=places[driving],
             sensors=tuple(
@@ -82,19 +82,19 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             ),
             sample_rate_hz=measured.sample_rate_hz,
             tolerances=Tolerances(
-                unmodelled=max(float(f"{found.unmodelled:.2g}"), Tolerances().unmodelled),
-                highest_hz=float(f"{found.band_hz[1]:.4g}"),
+                unmodelled=max(float(f"{fit.unmodelled:.2g}"), Tolerances().unmodelled),
+                highest_hz=float(f"{fit.band_hz[1]:.4g}"),
             ),
         )
-        repeats = f"repeats every {found.period_s:.6g} s" if found.period_s else "does not repeat"
-        band = f"{found.band_hz[0]:.4g} to {found.band_hz[1]:.4g} Hz"
+        repeats = f"repeats every {fit.period_s:.6g} s" if fit.period_s else "does not repeat"
+        band = f"{fit.band_hz[0]:.4g} to {fit.band_hz[1]:.4g} Hz"
         notes = (
-            f"{found.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
+            f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
             f"its force {repeats}",
-            *_modes(found.body, found.band_hz),
+            *_modes(fit.body, fit.band_hz),
             *(
                 f"{sensor.name}: a free run misses {after:.2%} rms of the response ({before:.2%} by the FRFs' modes)"
-                for sensor, after, before in zip(rig.sensors, found.misfit, found.misfit_of_frfs, strict=True)
+                for sensor, after, before in zip(rig.sensors, fit.misfit, fit.misfit_of_frfs, strict=True)
             ),
         )
         return rig, notes
@@ -125,22 +125,24 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
         if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
             raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
-        if lost := [x for x in self.contacts_m if x not in self.positions_m]:
-            raise RigError(f"contacts_m has {lost[0]:g} m, where no sensor is; the shapes are known at sensors alone")
+        if unsensed := [x for x in self.contacts_m if x not in self.positions_m]:
+            raise RigError(
+                f"contacts_m has {unsensed[0]:g} m, where no sensor is; the shapes are known at sensors alone"
+            )
 
     def _read(self) -> MeasuredResponse:
         keys = [_source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name]
         table = read_table(self.from_record, TextForm(), keys)
-        wanted = {"force": ("force", _source(self.force_column, self.force_unit))}
-        wanted |= {
+        sources = {"force": ("force", _source(self.force_column, self.force_unit))}
+        sources |= {
             f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
         }
         try:
-            taken, factors = taken_columns(table, wanted)
+            columns, factors = source_columns(table, sources)
             time = _source(self.time_column, "s") if self.time_column else None
-            clock = clock_of(table, list(taken.values()), time, self.sample_rate_hz)
+            clock = clock_of(table, list(columns.values()), time, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{clock.rate_hz:.9g}")
-            rows, _ = even(rows_in_si(taken, factors), clock, rate_hz, resample=False)
+            rows, _ = even(rows_in_si(columns, factors), clock, rate_hz, resample=False)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(rows[0], rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)
@@ -151,7 +153,7 @@ def _source(column: str, unit: str | None) -> Source:
 
 
 def _entry(column: str, unit: str | None) -> str:
-    """A line of the map; JSON's strings are TOML's."""
+    """Entry of the import map; JSON strings are valid TOML strings."""
     source = _source(column, unit)
     return f"{{ column = {json.dumps(source.column)}{f', unit = {json.dumps(unit)}' if unit else ''} }}"
 

@@ -13,8 +13,8 @@ from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
 from rig.model.tolerances import Tolerances
 
-NEAR = 1e-3
-"""A place so near to a given one of a modal basis, in lengths of the body, is that one."""
+SAME_PLACE = 1e-3
+"""Distance, relative to the body's length, within which a place is taken as one of the modal basis."""
 
 
 class StructureRig(StartWithStops, frozen=True, kw_only=True):
@@ -66,24 +66,24 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         return msgspec.structs.replace(self._rig_of(body), tolerances=tolerances), (*notes, *_weight(body))
 
     def structure(self) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
-        """The body from its file, what is to be said of it, and how far it is to be believed, if the file tells.
+        """Body from its file, notes on it, and its tolerances if the file determines them.
 
-        Raises RigError if it cannot be used.
+        Raises RigError if the file cannot be used.
         """
         if (self.from_uff is None) == (self.body is None):
             raise RigError("give the body of the structure by one file: --from-uff FILE, or --body FILE.json")
         if self.from_uff is None:
             return self._with_rigid_modes(self._from_json()), (), None
-        told = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
-        found, notes, tolerances = structure_from_uff(self.from_uff, Choice(*told))
-        return self._with_rigid_modes(found), notes, tolerances
+        settings = (self.along, self.direction, self.nodes, self.positions_m, self.length_m, self.band_hz)
+        body, notes, tolerances = structure_from_uff(self.from_uff, Choice(*settings))
+        return self._with_rigid_modes(body), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:
         contacts, stations = (
-            [_given(body, x, what) for x in places]
-            for what, places in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
+            [_basis_place(body, x, option) for x in places]
+            for option, places in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
-        force_m = _given(body, self.force_m, "force_m")
+        force_m = _basis_place(body, self.force_m, "force_m")
         places = stations or spread([*contacts, force_m], body.length_m, among_m=body.positions_m.tolist())
         meetings = [(Station(body.name, x), None) for x in contacts]
         return self._rig((body,), meetings, Station(body.name, force_m), [Station(body.name, x) for x in places])
@@ -98,9 +98,9 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             raise RigError(f"{path}: is no structure ({error}); see rig/model/README.md") from error
 
     def _with_rigid_modes(self, body: Structure) -> Structure:
-        """Modes with translation, 1/sqrt(m), and rotation, (x - centre)/sqrt(J), as modes of 0 Hz before the others."""
-        told = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
-        if told == (None, None, None):
+        """Body with a translation, 1/sqrt(m), and a rotation, (x - centre)/sqrt(J), prepended as modes of 0 Hz."""
+        inertia = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        if inertia == (None, None, None):
             return body
         if self.mass_kg is None or self.centre_m is None or self.inertia_kg_m2 is None:
             raise RigError("mass_kg, centre_m and inertia_kg_m2 belong together; give all three, or none")
@@ -124,24 +124,24 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
 
 def _weight(body: Structure) -> tuple[str, ...]:
-    """Weight of the first elastic mode, by which wrong units of shapes or modal masses show."""
+    """Note on the apparent mass of the first elastic mode, which reveals wrong units of shapes or modal masses."""
     if body.max_modes <= body.rigid_modes:
         return ()
     shape = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
-    most = int(np.argmax(np.abs(shape)))
+    largest = int(np.argmax(np.abs(shape)))
     return (
-        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shape[most] ** 2:.3g} kg at "
-        f"{body.positions_m[most]:.4g} m: compare that with the part's weight (the end of a uniform beam moves like a "
-        "quarter of it); else the units of shapes or modal masses are wrong",
+        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shape[largest] ** 2:.3g} kg "
+        f"at {body.positions_m[largest]:.4g} m: compare that with the part's weight (the end of a uniform beam moves "
+        "like a quarter of it); else the units of shapes or modal masses are wrong",
     )
 
 
-def _given(body: Structure, place_m: float, what: str) -> float:
-    """The place of the modal basis that is meant; raises RigError if there is none near."""
+def _basis_place(body: Structure, place_m: float, option: str) -> float:
+    """Place of the modal basis nearest to place_m; raises RigError if it is too far."""
     nearest = float(body.positions_m[np.argmin(np.abs(body.positions_m - place_m))])
-    if not abs(nearest - place_m) <= NEAR * body.length_m:
+    if not abs(nearest - place_m) <= SAME_PLACE * body.length_m:
         raise RigError(
-            f"{what} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m "
+            f"{option} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m "
             "(places begin at the first of its nodes or stations)"
         )
     return nearest

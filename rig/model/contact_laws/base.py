@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.model.contact_laws.elementary import beyond, given
+from rig.model.contact_laws.elementary import beyond, contributes
 
 Values = Float[np.ndarray, "*shape"]
 Signal = float | Values
@@ -23,7 +23,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """
 
     signed: ClassVar[tuple[str, ...]] = ()
-    """Its numbers that may be below zero."""
+    """Fields that may be negative."""
 
     lower_clearance_m: float
     upper_clearance_m: float
@@ -39,22 +39,22 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
-        """The force, N."""
+        """Force f(eta, eta', t), N."""
         raise NotImplementedError
 
     @property
     def acts_in_the_gap(self) -> bool:
-        """True if there is a force between the stops too."""
+        """True if there is a force between the stops, too."""
         return False
 
     @property
     def steepest(self) -> tuple[float, float]:
-        """The largest derivatives of the force by eta and eta' at a stop, N/m and N s/m, for a time step to resolve."""
+        """Largest df/d eta (N/m) and df/d eta' (N s/m) at a stop, which a time step has to resolve."""
         return self.stiffness_n_per_m, self.damping_n_s_per_m
 
     @property
     def clearance_m(self) -> float:
-        """Half the total play at time 0: the paper's d where both sides are equal."""
+        """Half the total clearance at time 0, m: the paper's d where both sides are equal."""
         return (self.lower_clearance_m + self.upper_clearance_m) / 2
 
     def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
@@ -62,26 +62,26 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return np.asarray(depth_of(self, eta_m, time_s))
 
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal = 0.0, time_s: Signal = 0.0) -> Values:
-        """The force at a relative displacement and its rate."""
+        """Force at a relative displacement and its rate, N."""
         return np.asarray(self.formula(self, eta_m, rate_m_per_s, time_s))
 
     def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
-        """The derivative of the force at rest by eta; zero in the gap."""
+        """Derivative df/d eta at rest, N/m; zero in the gap."""
         raise NotImplementedError
 
     def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
-        """The derivative of the force by eta'."""
+        """Derivative df/d eta', N s/m."""
         raise NotImplementedError
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
-        """Energy that the force at rest stores, J."""
+        """Potential energy of the force at rest, J."""
         raise NotImplementedError
 
 
 def depth_of(law: Any, eta: Any, time_s: Any) -> Any:
     """Signed depth beyond the stops, m."""
     low, high = -law.lower_clearance_m, law.upper_clearance_m
-    if given(law.wear_m_per_s):
+    if contributes(law.wear_m_per_s):
         low, high = low - law.wear_m_per_s * time_s, high + law.wear_m_per_s * time_s
     return beyond(eta, low, high)
 

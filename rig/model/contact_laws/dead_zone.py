@@ -6,7 +6,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.model.contact_laws.base import ContactLaw, Signal, Values, depth_of
-from rig.model.contact_laws.elementary import given, magnitude, power, select, smaller, tanh
+from rig.model.contact_laws.elementary import contributes, magnitude, power, select, smaller, tanh
 
 DAMPING_DEPTH_M = 1e-5
 FRICTION_SPEED_M_PER_S = 0.02
@@ -52,14 +52,14 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
         depth = depth_of(law, eta, time_s)
         force = _secant(law, depth) * depth
-        if given(law.cubic_n_per_m3):
+        if contributes(law.cubic_n_per_m3):
             force = force + law.cubic_n_per_m3 * depth * depth * depth
-        if given(law.damping_n_s_per_m):
+        if contributes(law.damping_n_s_per_m):
             damping = law.damping_n_s_per_m
             force = force + smaller(magnitude(depth) * (damping / DAMPING_DEPTH_M), damping) * rate
             if not law.pulls:
                 force = select(force * depth > 0.0, force, 0.0)
-        if given(law.open_damping_n_s_per_m):
+        if contributes(law.open_damping_n_s_per_m):
             force = force + law.open_damping_n_s_per_m * rate
         if law.friction_n != 0.0:
             force = force + law.friction_n * tanh(rate / FRICTION_SPEED_M_PER_S)
@@ -83,10 +83,12 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
         depth = depth_of(self, eta_m, time_s)
         share = smaller(magnitude(depth) / DAMPING_DEPTH_M, 1.0)
         if not self.pulls:
-            pressed = (_secant(self, depth) + self.cubic_n_per_m3 * depth * depth) * depth
-            share = share * ((pressed + self.damping_n_s_per_m * share * rate_m_per_s) * depth > 0.0)
-        turned = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
-        return np.asarray(self.damping_n_s_per_m * share + self.open_damping_n_s_per_m + self.friction_n * turned)
+            elastic_n = (_secant(self, depth) + self.cubic_n_per_m3 * depth * depth) * depth
+            share = share * ((elastic_n + self.damping_n_s_per_m * share * rate_m_per_s) * depth > 0.0)
+        friction_slope = (1 - np.tanh(rate_m_per_s / FRICTION_SPEED_M_PER_S) ** 2) / FRICTION_SPEED_M_PER_S
+        return np.asarray(
+            self.damping_n_s_per_m * share + self.open_damping_n_s_per_m + self.friction_n * friction_slope
+        )
 
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         depth = depth_of(self, eta_m, time_s)
@@ -96,7 +98,7 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
 def _secant(law: Any, depth: Any) -> Any:
     """k |depth / d|^(p - 1) of the stop that is touched, N/m."""
     stiffness = law.stiffness_n_per_m
-    if given(law.lower_stiffness_ratio - 1.0):
+    if contributes(law.lower_stiffness_ratio - 1.0):
         stiffness = stiffness * select(depth < 0.0, law.lower_stiffness_ratio, 1.0)
     if law.exponent != 1.0:
         stiffness = stiffness * power(magnitude(depth) / law.reference_depth_m, law.exponent - 1.0)

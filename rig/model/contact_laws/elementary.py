@@ -1,7 +1,7 @@
-"""Functions of a contact law's formula beside + - * /: each works on numbers and arrays.
+"""Functions that a contact law's formula may use besides + - * /, for numbers and arrays.
 
-Who evaluates formulas otherwise registers its own kind: the compiled loop of the modal plant for numba, the ancf plant
-for Exudyn's symbolic numbers (`functools.singledispatch` goes by the first argument).
+Other evaluators register their own versions (`functools.singledispatch` on the first argument): the compiled loop of
+the modal plant for numba, the ancf plant for Exudyn's symbolic numbers.
 """
 
 from functools import singledispatch
@@ -11,8 +11,8 @@ import numpy as np
 
 
 @singledispatch
-def given(factor: Any) -> Any:
-    """True if a term with this factor is worth evaluating; always in the compiled loop, as a branch costs more."""
+def contributes(factor: Any) -> Any:
+    """True if a term with this factor has to be evaluated; always in the compiled loop, where a branch costs more."""
     return factor != 0.0
 
 
@@ -24,13 +24,13 @@ def beyond(eta: Any, low: Any, high: Any) -> Any:
 
 @singledispatch
 def select(condition: Any, chosen: Any, otherwise: Any) -> Any:
-    """One value where the condition holds, the other elsewhere."""
+    """`chosen` where the condition holds, `otherwise` elsewhere."""
     return np.where(condition, chosen, otherwise)
 
 
 @singledispatch
-def smaller(one: Any, other: Any) -> Any:
-    return np.minimum(one, other)
+def smaller(x: Any, y: Any) -> Any:
+    return np.minimum(x, y)
 
 
 @singledispatch

@@ -7,7 +7,7 @@ from rig.registry import instances
 
 __all__ = ["QUANTITIES", "Quantity", "QuantityName", "printed_unit"]
 
-QUANTITIES: dict[str, Quantity] = {one.name: one for one in instances(__path__, __name__, Quantity)}
+QUANTITIES: dict[str, Quantity] = {quantity.name: quantity for quantity in instances(__path__, __name__, Quantity)}
 """Every quantity by the name that rig.json calls it."""
 
 if TYPE_CHECKING:

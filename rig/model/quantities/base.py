@@ -8,18 +8,18 @@ import numpy as np
 from jaxtyping import Float
 
 Row = Float[np.ndarray, " coordinates"]
-Along = Float[np.ndarray, "3 coordinates"]
-"""w, its slope w' and its curvature w'' at a place, per coordinate."""
+Derivatives = Float[np.ndarray, "3 coordinates"]
+"""Rows of w, its slope w' and its curvature w'' at a place, over the coordinates."""
 LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "in": 0.0254}
 
 
-def value(along: Along, _: float) -> Row:
-    """The motion at the sensor's place."""
-    return along[0]
+def pointwise(derivatives: Derivatives, _: float) -> Row:
+    """Operator of a sensor of w itself: the row of w at its place."""
+    return derivatives[0]
 
 
 def printed_unit(unit: str) -> str:
-    """Unit as figures, pages and views write it: m/s² for m/s^2."""
+    """Unit with superscripts, for figures, pages and views: m/s² for m/s^2."""
     return unit.replace("^2", "²").replace("^3", "³")
 
 
@@ -35,18 +35,18 @@ class Quantity:
     unit: str
     units: Mapping[str, float]
     order: int
-    operator: Callable[[Along, float], Row] = value
+    operator: Callable[[Derivatives, float], Row] = pointwise
     ac_coupled: bool = False
     """Whether its sensors have a high-pass (IEPE)."""
     uff_kind: int = 0
     """Data type in universal file format 58; 0: general."""
     largest: float = math.inf
-    """More, in `unit`, nothing on a test rig moves."""
+    """Largest value on any test rig, in `unit`."""
     translates: bool = field(init=False)
-    """Whether it is of w itself: others sense neither a moving base nor a single mass."""
+    """Whether it depends on w itself; other quantities show neither a moving base nor a single mass."""
     bends: bool = field(init=False)
-    """Whether it is of the curvature."""
+    """Whether it depends on the curvature."""
 
     def __post_init__(self) -> None:
-        for name, along in (("translates", (1.0, 0.0, 0.0)), ("bends", (0.0, 0.0, 1.0))):
-            object.__setattr__(self, name, bool(np.any(self.operator(np.array(along)[:, None], 1.0))))
+        for name, derivatives in (("translates", (1.0, 0.0, 0.0)), ("bends", (0.0, 0.0, 1.0))):
+            object.__setattr__(self, name, bool(np.any(self.operator(np.array(derivatives)[:, None], 1.0))))

@@ -1,10 +1,10 @@
 """Bending strain: strain gauge, epsilon = -h w''(x) at the distance h from the neutral fibre, tension positive."""
 
-from rig.model.quantities.base import Along, Quantity, Row
+from rig.model.quantities.base import Derivatives, Quantity, Row
 
 
-def surface_strain(along: Along, fibre_m: float) -> Row:
-    return -fibre_m * along[2]
+def surface_strain(derivatives: Derivatives, fibre_m: float) -> Row:
+    return -fibre_m * derivatives[2]
 
 
 STRAIN = Quantity(

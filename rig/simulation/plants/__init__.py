@@ -1,4 +1,4 @@
-"""Plants that simulate a rig: one protocol (`rig.simulation.motion.Plant`), engines imported when asked for."""
+"""Plants that simulate a rig (protocol `rig.simulation.motion.Plant`), imported when they are requested."""
 
 from importlib import import_module
 
@@ -9,7 +9,7 @@ PLANTS = ("ancf", "modal")
 
 
 def plant_named(name: str) -> Plant:
-    """The plant of that name; raises RigError if there is none."""
+    """Plant of that name; raises RigError if there is none."""
     if name not in PLANTS:
         raise RigError(f"no plant {name!r}; there are {', '.join(PLANTS)}")
     plant: Plant = import_module(f"rig.simulation.plants.{name}").simulate

@@ -29,15 +29,15 @@ def simulate(
     elements: int = ELEMENTS,
     extra: tuple[Extra, ...] = (),
 ) -> Iterator[Motion]:
-    """The motion from rest, with about `elements` elements a beam and a node wherever something acts on it.
+    """Motion from rest, with about `elements` elements per beam and a node wherever something acts on it.
 
     Generalized-alpha (spectral radius 0.9) at a fixed step; use a dyadic one, so that time adds up exactly. Each beam
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
     every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
-    inertial load. The solver runs in segments of 4096 steps, each continued from the
-    coordinates, velocities and accelerations of the one before. `extra` is what no Rig describes.
+    inertial load. The solver runs in segments of 4096 steps, each continued from the coordinates, velocities and
+    accelerations of the one before. `extra` is what no Rig describes.
 
-    Yields one Motion a segment. Raises RigError if the solver fails or the motion is not finite.
+    Yields one Motion per segment. Raises RigError if the solver fails or the motion is not finite.
     """
     with needs_extra("simulate", "the plant ancf (Exudyn)"):
         import exudyn as exu
@@ -66,7 +66,7 @@ def simulate(
 
 @dataclass(frozen=True)
 class _Excitation:
-    """Excitation at every step: the force of each load (the true forces, then the tones), and the base's motion.
+    """Excitation at every step: the loads (true forces, then tones) and the motion of the base.
 
     `base` is displacement, velocity and acceleration, empty where the base stands still.
     """
@@ -77,16 +77,19 @@ class _Excitation:
 
     @property
     def first_n(self) -> list[float]:
-        """The true forces' first values."""
+        """First values of the true forces."""
         return [float(history[0]) for history in self.loads_n[: len(self.measured_n.signals)]]
 
-    def carried(self, now: slice) -> list[Float[np.ndarray, " some"] | float]:
-        """Displacement, velocity and acceleration of the base over some steps; zeros where it stands still."""
-        return [history[now] for history in self.base] or [0.0] * 3
+    def base_over(self, span: slice) -> list[Float[np.ndarray, " some"] | float]:
+        """Displacement, velocity and acceleration of the base over a span of steps; zeros without base motion."""
+        return [history[span] for history in self.base] or [0.0] * 3
 
 
 def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra: tuple[Extra, ...]) -> _Excitation:
-    """Raises RigError if the forces are not those of the rig, or loads or base motion act on a beam of sections."""
+    """Excitation of a run.
+
+    Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
+    """
     base = base_motion(rig, len(force_n), step_s)
     if (base or rig.loads) and any(isinstance(e, Section) for e in extra):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
@@ -104,7 +107,7 @@ def _excite(
     step_s: float,
     extra: tuple[Extra, ...],
 ) -> None:
-    """Has the solver set every load, the base's acceleration and a changing modulus before each step."""
+    """Register the function that sets loads, base acceleration and changing moduli before every step."""
     set_base = add_loads(mbs, rig, meshes) if rig.loads or excitation.base else None
     changes = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
 
@@ -123,7 +126,7 @@ def _excite(
 
 @dataclass(frozen=True)
 class _Instruments:
-    """Instruments of a segment: all transverse coordinates by derivative in time, and the contacts' forces.
+    """Readers of a segment: all transverse coordinates by time derivative, and the contact forces.
 
     `stations` and `sensors` are the rows that make a station's displacement and a sensor's quantity of them.
     """
@@ -136,7 +139,7 @@ class _Instruments:
 
 
 def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], contacts: list[int]) -> _Instruments:
-    """Sensors on every node, and on the connectors of the contacts."""
+    """Exudyn sensors on every node and on the connectors of the contacts."""
     orders = {0, *(s.measures.order for s in rig.sensors)}
     force = exu.OutputVariableType.Force
     return _Instruments(
@@ -154,31 +157,34 @@ def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], contacts: lis
 def _motion(
     rig: Rig, mbs: Any, instruments: _Instruments, excitation: _Excitation, first: int, last: int, step_s: float
 ) -> Motion:
-    """The segment that the solver has just done; raises RigError if it diverged or a softening spring let go."""
-    again = int(first > 0)  # the first sample of a segment is the last of the one before
-    moved = {order: read()[:, again:] for order, read in instruments.coordinates.items()}
-    if not all(np.isfinite(m).all() for m in moved.values()):
+    """Motion of the segment just solved; raises RigError if it diverged or a softening spring let go."""
+    repeated = int(first > 0)  # the first sample of a segment is the last of the one before
+    coordinates = {order: read()[:, repeated:] for order, read in instruments.coordinates.items()}
+    if not all(np.isfinite(derivative).all() for derivative in coordinates.values()):
         raise RigError(f"the ancf plant diverged before {last * step_s:.3f} s at step {step_s} s; use a smaller step")
-    count = moved[0].shape[1]
-    now = slice(last + 1 - count, last + 1)
-    displaced = {s: row @ moved[0] for s, row in instruments.stations.items()}
-    between = [displaced[c.at] - (displaced[c.against] if c.against else 0) for c in connections(rig)]
-    check_softening(instruments.limits_m, _stack(between, count))
-    carried = excitation.carried(now)
-    sensed = [row @ moved[m.order] + carried[m.order] * m.translates for m, row in instruments.sensors]
+    count = coordinates[0].shape[1]
+    span = slice(last + 1 - count, last + 1)
+    displacement_m = {s: row @ coordinates[0] for s, row in instruments.stations.items()}
+    relative_m = [displacement_m[c.at] - (displacement_m[c.against] if c.against else 0) for c in connections(rig)]
+    check_softening(instruments.limits_m, _stack(relative_m, count))
+    base = excitation.base_over(span)
+    sensed = [
+        row @ coordinates[derivative.order] + base[derivative.order] * derivative.translates
+        for derivative, row in instruments.sensors
+    ]
     return Motion(
-        start_s=(first + again) * step_s,
+        start_s=(first + repeated) * step_s,
         step_s=step_s,
-        forces_n=excitation.measured_n[now],
+        forces_n=excitation.measured_n[span],
         sensed=_stack(sensed, count),
-        displacement_m=_stack([displaced[s] + carried[0] for s in stations_of(rig)], count),
-        eta_m=_stack(between[: len(rig.contacts)], count),
-        contact_force_n=_stack([mbs.GetSensorStoredData(s)[again:, 1] for s in instruments.contact_forces], count),
+        displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], count),
+        eta_m=_stack(relative_m[: len(rig.contacts)], count),
+        contact_force_n=_stack([mbs.GetSensorStoredData(s)[repeated:, 1] for s in instruments.contact_forces], count),
     )
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
-    """Sensors on every node for one derivative in time; the returned function gives all transverse coordinates."""
+    """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
     output = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
     sensors = [
         (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)

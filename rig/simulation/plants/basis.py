@@ -23,7 +23,7 @@ def modal_basis(
     modes: int,
     elements: int = ELEMENTS,
 ) -> Structure:
-    """The beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
+    """Beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
 
     Elastic modes have the beam's damping ratio. The rigid-body modes of a free beam, which its finite elements give in
     any mixture, become a translation and a rotation about the centre of mass.
@@ -33,7 +33,7 @@ def modal_basis(
     frequencies_hz = np.sqrt(np.maximum(squares[:modes], 0)) / (2 * np.pi)
     frequencies_hz[:rigid] = 0
     shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :modes]
-    shapes[:, :rigid] = shapes[:, :rigid] @ _unmixed(vectors[0::2, :rigid])
+    shapes[:, :rigid] = shapes[:, :rigid] @ _separating_rotation(vectors[0::2, :rigid])
     upwards = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
     return structure_of(
         beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(modes), positions_m, shapes * upwards
@@ -43,31 +43,29 @@ def modal_basis(
 def _bending_modes(
     beam: Beam, sections: tuple[Section, ...], elements: int
 ) -> tuple[Mesh, Float[np.ndarray, " modes"], Float[np.ndarray, "transverse modes"]]:
-    """The mesh, omega^2, and mass-normalised shapes over (displacement, slope) of every node."""
+    """Mesh, omega^2, and mass-normalised shapes over (displacement, slope) of every node."""
     with needs_extra("simulate", "the modal basis of a stepped beam (Exudyn)"):
         import exudyn as exu
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True
     container = exu.SystemContainer()
-    alone = Rig(
-        name=beam.name, bodies=(beam,), contacts=(), force_at=Station(beam.name), sensors=(), sample_rate_hz=1.0
-    )
+    rig = Rig(name=beam.name, bodies=(beam,), contacts=(), force_at=Station(beam.name), sensors=(), sample_rate_hz=1.0)
     try:
         mbs = container.AddSystem()
-        (mesh,), _, _ = build(exu, mbs, alone, [0.0], elements, sections)
+        (mesh,), _, _ = build(exu, mbs, rig, [0.0], elements, sections)
         mbs.Assemble()
         mass, stiffness, _ = mbs.ComputeLinearizedSystem()
     finally:
         container.Reset()
-    free = free_coordinates(alone, mesh)
+    free = free_coordinates(rig, mesh)
     squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
-    held = np.zeros((held_coordinates(alone, beam), squares.size))
+    held = np.zeros((held_coordinates(rig, beam), squares.size))
     return mesh, squares, np.concatenate([held, shapes])
 
 
-def _unmixed(rigid: Float[np.ndarray, "nodes rigid"]) -> Float[np.ndarray, "rigid rigid"]:
-    """The rotation of the rigid modes that makes the first a pure translation: its amplitudes are those of 1."""
+def _separating_rotation(rigid: Float[np.ndarray, "nodes rigid"]) -> Float[np.ndarray, "rigid rigid"]:
+    """Orthogonal matrix that turns two rigid modes into a translation and a rotation; identity without rigid modes."""
     if not rigid.size:
         return np.eye(rigid.shape[1])
     translation = np.linalg.lstsq(rigid, np.ones(len(rigid)), rcond=None)[0]

@@ -15,14 +15,14 @@ from numba.extending import overload
 
 import rig.model.contact_laws
 from rig.model.contact_laws import LAWS, ContactLaw
-from rig.model.contact_laws.elementary import beyond, given, magnitude, power, select, smaller, tanh
+from rig.model.contact_laws.elementary import beyond, contributes, magnitude, power, select, smaller, tanh
 
 FAST = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 inlined = numba.njit(inline="always", **FAST)
 
 
-def _written() -> int:
-    """A checksum of the formulas: numba keeps compiled code on disk by the caller's own file and argument types."""
+def _source_checksum() -> int:
+    """CRC-32 of the formulas' source: numba caches compiled code by the caller's file and argument types only."""
     files = sorted(path for folder in rig.model.contact_laws.__path__ for path in Path(folder).glob("*.py"))
     return zlib.crc32(b"".join(path.read_bytes() for path in [*files, Path(__file__)]))
 
@@ -32,15 +32,15 @@ COLUMNS = np.dtype(
         ("kind", "i8"),
         ("acts_in_the_gap", "i8"),
         *((name, "f8") for name in sorted({f for law in LAWS.values() for f in law.__struct_fields__})),
-        (f"formulas_{_written()}", "i8"),
+        (f"formulas_{_source_checksum()}", "i8"),
     ]
 )
-"""One row a contact, with the numbers of every kind of law. The last column is there for its name alone: a formula that
-changed makes another type, for which numba compiles anew."""
+"""Record type with a row per contact and the fields of every kind of law. The last column exists for its name only: a
+changed formula makes another type, for which numba compiles anew."""
 
 
 def table_of(laws: Sequence[ContactLaw]) -> Any:
-    """The rows of some laws, whatever their kinds."""
+    """Table with a row of coefficients per law, of any kind."""
     table = np.zeros(len(laws), COLUMNS)
     for row, law in zip(table, laws, strict=True):
         for name, value in msgspec.structs.asdict(law).items():
@@ -51,10 +51,10 @@ def table_of(laws: Sequence[ContactLaw]) -> Any:
 
 @no_type_check
 def _power(x, exponent):
-    found = 1.0
+    value = 1.0
     for _ in range(exponent != 0.0):  # no loop is evaluated ahead of an `if` in the formula, as a bare power would be
-        found = x**exponent
-    return found
+        value = x**exponent
+    return value
 
 
 @no_type_check
@@ -71,7 +71,7 @@ def _tanh(x):
 
 
 _NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
-    given: lambda factor: True,  # noqa: ARG005
+    contributes: lambda factor: True,  # noqa: ARG005
     beyond: lambda eta, low, high: max(eta - high, 0.0) + min(eta - low, 0.0),
     select: lambda condition, chosen, otherwise: chosen if condition else otherwise,
     smaller: lambda one, other: min(one, other),  # noqa: PLW0108 - numba takes no builtins here
@@ -79,32 +79,32 @@ _NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
     power: _power,
     tanh: _tanh,
 }
-"""What formulas use, by single numbers."""
+"""Scalar implementations of the functions that formulas use."""
 
 for _module in [sys.modules[name] for name in sys.modules if name.startswith(rig.model.contact_laws.__name__)]:
     _helpers = [f for f in vars(_module).values() if isinstance(f, FunctionType) and f.__module__ == _module.__name__]
     _NUMBERS = {f: unwrap(f) for f in _helpers} | _NUMBERS  # functions that formulas share
 
-for _general, _own in _NUMBERS.items():
-    overload(_general, strict=False)(lambda *_, own=_own: own)
+for _general, _compiled in _NUMBERS.items():
+    overload(_general, strict=False)(lambda *_, own=_compiled: own)
 
 
 def _chained(formulas: Sequence[Callable[..., Any]], first: int = 0) -> Any:
-    """Formula, of those from the first on, that a row's kind says."""
-    own = inlined(unwrap(formulas[first]))
+    """Compiled formula that dispatches on a row's kind among the formulas from number `first` on."""
+    formula = inlined(unwrap(formulas[first]))
     if first + 1 == len(formulas):
-        return own
-    others = _chained(formulas, first + 1)
+        return formula
+    remaining = _chained(formulas, first + 1)
 
     @inlined
     @no_type_check
     def chosen(law, eta, rate, time_s):
         if law.kind == first:
-            return own(law, eta, rate, time_s)
-        return others(law, eta, rate, time_s)
+            return formula(law, eta, rate, time_s)
+        return remaining(law, eta, rate, time_s)
 
     return chosen
 
 
 force_n = _chained([law.formula for law in LAWS.values()])
-"""(row, eta, eta', t) -> force, N."""
+"""Contact force (N) from (row, eta, eta', t)."""

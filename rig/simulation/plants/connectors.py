@@ -1,4 +1,4 @@
-"""Connectors of the ancf plant, by formulae that Exudyn runs compiled: contacts, grounded forces, a modulus."""
+"""Connectors of the ancf plant as symbolic formulas compiled by Exudyn: contacts, grounded forces, a modulus."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -44,23 +44,23 @@ class Section:
 
 
 Extra = GroundedForce | ChangingModulus | Section
-"""What only a simulated reality has, beyond its Rig."""
+"""Properties of a simulated reality that its Rig cannot describe."""
 
 
-def add_contact(exu: Any, mbs: Any, against: int, at: int, law: ContactLaw) -> int:
-    """A connector whose force is the law's; the markers' numbers are given, the connector's returned."""
+def add_contact(exu: Any, mbs: Any, against_marker: int, marker: int, law: ContactLaw) -> int:
+    """Add a connector with a contact law between two markers; return its number."""
     _let_formulas_record(exu.symbolic)
 
     @no_type_check  # recorded symbolically from the plain function
     def force_n(_system, t, _number, eta, rate, _stiffness, _damping, _offset):
         return law.formula(law, eta, rate, t)
 
-    return _connected(mbs, against, at, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
+    return _connected(mbs, against_marker, marker, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
 
 
 @cache
 def _let_formulas_record(symbolic: Any) -> None:
-    """Has Exudyn's symbolic numbers pass through formulas of contact laws, which it then evaluates compiled."""
+    """Register Exudyn's symbolic functions with those of the contact laws, whose formulas it then compiles."""
 
     @no_type_check
     def beyond(eta, low, high):
@@ -70,23 +70,23 @@ def _let_formulas_record(symbolic: Any) -> None:
     def select(condition, chosen, otherwise):
         return symbolic.IfThenElse(condition, symbolic.Real(1.0) * chosen, symbolic.Real(1.0) * otherwise)
 
-    meant = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
-    for name, function in (meant | {"power": symbolic.pow, "tanh": symbolic.tanh}).items():
+    functions = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
+    for name, function in (functions | {"power": symbolic.pow, "tanh": symbolic.tanh}).items():
         getattr(elementary, name).register(symbolic.Real, function)
 
 
-def add_grounded(exu: Any, mbs: Any, ground: int, at: int, extra: GroundedForce) -> int:
-    """A connector to the ground with the force's own formula."""
+def add_grounded(exu: Any, mbs: Any, ground: int, marker: int, extra: GroundedForce) -> int:
+    """Add a connector from a marker to the ground with the formula of a grounded force; return its number."""
 
     @no_type_check  # recorded symbolically from the plain function
     def law(_system, t, _number, w, rate, _stiffness, _damping, _offset):
         return extra.force_n(exu.symbolic, t, w, rate)
 
-    return _connected(mbs, ground, at, law)
+    return _connected(mbs, ground, marker, law)
 
 
 def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Callable[[int, float], None]:
-    """Called with a step's number and time, sets the bending stiffness of the beam's elements now and then."""
+    """Function of (step, time) that updates the bending stiffness of a beam's elements every 64 steps."""
     mesh = next(m for m in meshes if m.body.name == extra.beam)
     objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     elements = [n for n, o in objects if o["objectType"] == "ANCFCable2D" and int(o["nodeNumbers"][0]) in mesh.nodes]
@@ -101,12 +101,14 @@ def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Call
 
 
 def _connected(
-    mbs: Any, against: int, at: int, law: Callable[..., Any], stiffness: float = 0.0, damping: float = 0.0
+    mbs: Any, against_marker: int, marker: int, law: Callable[..., Any], stiffness: float = 0.0, damping: float = 0.0
 ) -> int:
     from exudyn.advancedUtilities import CreateSymbolicUserFunction
     from exudyn.itemInterface import CoordinateSpringDamper
 
-    connector = mbs.AddObject(CoordinateSpringDamper(markerNumbers=[against, at], stiffness=stiffness, damping=damping))
+    connector = mbs.AddObject(
+        CoordinateSpringDamper(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping)
+    )
     function = CreateSymbolicUserFunction(mbs, law, "springForceUserFunction", connector)
     mbs.SetObjectParameter(connector, "springForceUserFunction", function)
     mbs.variables[f"law of connector {connector}"] = function  # Exudyn does not keep it alive

@@ -19,14 +19,14 @@ from rig.simulation.plants.loading import connections
 from rig.simulation.plants.mesh import Mesh, by_node, inertia, mesh_positions, static_load
 
 AXIAL_FACTOR = 0.25
-"""On the axial stiffness, whose waves would otherwise set the step. Much less, and the beams' own axial resonances come
-down into the band of the force: at 0.01 the cradle's, at 129 Hz, falsified its tip's acceleration there by a tenth."""
+"""Factor on the axial stiffness, whose waves would otherwise limit the step. A much smaller factor would bring axial
+resonances into the band of the force: at 0.01 the cradle's, at 129 Hz, changed its tip acceleration by a tenth."""
 
 
 def build(
     exu: Any, mbs: Any, rig: Rig, first_n: Sequence[float], elements: int, extra: tuple[Extra, ...] = ()
 ) -> tuple[list[Mesh], list[int], list[int]]:
-    """Bodies, damping, contacts and loads; returns the meshes, the connectors and the loads' numbers.
+    """Add bodies, damping, contacts and loads; return the meshes, the connectors and the loads' numbers.
 
     The connectors are those of the contacts, then those of cubic springs, dampers and the extra forces. The loads are
     the exciting forces, with their first values, and the tones.
@@ -44,40 +44,43 @@ def build(
 
     connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
     connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)]
-    pushed = [*zip(rig.forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
-    loads = [int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=marker(at), load=n))) for at, n in pushed]
+    load_points = [*zip(rig.forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
+    loads = [
+        int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=marker(station), load=force_n)))
+        for station, force_n in load_points
+    ]
     return meshes, connectors, loads
 
 
 def _with_nodes_for(rig: Rig, extra: tuple[Extra, ...]) -> Rig:
-    """The rig with springs of no stiffness where grounded forces act and sections end: a node stands at each."""
+    """Rig with springs of zero stiffness where grounded forces act and sections end, so that nodes are placed there."""
     stations = [e.station for e in extra if isinstance(e, GroundedForce)]
     stations += [Station(e.beam, x) for e in extra if isinstance(e, Section) for x in (e.start_m, e.end_m)]
     return replace(rig, springs=(*rig.springs, *(PointSpring(station=station) for station in stations)))
 
 
 def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
-    """A marker on the displacement of the node that stands there."""
+    """Add a marker on the displacement of the node at a station; return its number."""
     mesh = next(m for m in meshes if m.body.name == station.body)
     node, coordinate = mesh.node_at(station.position_m), mesh.transverse[0]
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
 def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sections: list[Section]) -> Mesh:
-    add = _ADDED.get(type(body))
+    add = _ADD_BODY.get(type(body))
     if add is None:
         raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
     return add(mbs, rig, body, ground, elements, sections)
 
 
 def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _elements: int, _sections: list[Section]) -> Mesh:
-    whole = with_attachments(rig, body)
+    loaded = with_attachments(rig, body)
     node = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
-    mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=whole.mass_kg))
+    mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=loaded.mass_kg))
     marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
     mbs.AddObject(
         item("CoordinateSpringDamper")(
-            markerNumbers=[ground, marker], stiffness=whole.stiffness_n_per_m, damping=whole.damping_n_s_per_m
+            markerNumbers=[ground, marker], stiffness=loaded.stiffness_n_per_m, damping=loaded.damping_n_s_per_m
         )
     )
     return Mesh(body, np.zeros(1), (node,))
@@ -91,19 +94,21 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, elements: int, sectio
 
     positions = mesh_positions(rig, body, elements)
     nodes = tuple(int(mbs.AddNode(item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
-    for (left, right), length, middle in zip(
+    for (left_node, right_node), length, middle_m in zip(
         pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
     ):
-        here = [s for s in sections if s.beam == body.name and s.start_m < middle < s.end_m]
-        stiffer, heavier = (float(np.prod([getattr(s, f) for s in here])) for f in ("stiffness_factor", "mass_factor"))
+        local_sections = [s for s in sections if s.beam == body.name and s.start_m < middle_m < s.end_m]
+        stiffness_factor, mass_factor = (
+            float(np.prod([getattr(s, f) for s in local_sections])) for f in ("stiffness_factor", "mass_factor")
+        )
         axial = AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m
         mbs.AddObject(
             item("ObjectANCFCable2D")(
-                nodeNumbers=[left, right],
+                nodeNumbers=[left_node, right_node],
                 length=length,
-                massPerLength=heavier * body.mass_per_length_kg_per_m,
-                bendingStiffness=stiffer * body.bending_stiffness_n_m2,
-                axialStiffness=heavier * axial,
+                massPerLength=mass_factor * body.mass_per_length_kg_per_m,
+                bendingStiffness=stiffness_factor * body.bending_stiffness_n_m2,
+                axialStiffness=mass_factor * axial,
             )
         )
     if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
@@ -111,12 +116,12 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, elements: int, sectio
     return Mesh(body, positions, nodes)
 
 
-_ADDED: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_mass}
-"""The bodies that this plant meshes, and how."""
+_ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_mass}
+"""Functions that mesh a body, by its type."""
 
 
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
-    """A beam's point masses, linear springs and clamps that give, as mass and stiffness of one node each."""
+    """Add the beams' point masses, linear springs and compliant clamps as nodal mass and stiffness matrices."""
 
     def add(station: Station, **matrices: Float[np.ndarray, "4 4"]) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
@@ -134,7 +139,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
 
 
 def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
-    """The same damping ratio for every elastic mode of the finite elements, as a damping matrix on the beam's nodes."""
+    """Add the damping matrix M Phi diag(2 zeta omega) Phi' M of every beam: one damping ratio for all elastic modes."""
     mbs.Assemble()
     mass, stiffness, _ = mbs.ComputeLinearizedSystem()
     first = 0
@@ -154,29 +159,31 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
 
 
 def free_coordinates(rig: Rig, mesh: Mesh) -> Int[np.ndarray, " free"]:
-    """Among all coordinates of a beam's nodes, the transverse ones that no clamp holds."""
+    """Indices of the transverse coordinates of a beam's nodes that no clamp fixes."""
     transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
     return transverse[held_coordinates(rig, mesh.body) :]
 
 
 def add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:
-    """Static loads and the base's inertial load; the returned function sets the base's acceleration."""
-    constant, carried = static_load(rig, meshes), inertia(rig, meshes)
+    """Add static loads and the base's inertial load; return a function that sets the base's acceleration."""
+    constant, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
     body = item("ObjectGenericODE2")
-    loaded = [
+    load_objects = [
         mbs.AddObject(body(nodeNumbers=list(mesh.nodes), forceVector=vector))
         for mesh, vector in zip(meshes, by_node(meshes, constant), strict=True)
     ]
 
     def set_base(acceleration_m_per_s2: float) -> None:
-        for number, vector in zip(loaded, by_node(meshes, constant - carried * acceleration_m_per_s2), strict=True):
+        for number, vector in zip(
+            load_objects, by_node(meshes, constant - base_inertia * acceleration_m_per_s2), strict=True
+        ):
             mbs.SetObjectParameter(number, "forceVector", vector)
 
     return set_base
 
 
 def item(name: str) -> Any:
-    """The class of that name in Exudyn's item interface, imported when it is needed."""
+    """Class of that name in Exudyn's item interface, imported on first use."""
     from exudyn import itemInterface
 
     return getattr(itemInterface, name)

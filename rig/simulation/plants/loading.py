@@ -1,4 +1,4 @@
-"""Loads on a rig beside its measured force: true force, base motion, cubic springs, dampers, static loads."""
+"""Loads on a rig besides its measured force: true force, base motion, cubic springs, dampers, static loads."""
 
 import numpy as np
 import scipy
@@ -11,32 +11,32 @@ from rig.model.modes import modes_of
 from rig.simulation.excitation import noise_spectrum
 from rig.simulation.motion import ForceSignal
 
-SPLINED = 64
-"""So many samples to either side decide a spline's value to the last digit."""
+SPLINE_SUPPORT = 64
+"""Samples on either side that determine a cubic spline to rounding."""
 
 
 def true_force(
-    rig: Rig, measured_n: ForceSignal, step_s: float, now: slice = slice(None)
+    rig: Rig, measured_n: ForceSignal, step_s: float, span: slice = slice(None)
 ) -> Float[np.ndarray, " some"]:
-    """The force on the rig, given the measured one at multiples of the step: F(t) = measured(t - lag) / gain.
+    """True force F(t) = measured(t - lag) / gain (N) from the measured one at multiples of the step.
 
-    Before its first sample and behind its last the measured force is taken to stay as it is there.
+    Before its first and after its last sample the measured force is taken as constant.
     """
     sensor = rig.force_sensor
     if not sensor.lag_s:
-        return measured_n[now] / sensor.gain
-    first, stop, _ = now.indices(len(measured_n))
+        return measured_n[span] / sensor.gain
+    first, stop, _ = span.indices(len(measured_n))
     shifted = np.arange(first, stop) - sensor.lag_s / step_s
-    inside = np.clip(shifted, 0, len(measured_n) - 1)
-    known = np.arange(max(0, int(inside[0]) - SPLINED), min(len(measured_n), int(inside[-1]) + SPLINED))
-    between = scipy.interpolate.CubicSpline(known, measured_n[known[0] : known[-1] + 1])(inside)
+    steps = np.clip(shifted, 0, len(measured_n) - 1)
+    knots = np.arange(max(0, int(steps[0]) - SPLINE_SUPPORT), min(len(measured_n), int(steps[-1]) + SPLINE_SUPPORT))
+    between = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
     return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
 
 
 def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
-    """Displacement, velocity and acceleration of the base at multiples of the step, each the other's derivative.
+    """Consistent displacement, velocity and acceleration of the base at multiples of the step.
 
-    Empty where it stands still. It sets in from rest over half a second. Raises RigError if the band does not fit the
+    Empty without base motion. The motion rises from rest over RISE_S. Raises RigError if the band does not fit the
     record or the step.
     """
     base = rig.base_motion
@@ -48,22 +48,22 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray
     omega = 2 * np.pi * np.fft.rfftfreq(samples, step_s)
     velocity = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    d, v, a = (_in_time(part, samples) for part in (displacement, velocity, spectrum))
+    d, v, a = (_in_time(transform, samples) for transform in (displacement, velocity, spectrum))
     scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     s = np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)
     rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
     slope, bend = slope / RISE_S, bend / RISE_S**2
-    moved = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
-    return tuple(scale * row for row in moved)
+    motion = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
+    return tuple(scale * row for row in motion)
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:
-    """The contacts, then cubic springs and dampers, each a dead zone to the ground without clearance and stiffness."""
+    """Contacts, then cubic springs and dampers as dead zones to the ground without clearance and linear stiffness."""
 
     springs = [s for s in rig.springs if s.cubic_n_per_m3]
     grounded = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
     grounded += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
-    return (*rig.contacts, *(Contact(name=n, at=at, against=None, law=law) for n, at, law in grounded))
+    return (*rig.contacts, *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
@@ -84,17 +84,17 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
 def check_softening(
     limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
 ) -> None:
-    """Raises RigError if a softening spring has moved beyond its limit."""
-    for limit, moved in zip(limits_m, eta_m, strict=True):
-        if np.isfinite(limit) and np.abs(moved).max() > limit:
+    """Raise RigError if a softening spring has moved beyond its limit."""
+    for limit, row_m in zip(limits_m, eta_m, strict=True):
+        if np.isfinite(limit) and np.abs(row_m).max() > limit:
             raise RigError(
-                f"a softening spring has let go: the body moved by {np.abs(moved).max():.3g} m, and beyond {limit:.3g} "
+                f"a softening spring has let go: the body moved by {np.abs(row_m).max():.3g} m, and beyond {limit:.3g} "
                 "m nothing pulls it back; let it soften less, or excite less"
             )
 
 
 def _static_stiffness(rig: Rig, station: Station) -> float:
-    """Zero of a body that floats."""
+    """Static stiffness of a body at a station, N/m; zero if it has a rigid-body mode."""
     body = rig.body(station.body)
     modes, count = modes_of(rig, body), body.max_modes
     omega = 2 * np.pi * modes.frequencies_hz(count)
@@ -109,25 +109,28 @@ def equilibrium(
     laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> Float[np.ndarray, " modes"]:
-    """Equilibrium of the rig under a static load, in modal coordinates, `squares` being omega^2.
+    """Equilibrium of the rig under a static load, in modal coordinates; `squares` are omega^2.
 
-    What floats unloaded stays at zero, and what floats under a load is pushed to where the stops hold it. A motion that
-    nothing holds but friction or dampers begins at rest at zero, and the load moves it from there. Raises RigError if
-    nothing resists it.
+    A floating motion without load stays at zero; a loaded one is pushed against the stops. A motion that only friction
+    or dampers resist starts at rest at zero and is moved by the load. Raises RigError if nothing resists the load.
     """
-    small = 1e-6 * float(np.linalg.norm(load))
-    if not small:
+    tolerance = 1e-6 * float(np.linalg.norm(load))
+    if not tolerance:
         return np.zeros(load.size)
-    q, unheld, stiffness = _least_energy(squares, across, laws, load)
-    if np.linalg.norm(unheld) < small:
+    q, residual, stiffness = _least_energy(squares, across, laws, load)
+    if np.linalg.norm(residual) < tolerance:
         return q
     motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
     resisting = across[[law.acts_in_the_gap for law in laws]] @ motions
-    pushing = unheld @ motions
-    if np.linalg.norm(pushing - pushing @ np.linalg.pinv(resisting) @ resisting) > small:
+    pushing = residual @ motions
+    if np.linalg.norm(pushing - pushing @ np.linalg.pinv(resisting) @ resisting) > tolerance:
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
-    held = load - unheld
-    return _least_energy(squares, across, laws, held)[0] if np.linalg.norm(held) > small else np.zeros(load.size)
+    held_load = load - residual
+    return (
+        _least_energy(squares, across, laws, held_load)[0]
+        if np.linalg.norm(held_load) > tolerance
+        else np.zeros(load.size)
+    )
 
 
 def _least_energy(
@@ -136,19 +139,24 @@ def _least_energy(
     laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-    """The least of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q, reached by proximal steps from
-    zero; the part of the load that nothing holds there, and the tangent stiffness."""
+    """Minimum of the convex energy sum omega^2 q^2 / 2 + sum U_j(across_j q) - load q.
+
+    Found by proximal Newton steps from zero. Returns the coordinates q, the unbalanced part of the load, and the
+    tangent stiffness.
+    """
     q = np.zeros(load.size)
 
-    def energy(at: Float[np.ndarray, " modes"]) -> float:
-        stored = sum(float(law.energy_j(eta)) for law, eta in zip(laws, across @ at, strict=True))
-        return float(squares @ at**2 / 2 + stored - load @ at)
+    def energy(trial: Float[np.ndarray, " modes"]) -> float:
+        stored = sum(float(law.energy_j(eta)) for law, eta in zip(laws, across @ trial, strict=True))
+        return float(squares @ trial**2 / 2 + stored - load @ trial)
 
-    def slopes(at: Float[np.ndarray, " modes"]) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        both = list(zip(laws, across @ at, strict=True))
-        forces = np.array([float(law.force_n(eta)) for law, eta in both])
-        tangent = np.array([float(law.by_eta_n_per_m(eta)) for law, eta in both])
-        return squares * at + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
+    def slopes(
+        trial: Float[np.ndarray, " modes"],
+    ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
+        pairs = list(zip(laws, across @ trial, strict=True))
+        forces = np.array([float(law.force_n(eta)) for law, eta in pairs])
+        tangent = np.array([float(law.by_eta_n_per_m(eta)) for law, eta in pairs])
+        return squares * trial + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
 
     for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor = q

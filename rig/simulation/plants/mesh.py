@@ -1,4 +1,4 @@
-"""Mesh of a body: where its nodes stand, and what weighs on them; shared by whatever uses finite elements."""
+"""Finite-element mesh of a body: nodes, interpolation rows, and static and inertial loads on its coordinates."""
 
 from dataclasses import dataclass
 from itertools import pairwise
@@ -13,12 +13,12 @@ from rig.model.modes import Meshed, held_coordinates, hermite, matrices
 from rig.simulation.plants.loading import connections, equilibrium
 
 ROUNDING = 1e-14
-"""Share of the largest omega^2 below which omega^2 of a rigid motion is rounding of the eigenvalues."""
+"""Relative omega^2 below which an eigenvalue is that of a rigid motion, up to rounding."""
 
 
 @dataclass(frozen=True)
 class Mesh:
-    """A body in Exudyn: its nodes, where they stand, and which coordinates of a node are transverse (value, slope)."""
+    """Mesh of a body in Exudyn: node numbers, positions, and transverse coordinates (value, slope) of a node."""
 
     body: Meshed
     positions_m: Float[np.ndarray, " nodes"]
@@ -38,12 +38,12 @@ class Mesh:
 
     @property
     def per_node(self) -> int:
-        """Coordinates of a node."""
+        """Number of coordinates of a node."""
         return 1 if self.body.is_mass else 4
 
 
 def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
-    """Positions of about `elements` elements a beam, with a node wherever something acts on it or is attached to it."""
+    """Node positions of about `elements` elements, with a node wherever something acts on the beam or is attached."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
     acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
     acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
@@ -54,7 +54,7 @@ def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " n
 
 
 def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[np.ndarray, " rows"]:
-    """Weights of all transverse coordinates of all bodies in the motion of a station, or a derivative of it along."""
+    """Weights of all transverse coordinates of all bodies in the motion of a station, or a derivative along it."""
     return np.concatenate(
         [
             mesh.row(station.position_m, order) if mesh.body.name == station.body else 0.0 * mesh.row(0.0)
@@ -64,28 +64,28 @@ def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[n
 
 
 def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray, " rows"]:
-    """Its measurement operator over all transverse coordinates; the curvature is that of the finite elements."""
-    along = np.array([station_row(meshes, sensor.station, order) for order in range(3)])
-    return sensor.measures.operator(along, rig.fibre_m(sensor))
+    """Measurement operator of a sensor over all transverse coordinates; the curvature is that of the elements."""
+    derivatives = np.array([station_row(meshes, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
-    """The static loads on every transverse coordinate, N and N m."""
-    nothing = np.zeros(station_row(meshes, rig.forces[0]).size)
-    return nothing + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
+    """Static loads on every transverse coordinate, N and N m."""
+    zero = np.zeros(station_row(meshes, rig.forces[0]).size)
+    return zero + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
 
 
 def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     """Inertia of every transverse coordinate as the base moves: the mass matrix times a translation, kg and kg m."""
-    parts = []
+    rows = []
     for mesh in meshes:
         mass, _ = matrices(rig, mesh.body, mesh.positions_m)
-        parts.append(mass @ np.tile([1.0, 0.0], len(mesh.nodes))[: len(mass)])
-    return np.concatenate(parts)
+        rows.append(mass @ np.tile([1.0, 0.0], len(mesh.nodes))[: len(mass)])
+    return np.concatenate(rows)
 
 
 def by_node(meshes: list[Mesh], transverse: Float[np.ndarray, " rows"]) -> list[Float[np.ndarray, " coordinates"]]:
-    """A vector over all transverse coordinates as one over all coordinates of every body; zero along the beams."""
+    """Vector over all transverse coordinates as one vector per body over all its coordinates; zero axially."""
     vectors, first = [], 0
     for mesh in meshes:
         size = len(mesh.transverse) * len(mesh.nodes)
@@ -114,19 +114,19 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
 def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     load = static_load(rig, meshes)
     pairs = [matrices(rig, mesh.body, mesh.positions_m) for mesh in meshes]
-    mass, stiffness = (scipy.linalg.block_diag(*parts) for parts in zip(*pairs, strict=True))
+    mass, stiffness = (scipy.linalg.block_diag(*blocks) for blocks in zip(*pairs, strict=True))
     held, first = [], 0
     for mesh in meshes:
         held += list(range(first, first + held_coordinates(rig, mesh.body)))
         first += len(mesh.transverse) * len(mesh.nodes)
     free = np.setdiff1d(np.arange(load.size), held)
-    both = connections(rig)
+    joints = connections(rig)
     across = np.array(
-        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in both]
-    ).reshape(len(both), load.size)
+        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in joints]
+    ).reshape(len(joints), load.size)
     squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     squares = np.where(squares > ROUNDING * squares.max(), squares, 0.0)
-    laws = tuple(c.law for c in both)
-    found = np.zeros(load.size)
-    found[free] = shapes @ equilibrium(squares, across[:, free] @ shapes, laws, shapes.T @ load[free])
-    return found
+    laws = tuple(c.law for c in joints)
+    coordinates = np.zeros(load.size)
+    coordinates[free] = shapes @ equilibrium(squares, across[:, free] @ shapes, laws, shapes.T @ load[free])
+    return coordinates

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations, stations_of
-from rig.model.modes import Modes, modes_of, modes_wanted, participation
+from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
 from rig.simulation.plants.loading import (
     base_motion,
@@ -24,16 +24,16 @@ from rig.simulation.plants.loading import (
 )
 
 BLOCK = 1 << 13
-BENT = 8
-"""So many samples to either side decide how a force bends within a step, and more."""
+BEND_SUPPORT = 8
+"""Samples on either side that are used for the bend of a force within a step."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """Modes of all bodies, the shapes at every station, what acts on them, and where they rest.
+    """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
-    sensed are the sensors' measurement operators over the modal coordinates, gains the modal forces per unit of each
-    known force: the exciting forces, static loads, the base, tones.
+    sensed are the sensors' measurement operators over the modal coordinates; gains are the modal forces per unit of
+    each known input: exciting forces, static loads, base, tones. holding_n are the contact forces at rest.
     """
 
     omega: Float[np.ndarray, " modes"]
@@ -47,14 +47,14 @@ class Model:
     holding_n: Float[np.ndarray, " contacts"]
 
     def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
-        """The state of rest, and what `advance` holds of the contacts."""
-        none = np.zeros(len(self.across))
-        held = np.stack([self.holding_n, self.across @ self.at_rest, none, none])
-        return np.append(self.at_rest, np.zeros(self.omega.size)), held
+        """State of rest (q, q'), and the contact state (4, contacts) of `stepping.advance`."""
+        zero = np.zeros(len(self.across))
+        contact_state = np.stack([self.holding_n, self.across @ self.at_rest, zero, zero])
+        return np.append(self.at_rest, np.zeros(self.omega.size)), contact_state
 
 
 def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
-    """The motion from rest, with `modes` modes a beam (a mass has one, a structure no more than its basis).
+    """Motion from rest, with `modes` modes per beam (a mass has one, a structure at most those of its basis).
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
     obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force p = phi(x_F) F + p_static - g a_base -
@@ -75,35 +75,35 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
     model, measured = model_of(rig, bool(base), modes), [s.measures for s in rig.sensors]
     constants = constants_of(model, step_s)
     shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
-    last, held = model.start()
-    history_n, history_bent_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
+    last, contact_state = model.start()
+    history_n, history_bends_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
     for first in range(0, len(force_n), BLOCK):
-        now = slice(first, min(first + BLOCK, len(force_n)))
-        applied, bends = applied_inputs(rig, forces_n, base, step_s, now)
-        contact_n, bent_n = np.empty((2, len(model.across), now.stop - first))
-        states = np.empty((now.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
+        span = slice(first, min(first + BLOCK, len(force_n)))
+        applied, bends = applied_inputs(rig, forces_n, base, step_s, span)
+        contact_n, contact_bends_n = np.empty((2, len(model.across), span.stop - first))
+        states = np.empty((span.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
         states[0] = last
-        advance(states, held, contact_n, bent_n, applied, bends, *constants, first, step_s)
-        moved, last = states[1:], states[-1]
+        advance(states, contact_state, contact_n, contact_bends_n, applied, bends, *constants, first, step_s)
+        advanced, last = states[1:], states[-1]
         if not np.all(np.isfinite(last)):  # what is not finite stays so
             raise RigError(
                 f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
-        check_softening(limits_m, model.across @ moved[:, : model.omega.size].T)
-        progress(now.stop / len(force_n))
+        check_softening(limits_m, model.across @ advanced[:, : model.omega.size].T)
+        progress(span.stop / len(force_n))
         history_n = np.concatenate([history_n[:, -4:], contact_n], axis=1)
-        history_bent_n = np.concatenate([history_bent_n[:, -1:], bent_n], axis=1)
-        heard_n = _without_alias(history_n, history_bent_n)
-        sensed = observed(rig, model, moved, applied[:, 1:], heard_n)
+        history_bends_n = np.concatenate([history_bends_n[:, -1:], contact_bends_n], axis=1)
+        corrected_n = _without_alias(history_n, history_bends_n)
+        sensed = observed(rig, model, advanced, applied[:, 1:], corrected_n)
         if base:
-            sensed += np.array([base[m.order][now] * m.translates for m in measured]).reshape(sensed.shape)
-        coordinates = moved[:, : model.omega.size]
+            sensed += np.array([base[m.order][span] * m.translates for m in measured]).reshape(sensed.shape)
+        coordinates = advanced[:, : model.omega.size]
         yield Motion(
             start_s=first * step_s,
             step_s=step_s,
-            forces_n=forces_n[now],
+            forces_n=forces_n[span],
             sensed=sensed,
-            displacement_m=Projected(shapes, coordinates, base[0][now] if base else None),
+            displacement_m=Projected(shapes, coordinates, base[0][span] if base else None),
             eta_m=Projected(model.across[: len(rig.contacts)], coordinates),
             contact_force_n=contact_n[: len(rig.contacts)],
         )
@@ -116,58 +116,58 @@ def observed(
     applied: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
 ) -> Float[np.ndarray, "sensors samples"]:
-    """Signals that the sensors see of the modes, relative to the base."""
+    """True quantities at the sensors from the modal states, relative to the base."""
     size = model.omega.size
     sensed = np.empty((len(rig.sensors), len(states)))
     first = 0
-    for order, alike in groupby(rig.sensors, lambda s: s.measures.order):
-        rows = model.sensed[first : first + len(list(alike))]
+    for order, sensors in groupby(rig.sensors, lambda s: s.measures.order):
+        rows = model.sensed[first : first + len(list(sensors))]
         into = sensed[first : first + len(rows)]
         first += len(rows)
         if order < 2:
             np.matmul(rows, states[:, order * size : (order + 1) * size].T, out=into)
         else:
-            own = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
-            pushed = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
-            np.matmul(own, states.T, out=into)
-            into += pushed @ np.concatenate([applied, contact_n])
+            state_gain = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
+            force_gain = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
+            np.matmul(state_gain, states.T, out=into)
+            into += force_gain @ np.concatenate([applied, contact_n])
     return sensed
 
 
 def _without_alias(
-    history_n: Float[np.ndarray, "contacts longer"], bent_n: Float[np.ndarray, "contacts long"]
+    history_n: Float[np.ndarray, "contacts longer"], bends_n: Float[np.ndarray, "contacts long"]
 ) -> Float[np.ndarray, "contacts samples"]:
-    """Contact forces whose samples give the true impulse when added up, as the samples of a force with corners do not.
+    """Contact forces for accelerometers: their samples add up to the true impulse although the force has corners.
 
-    Accelerometers hear these: else each closure would leave an error in the velocity. What the bend of a step has more
-    than a smooth force would (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the
-    middle of the step. Begins with four more samples of the forces, and one more bend.
+    Otherwise each closure would leave an error in the velocity. The excess of a step's bend over that of a smooth force
+    (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the middle of the step. The input
+    has four earlier samples of the forces, and one earlier bend.
     """
     second = np.diff(history_n, n=2)
-    corner = bent_n + (3 * second[:, 1:] - second[:, :-1]) / 24
+    corner = bends_n + (3 * second[:, 1:] - second[:, :-1]) / 24
     return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
 def bodies_of(rig: Rig, modes: int) -> list[tuple[Body, Modes, int]]:
-    """The bodies with their modes in this rig, and how many of them are taken."""
-    return [(b, modes_of(rig, b), modes_wanted(b, modes)) for b in rig.bodies]
+    """Bodies with their modes in this rig, and the number of modes taken."""
+    return [(b, modes_of(rig, b), mode_count(b, modes)) for b in rig.bodies]
 
 
 def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
-    """The rig with what acts on it."""
+    """Modal model of a rig, with an input for the base if it moves."""
     bodies = bodies_of(rig, modes)
     omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
     zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
-    wanted = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
-    wanted |= {tone.station for tone in rig.tones}
-    wanted |= {station for c in contacts for station in contact_stations(c)}
-    rows = {station: shape_row(bodies, station) for station in wanted}
+    stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
+    stations |= {tone.station for tone in rig.tones}
+    stations |= {station for c in contacts for station in contact_stations(c)}
+    rows = {station: shape_row(bodies, station) for station in stations}
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
     across = across.reshape(len(contacts), omega.size)
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
     at_rest = equilibrium(omega**2, across, laws, static)
-    holding = [float(law.force_n(eta)) for law, eta in zip(laws, across @ at_rest, strict=True)]
+    rest_forces_n = [float(law.force_n(eta)) for law, eta in zip(laws, across @ at_rest, strict=True)]
     gains = [rows[station] for station in rig.forces]
     if rig.loads:
         gains.append(static)
@@ -183,84 +183,93 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
         laws=laws,
         gains=np.array(gains),
         at_rest=at_rest,
-        holding_n=np.array(holding, dtype=float),
+        holding_n=np.array(rest_forces_n, dtype=float),
     )
 
 
 def applied_inputs(
-    rig: Rig, forces_n: Forces, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, now: slice
+    rig: Rig, forces_n: Forces, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, span: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
-    """The known forces at the samples `now` and at the one before, and how they bend in between.
+    """Known inputs at the samples of `span` and at the one before, and their bends over the steps.
 
-    Before the first sample is the state of rest: no force, all static loads, no motion of the base.
+    Before the first sample the rig rests: no force, all static loads, no motion of the base.
     """
-    around = slice(max(0, now.start - BENT), min(len(forces_n), now.stop + BENT))
-    rest = int(around.start == 0)
-    rows = [np.append(np.zeros(rest), true_force(rig, one, step_s, around)) for one in forces_n.signals]
+    window = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
+    rest_samples = int(window.start == 0)
+    rows = [np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, window)) for signal in forces_n.signals]
     if rig.loads:
         rows.append(np.ones(rows[0].size))
     if base:
-        rows.append(np.append(np.zeros(rest), base[2][around]))
-    time_s = np.arange(around.start - rest, around.stop) * step_s
+        rows.append(np.append(np.zeros(rest_samples), base[2][window]))
+    time_s = np.arange(window.start - rest_samples, window.stop) * step_s
     rows += [tone.force_n(time_s) for tone in rig.tones]
     inputs = np.array(rows)
-    begin = now.start - around.start - 1 + rest
-    some = slice(begin, begin + now.stop - now.start + 1)
-    return np.ascontiguousarray(inputs[:, some]), np.ascontiguousarray(_bends(inputs)[:, some])
+    start = span.start - window.start - 1 + rest_samples
+    kept_steps = slice(start, start + span.stop - span.start + 1)
+    return np.ascontiguousarray(inputs[:, kept_steps]), np.ascontiguousarray(_bends(inputs)[:, kept_steps])
 
 
 def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
-    """Constants that `stepping.advance` takes of a model; raises RigError if a contact is too stiff for the step."""
+    """Arrays of a model for `stepping.advance`; raises RigError if a contact is too stiff for the step."""
     from rig.simulation.plants.compiled_laws import table_of
-    from rig.simulation.plants.stepping import within_a_step
+    from rig.simulation.plants.stepping import gauss_points
 
     propagate, response = _propagator(model.omega, model.zeta, step_s)
-    driven, pushed = (
+    input_response, contact_response = (
         (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
     )
-    reach, relief = _reach(model, pushed, step_s)
-    return propagate, driven, model.across, pushed, reach, relief, table_of(model.laws), within_a_step(step_s)
+    reach, relief = _reach(model, contact_response, step_s)
+    return (
+        propagate,
+        input_response,
+        model.across,
+        contact_response,
+        reach,
+        relief,
+        table_of(model.laws),
+        gauss_points(step_s),
+    )
 
 
 def _reach(
-    model: Model, pushed: Float[np.ndarray, "3 contacts states"], step_s: float
+    model: Model, contact_response: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
-    """Reach of each end force, and each bend, in every eta and eta'; and how much of a change that leaves to make.
+    """Response of every eta and eta' to each end force and each bend within a step, and the relief 1 / (1 + self gain).
 
-    Raises RigError if a force would change itself by half or more.
+    Raises RigError if the loop gain of a contact force exceeds one half.
     """
-    parts = pushed[1:].reshape(2, len(model.across), 2, model.omega.size)
-    reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, parts))
+    end_responses = contact_response[1:].reshape(2, len(model.across), 2, model.omega.size)
+    reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, end_responses))
     stiffness, slope = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
     loop = np.abs(reach[0, 0]) @ stiffness + np.abs(reach[0, 1]) @ slope
     if np.any(loop > 0.5):
         raise RigError(
             f"a contact is too stiff for the step of {step_s} s (loop gain {loop.max():.2g}); use a smaller step"
         )
-    own = -np.diag(reach[0, 0]) * stiffness - np.diag(reach[0, 1]) * slope
-    return reach, 1 / (1 + own)
+    self_gain = -np.diag(reach[0, 0]) * stiffness - np.diag(reach[0, 1]) * slope
+    return reach, 1 / (1 + self_gain)
 
 
 def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
-    """The mean over each step of a smooth curve through the samples, less that of the straight line: -F'' h^2 / 12.
+    """Bends of the inputs: mean over each step of a smooth curve less that of the straight line, -F'' h^2 / 12.
 
-    F'' is the mean of the second differences at both ends of the step; of one end where the other is a corner, at
-    which the second difference stands out from both its neighbours.
+    F'' is the mean of the second differences at both ends of the step, or that of one end if the other is a corner,
+    where the second difference exceeds both its neighbours fourfold.
     """
     bends = np.zeros(inputs.shape)
     with np.errstate(invalid="ignore"):  # a force that is not finite
         second = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
         size = np.abs(second)
         corner = size[:, 1:-1] > 4 * np.maximum(size[:, :-2], size[:, 2:])
-        left, right = second[:, 1:-2], second[:, 2:-1]
-        bends[:, 1:-2] = -(np.where(corner[:, :-1], right, left) + np.where(corner[:, 1:], left, right)) / 24
+        at_start, at_end = second[:, 1:-2], second[:, 2:-1]
+        bends[:, 1:-2] = -(np.where(corner[:, :-1], at_end, at_start) + np.where(corner[:, 1:], at_start, at_end)) / 24
     return bends
 
 
 def shape_row(
     bodies: list[tuple[Body, Modes, int]], station: Station, order: int = 0
 ) -> Float[np.ndarray, " allmodes"]:
-    """The shapes of all bodies' modes at a station, or a derivative along; zero for the modes of the other bodies."""
+    """Shapes of all bodies' modes at a station, or a derivative along the body; zero for other bodies' modes."""
     place = np.array([station.position_m])
     return np.concatenate(
         [modes.shapes(place, n, order)[0] if body.name == station.body else np.zeros(n) for body, modes, n in bodies]
@@ -268,8 +277,8 @@ def shape_row(
 
 
 def _sensed_row(rig: Rig, bodies: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
-    along = np.array([shape_row(bodies, sensor.station, order) for order in range(3)])
-    return sensor.measures.operator(along, rig.fibre_m(sensor))
+    derivatives = np.array([shape_row(bodies, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
 
 
 def _propagator(

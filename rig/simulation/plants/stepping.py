@@ -1,4 +1,4 @@
-"""The compiled loop of the modal plant: modes advanced exactly, contact forces solved for at every step."""
+"""Compiled loop of the modal plant: modes advanced exactly, contact forces solved for at every step."""
 
 from collections.abc import Callable
 from typing import Any, no_type_check
@@ -10,22 +10,25 @@ from jaxtyping import Float
 from rig.simulation.plants.compiled_laws import FAST, force_n
 
 TOLERANCE_N = 1e-9
-REFRESH = 1e-4
-"""How much the end forces must change, of the largest, for their bends within the step to be looked at again."""
+BEND_REFRESH = 1e-4
+"""Relative change of the end forces beyond which their bends within the step are recomputed."""
 FORCE, ETA, RATE, BEND = range(4)
-"""The rows of `held` and of what becomes of it: force, eta and eta' of every contact, and the bend of the force."""
+"""Rows of a contact state: force, eta, eta' and bend of the force, for every contact."""
 
 
 def _compiled(function: Callable[..., None]) -> Any:
-    """Machine code, kept on disk where there is a place for it."""
+    """Compile a function with numba, cached on disk where that is writable."""
     try:
         return numba.njit(cache=True, inline="always", **FAST)(function)
     except RuntimeError:  # neither this folder nor the user's can be written: compiled anew in every run
         return numba.njit(inline="always", **FAST)(function)
 
 
-def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
-    """Sixteen Gauss points: place and weight, then the weights of eta and eta' at both ends in eta, and in eta'."""
+def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:
+    """Sixteen Gauss points of a step as columns.
+
+    Rows: position and weight, then the weights of eta and eta' at both ends of the step in eta, and those in eta'.
+    """
     points, weights = np.polynomial.legendre.leggauss(16)
     z, h = (points + 1) / 2, step_s
     value = [(1 - z) ** 2 * (1 + 2 * z), h * z * (1 - z) ** 2, z**2 * (3 - 2 * z), -h * z**2 * (1 - z)]
@@ -35,132 +38,136 @@ def within_a_step(step_s: float) -> Float[np.ndarray, "10 16"]:
 
 @_compiled
 @no_type_check  # numba compiles the plain functions only
-def _touches(law, held, j, eta1, rate1, time_s, step_s):
-    """True if there may be a force between two moments: the cubic between them stays within this of its ends."""
-    apart = 0.15 * step_s * (abs(held[RATE, j]) + abs(rate1))
+def _touches(law, previous, j, eta1, rate1, time_s, step_s):
+    """True if a contact may have a force within the step: the cubic eta(t) stays within a margin of its ends."""
+    margin_m = 0.15 * step_s * (abs(previous[RATE, j]) + abs(rate1))
     worn = law.wear_m_per_s * (time_s - step_s)
-    above = max(held[ETA, j], eta1) + apart > law.upper_clearance_m + worn
-    below = min(held[ETA, j], eta1) - apart < -law.lower_clearance_m - worn
+    above = max(previous[ETA, j], eta1) + margin_m > law.upper_clearance_m + worn
+    below = min(previous[ETA, j], eta1) - margin_m < -law.lower_clearance_m - worn
     return above or below or law.acts_in_the_gap != 0
 
 
 @_compiled
 @no_type_check
-def _bend(law, j, old, new, time_s, step_s, within):
-    """The mean of the force over the step that ends at a time, less that of the straight line between its ends."""
-    eta0, rate0, eta1, rate1 = old[ETA, j], old[RATE, j], new[ETA, j], new[RATE, j]
-    begin_s = time_s - step_s
+def _bend(law, j, previous, current, time_s, step_s, gauss):
+    """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
+    eta0, rate0, eta1, rate1 = previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j]
+    start_s = time_s - step_s
     mean = 0.0
-    for m in range(within.shape[1]):
-        eta = within[2, m] * eta0 + within[3, m] * rate0 + within[4, m] * eta1 + within[5, m] * rate1
-        rate = within[6, m] * eta0 + within[7, m] * rate0 + within[8, m] * eta1 + within[9, m] * rate1
-        mean += within[1, m] * force_n(law, eta, rate, begin_s + within[0, m] * step_s)
-    return mean - (old[FORCE, j] + new[FORCE, j]) / 2
+    for m in range(gauss.shape[1]):
+        eta = gauss[2, m] * eta0 + gauss[3, m] * rate0 + gauss[4, m] * eta1 + gauss[5, m] * rate1
+        rate = gauss[6, m] * eta0 + gauss[7, m] * rate0 + gauss[8, m] * eta1 + gauss[9, m] * rate1
+        mean += gauss[1, m] * force_n(law, eta, rate, start_s + gauss[0, m] * step_s)
+    return mean - (previous[FORCE, j] + current[FORCE, j]) / 2
 
 
 @_compiled
 @no_type_check
-def _modes_alone(states, n, inputs, bends, propagate, driven, pushed, held):
-    """Row n + 1 of the states under the known forces, and under the contact forces at the start of the step."""
+def _modes_alone(states, n, inputs, bends, propagate, input_response, contact_response, contact_state):
+    """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
     modes = propagate.shape[2]
     for i in range(modes):
         q, v = states[n, i], states[n, modes + i]
         states[n + 1, i] = propagate[0, 0, i] * q + propagate[0, 1, i] * v
         states[n + 1, modes + i] = propagate[1, 0, i] * q + propagate[1, 1, i] * v
     for k in range(inputs.shape[0]):
-        start, end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
+        at_start, at_end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
         for i in range(2 * modes):
-            states[n + 1, i] += driven[0, k, i] * start + driven[1, k, i] * end + driven[2, k, i] * bend
-    for j in range(held.shape[1]):
-        if held[FORCE, j] != 0.0:
+            states[n + 1, i] += (
+                input_response[0, k, i] * at_start + input_response[1, k, i] * at_end + input_response[2, k, i] * bend
+            )
+    for j in range(contact_state.shape[1]):
+        if contact_state[FORCE, j] != 0.0:
             for i in range(2 * modes):
-                states[n + 1, i] += pushed[0, j, i] * held[FORCE, j]
+                states[n + 1, i] += contact_response[0, j, i] * contact_state[FORCE, j]
 
 
 @_compiled
 @no_type_check
-def _sweep(new, eta, rate, reach, relief, laws, time_s):
-    """Every end force from the others, its own part in eta solved for; returns the largest change and force."""
+def _sweep(current, eta, rate, reach, relief, laws, time_s):
+    """Update every end force given the others, with its self-response solved for; return largest change and force."""
     change, largest = 0.0, 0.0
     for j in range(eta.size):
         e, r = eta[j], rate[j]
         for k in range(eta.size):
-            e += reach[0, 0, j, k] * new[FORCE, k] + reach[1, 0, j, k] * new[BEND, k]
-            r += reach[0, 1, j, k] * new[FORCE, k] + reach[1, 1, j, k] * new[BEND, k]
+            e += reach[0, 0, j, k] * current[FORCE, k] + reach[1, 0, j, k] * current[BEND, k]
+            r += reach[0, 1, j, k] * current[FORCE, k] + reach[1, 1, j, k] * current[BEND, k]
         force = force_n(laws[j], e, r, time_s)
-        more = force - new[FORCE, j]
+        increment = force - current[FORCE, j]
         if force != 0.0:
-            more *= relief[j]
-        new[FORCE, j] += more
-        new[ETA, j], new[RATE, j] = e + reach[0, 0, j, j] * more, r + reach[0, 1, j, j] * more
-        change, largest = max(change, abs(more)), max(largest, abs(force))
+            increment *= relief[j]
+        current[FORCE, j] += increment
+        current[ETA, j], current[RATE, j] = e + reach[0, 0, j, j] * increment, r + reach[0, 1, j, j] * increment
+        change, largest = max(change, abs(increment)), max(largest, abs(force))
     return change, largest
 
 
 @_compiled
 @no_type_check
-def _solve(held, new, eta, rate, touches, reach, relief, laws, time_s, step_s, within):
-    """The forces at the end of a step and their bends, from eta and eta' as they would be without."""
+def _solve(previous, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss):
+    """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(60):
-        change, largest = _sweep(new, eta, rate, reach, relief, laws, time_s)
+        change, largest = _sweep(current, eta, rate, reach, relief, laws, time_s)
         if iteration > 0 and change <= TOLERANCE_N:
             break
-        if iteration == 0 or change > REFRESH * largest:
+        if iteration == 0 or change > BEND_REFRESH * largest:
             for j in range(eta.size):
                 if touches[j]:
-                    new[BEND, j] = _bend(laws[j], j, held, new, time_s, step_s, within)
+                    current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
 
 
 @_compiled
 @no_type_check
 def advance(
     states,
-    held,
+    contact_state,
     forces,
-    bent,
+    contact_bends,
     inputs,
-    bends,
+    input_bends,
     propagate,
-    driven,
+    input_response,
     across,
-    pushed,
+    contact_response,
     reach,
     relief,
     laws,
-    within,
+    gauss,
     first,
     step_s,
 ):
-    """Fills states (samples + 1, q and q' of every mode) from its first row on; forces and bent (contacts, samples).
+    """Fill states (samples + 1, q and q' of every mode) from row 0 on; forces, contact_bends (contacts, samples).
 
-    held (4, contacts) goes with the first row and is left as goes with the last. inputs and bends (inputs, samples + 1)
-    are the known forces. propagate (2, 2, modes) advances a mode; driven, pushed (3, inputs or contacts, 2 modes) are
-    what a force at the start and at the end of a step, and its bend, add to a state; reach (2, 2, contacts, contacts)
-    what an end force and a bend add to every eta and eta'. relief is the share of a change that its own reach leaves;
-    laws is the table of `compiled_laws`.
+    contact_state (4, contacts) belongs to the first row and is updated to the last. inputs and input_bends
+    (inputs, samples + 1) are the known forces. propagate (2, 2, modes) advances a mode; input_response and
+    contact_response (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and at
+    the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every eta
+    and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
     """
     modes, contacts = across.shape[1], across.shape[0]
-    new, eta, rate = np.empty(held.shape), np.empty(contacts), np.empty(contacts)
+    current, eta, rate = np.empty(contact_state.shape), np.empty(contacts), np.empty(contacts)
     touches = np.empty(contacts, dtype=np.bool_)
     for n in range(forces.shape[1]):
         time_s = (first + n) * step_s
-        _modes_alone(states, n, inputs, bends, propagate, driven, pushed, held)
+        _modes_alone(states, n, inputs, input_bends, propagate, input_response, contact_response, contact_state)
         touching = False
         for j in range(contacts):
             e, r = 0.0, 0.0
             for i in range(modes):
                 e += across[j, i] * states[n + 1, i]
                 r += across[j, i] * states[n + 1, modes + i]
-            touches[j] = _touches(laws[j], held, j, e, r, time_s, step_s)
+            touches[j] = _touches(laws[j], contact_state, j, e, r, time_s, step_s)
             touching |= touches[j]
             eta[j], rate[j] = e, r
-            new[FORCE, j], new[ETA, j], new[RATE, j], new[BEND, j] = held[FORCE, j], e, r, 0.0
+            current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
         if touching:
-            _solve(held, new, eta, rate, touches, reach, relief, laws, time_s, step_s, within)
+            _solve(contact_state, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss)
             for j in range(contacts):
                 for i in range(2 * modes):
-                    states[n + 1, i] += pushed[1, j, i] * new[FORCE, j] + pushed[2, j, i] * new[BEND, j]
+                    states[n + 1, i] += (
+                        contact_response[1, j, i] * current[FORCE, j] + contact_response[2, j, i] * current[BEND, j]
+                    )
         for j in range(contacts):
-            forces[j, n], bent[j, n] = new[FORCE, j], new[BEND, j]
+            forces[j, n], contact_bends[j, n] = current[FORCE, j], current[BEND, j]
             for row in range(4):
-                held[row, j] = new[row, j]
+                contact_state[row, j] = current[row, j]

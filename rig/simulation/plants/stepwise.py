@@ -1,4 +1,4 @@
-"""The modal plant one step after the other, for a program that makes the force as it goes."""
+"""Modal plant step by step, for programs that compute the force during the run."""
 
 import numpy as np
 from jaxtyping import Float
@@ -10,9 +10,9 @@ from rig.simulation.plants.modal import constants_of, model_of, observed
 
 
 class Stepwise:
-    """A rig from rest on, as `modal.simulate` moves it, but the force is only known step by step.
+    """Rig simulated from rest as in `modal.simulate`, with a force that is known step by step.
 
-    Over every step of step_s the force goes in a straight line from the last value to the one given. Raises RigError if
+    Over every step of step_s the force goes linearly from the last value to the given one. Raises RigError if
     several forces act, the base shakes, or a contact is too stiff for the step.
     """
 
@@ -30,8 +30,8 @@ class Stepwise:
         self._limits_m = softening_limits_m(rig)
         self._model = model_of(rig, False, modes)
         self._constants = constants_of(self._model, step_s)
-        self._state, self._held = self._model.start()
-        self._steps, self._inputs = 0, self._known(0.0, 0)
+        self._state, self._contact_state = self._model.start()
+        self._steps, self._inputs = 0, self._input_values(0.0, 0)
 
     @property
     def time_s(self) -> float:
@@ -39,45 +39,55 @@ class Stepwise:
 
     @property
     def eta_m(self) -> Float[np.ndarray, " contacts"]:
-        """The relative displacement of every contact."""
-        return self._held[1, : len(self.rig.contacts)].copy()
+        """Relative displacement of every contact, m."""
+        return self._contact_state[1, : len(self.rig.contacts)].copy()
 
     @property
     def contact_force_n(self) -> Float[np.ndarray, " contacts"]:
-        return self._held[0, : len(self.rig.contacts)].copy()
+        return self._contact_state[0, : len(self.rig.contacts)].copy()
 
     @property
     def sensed(self) -> Float[np.ndarray, " sensors"]:
         """Quantity at every sensor, before any instrument."""
         states = self._state[None]
-        return np.asarray(observed(self.rig, self._model, states, self._inputs[:, None], self._held[:1].T)[:, 0])
+        return np.asarray(
+            observed(self.rig, self._model, states, self._inputs[:, None], self._contact_state[:1].T)[:, 0]
+        )
 
     def advance(self, force_n: float, steps: int = 1) -> None:
-        """Advance by this many steps, at whose end the force has the given value; raises RigError if the motion is not
-        finite.
-        """
+        """Advance by `steps` steps, at whose end the force has this value; raise RigError if the motion diverges."""
         from rig.simulation.plants.stepping import advance
 
-        begin, contacts = self._inputs, len(self._model.across)
-        end = self._known(force_n, self._steps + steps)
+        start_inputs, contacts = self._inputs, len(self._model.across)
+        end_inputs = self._input_values(force_n, self._steps + steps)
         share = np.linspace(0.0, 1.0, steps + 1)
-        inputs = begin[:, None] + share * (end - begin)[:, None]
-        for k, tone in enumerate(self.rig.tones, start=len(end) - len(self.rig.tones)):
+        inputs = start_inputs[:, None] + share * (end_inputs - start_inputs)[:, None]
+        for k, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
             inputs[k] = tone.force_n((self._steps + np.arange(steps + 1)) * self.step_s)
         states = np.empty((steps + 1, self._state.size))
         states[0] = self._state
-        forces, bent = np.empty((2, contacts, steps))
-        none = np.zeros(inputs.shape)
-        advance(states, self._held, forces, bent, inputs, none, *self._constants, self._steps + 1, self.step_s)
-        self._state, self._inputs, self._steps = states[-1], end, self._steps + steps
+        forces, contact_bends = np.empty((2, contacts, steps))
+        no_bends = np.zeros(inputs.shape)
+        advance(
+            states,
+            self._contact_state,
+            forces,
+            contact_bends,
+            inputs,
+            no_bends,
+            *self._constants,
+            self._steps + 1,
+            self.step_s,
+        )
+        self._state, self._inputs, self._steps = states[-1], end_inputs, self._steps + steps
         if not np.all(np.isfinite(self._state)):
             raise RigError(
                 f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
             )
         check_softening(self._limits_m, self._model.across @ states[1:, : self._model.omega.size].T)
 
-    def _known(self, force_n: float, steps: int) -> Float[np.ndarray, " inputs"]:
-        """The known forces at a moment, in the order of the model's gains."""
+    def _input_values(self, force_n: float, steps: int) -> Float[np.ndarray, " inputs"]:
+        """Known inputs after a number of steps, in the order of the model's gains."""
         loads = [1.0] if self.rig.loads else []
         time_s = np.array([steps * self.step_s])
         return np.array([force_n, *loads, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])

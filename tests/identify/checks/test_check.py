@@ -47,9 +47,9 @@ def test_a_sound_recording_has_no_finding(sound, rig):
 def test_an_alteration_is_named(sound, name):
     recording = sound("cantilever")
     (alteration,) = (a for a in alterations(recording.rig, np.random.default_rng(5)) if a.name == name)
-    found = check_recording(alteration.change(recording))
-    assert found
-    assert names_it(found[0], alteration), found[0]
+    findings = check_recording(alteration.change(recording))
+    assert findings
+    assert names_it(findings[0], alteration), findings[0]
 
 
 @pytest.mark.parametrize(
@@ -65,42 +65,42 @@ def test_an_alteration_is_named(sound, name):
 def test_of_two_forces_the_wrong_one_is_named(sound, change, cause, channels):
     recording = sound("two shakers")
     rows = dict(zip(recording.force_names, change(recording.forces_n), strict=True))
-    (found,) = check_recording(with_rows(recording, rows))
-    assert (found.cause, found.channels) == (cause, channels)
+    (finding,) = check_recording(with_rows(recording, rows))
+    assert (finding.cause, finding.channels) == (cause, channels)
 
 
 def test_a_gain_is_told_with_its_size(sound):
     recording = sound("frame")
-    (found,) = check_recording(mapped(("frame_0300",), lambda r: 1.05 * r)(recording))
-    assert (found.cause, found.channels) == ("gain", ("frame_0300",))
-    told = float(found.evidence.split("delivers ")[1].split()[0])
-    assert min(abs(told - 1.05), abs(told - 5)) < 0.6  # as a factor, or in per cent
+    (finding,) = check_recording(mapped(("frame_0300",), lambda r: 1.05 * r)(recording))
+    assert (finding.cause, finding.channels) == ("gain", ("frame_0300",))
+    stated_gain = float(finding.evidence.split("delivers ")[1].split()[0])
+    assert min(abs(stated_gain - 1.05), abs(stated_gain - 5)) < 0.6  # as a factor, or in per cent
 
 
 def test_a_delay_is_told_with_its_size(sound):
     recording = sound("frame")
     late = mapped(("frame_0600",), lambda r: delayed(r, 3e-3, recording.rig.sample_rate_hz))(recording)
-    (found,) = check_recording(late)
-    assert (found.cause, found.channels) == ("delay", ("frame_0600",))
-    assert float(found.evidence.split("comes ")[1].split()[0]) == pytest.approx(3.0, rel=0.03)
+    (finding,) = check_recording(late)
+    assert (finding.cause, finding.channels) == ("delay", ("frame_0600",))
+    assert float(finding.evidence.split("comes ")[1].split()[0]) == pytest.approx(3.0, rel=0.03)
 
 
 @pytest.mark.parametrize(("share", "cause"), [(-1.0, "polarity"), (1 / 9.80665, "units")])
 def test_a_single_mass_is_checked_by_its_open_passages(sound, share, cause):
-    found = check_recording(mapped(("mass_0000",), lambda r: share * r)(sound("mass")))
-    assert [f.cause for f in found] == [cause]
+    findings = check_recording(mapped(("mass_0000",), lambda r: share * r)(sound("mass")))
+    assert [f.cause for f in findings] == [cause]
 
 
 def test_a_believed_frequency_of_a_single_mass_is_corrected(sound):
     recording = sound("mass")
     (body,) = recording.rig.bodies
-    believed = Recording(
+    wrong = Recording(
         replace(recording.rig, bodies=(body.scale_frequencies(14 / 12),)), recording.signals, recording.provenance
     )
-    (found,) = check_recording(believed)
-    told = float(found.evidence.split("its frequency were ")[1].split()[0])
-    assert (found.cause, found.of) == ("frequency", "mass")
-    assert told == pytest.approx(12.0, rel=0.01)
+    (finding,) = check_recording(wrong)
+    stated_hz = float(finding.evidence.split("its frequency were ")[1].split()[0])
+    assert (finding.cause, finding.of) == ("frequency", "mass")
+    assert stated_hz == pytest.approx(12.0, rel=0.01)
 
 
 def test_a_segment_of_a_longer_record_is_checked_by_its_samples(sound):
@@ -108,8 +108,8 @@ def test_a_segment_of_a_longer_record_is_checked_by_its_samples(sound):
     later = {n: Signals(s.channels, 40.0, s.values[:, 4096:]) for n, s in recording.signals.items()}
     segment = Recording(recording.rig, later, {})
     assert check_recording(segment) == ()
-    (found,) = check_recording(with_rows(segment, {"frame_0300": np.zeros(segment.samples)}))
-    assert (found.cause, found.channels) == ("dead", ("frame_0300",))
+    (finding,) = check_recording(with_rows(segment, {"frame_0300": np.zeros(segment.samples)}))
+    assert (finding.cause, finding.channels) == ("dead", ("frame_0300",))
 
 
 def test_an_error_names_the_first_finding(sound):
@@ -129,8 +129,8 @@ def test_positions_that_count_from_the_other_end_are_named(sound):
 def test_a_record_that_runs_backwards_is_named(sound):
     recording = sound("mass")
     turned = {name: Signals(s.channels, s.start_s, s.values[:, ::-1]) for name, s in recording.signals.items()}
-    (found,) = check_recording(Recording(recording.rig, turned, {}))
-    assert "as if time ran backwards" in found.evidence
+    (finding,) = check_recording(Recording(recording.rig, turned, {}))
+    assert "as if time ran backwards" in finding.evidence
     beginning = {name: Signals(s.channels, s.start_s, s.values[:, 2048:]) for name, s in recording.signals.items()}
     assert not any("backwards" in f.evidence for f in check_recording(Recording(recording.rig, beginning, {})))
 
@@ -144,7 +144,7 @@ def test_what_no_machine_does_is_named_though_all_channels_agree(sound):
         return Recording(recording.rig, signals, {})
 
     assert check_recording(scaled(10.0)) == ()
-    found = check_recording(scaled(1e14))
-    assert {f.cause for f in found} == {"units"}
-    assert set(recording.force_names) <= {name for f in found for name in f.channels}
-    assert "nothing on a test rig exceeds" in found[0].sentence
+    findings = check_recording(scaled(1e14))
+    assert {f.cause for f in findings} == {"units"}
+    assert set(recording.force_names) <= {name for f in findings for name in f.channels}
+    assert "nothing on a test rig exceeds" in findings[0].sentence

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from identify.checks import background, waveforms
+from identify.checks import waveforms
 
 RATE = 2000.0
 
@@ -13,39 +13,41 @@ RATE = 2000.0
 def row() -> np.ndarray:
     """10 s at rest for a second, then motion from 2 to 200 Hz of one unit rms."""
     rng = np.random.default_rng(1)
-    found = sosfiltfilt(butter(4, [2, 200], "band", fs=RATE, output="sos"), rng.standard_normal(20_000))
-    found[:2000] = 0
-    return found / found.std() + 1e-4 * rng.standard_normal(found.size)
+    motion = sosfiltfilt(butter(4, [2, 200], "band", fs=RATE, output="sos"), rng.standard_normal(20_000))
+    motion[:2000] = 0
+    return motion / motion.std() + 1e-4 * rng.standard_normal(motion.size)
 
 
 @pytest.fixture
 def force(row) -> np.ndarray:
-    found = np.random.default_rng(2).standard_normal(row.size)
-    found[:2000] = 0
-    return found
+    force_n = np.random.default_rng(2).standard_normal(row.size)
+    force_n[:2000] = 0
+    return force_n
 
 
-def every(row, force, others=()):
+def causes(row, force, other_rows=()):
     """All findings of one channel."""
     checks = (
         waveforms.dead("x", row),
         waveforms.clipped("x", row),
         waveforms.quantised("x", row),
         waveforms.held("x", row, force),
-        waveforms.spikes("x", waveforms.off_neighbours(row), [waveforms.off_neighbours(o) for o in others]),
-        background.hum("x", RATE, row, force),
-        background.noise("x", RATE, row, force),
-        background.drift("x", RATE, row),
-        background.offset("x", row),
-        background.not_at_rest("x", RATE, row, 0.02),
+        waveforms.spikes(
+            "x", waveforms.neighbour_deviation(row), [waveforms.neighbour_deviation(r) for r in other_rows]
+        ),
+        waveforms.hum("x", RATE, row, force),
+        waveforms.noise("x", RATE, row, force),
+        waveforms.drift("x", RATE, row),
+        waveforms.offset("x", row),
+        waveforms.not_at_rest("x", RATE, row, 0.02),
     )
     return [f.cause for f in checks if f is not None]
 
 
-def changed(row, at, values):
-    found = row.copy()
-    found[at] = values
-    return found
+def changed(row, samples, values):
+    changed_row = row.copy()
+    changed_row[samples] = values
+    return changed_row
 
 
 TIME_S = np.arange(20_000) / RATE
@@ -64,38 +66,38 @@ SPOILT = {
 
 
 def test_a_sound_waveform_has_no_finding(row, force):
-    assert every(row, force, [row[::-1]]) == []
+    assert causes(row, force, [row[::-1]]) == []
 
 
 @pytest.mark.parametrize("cause", SPOILT)
 def test_a_spoilt_waveform_is_named(row, force, cause):
     spoilt = SPOILT[cause](row)
-    assert cause in every(spoilt, force[-spoilt.size :], [row[-spoilt.size :]])
+    assert cause in causes(spoilt, force[-spoilt.size :], [row[-spoilt.size :]])
 
 
 def test_what_other_channels_show_too_is_an_impact(row, force):
     struck = changed(row, 9000, 15.0)
-    assert "spikes" not in every(struck, force, [changed(row[::-1], 9000, 9.0)])
+    assert "spikes" not in causes(struck, force, [changed(row[::-1], 9000, 9.0)])
 
 
 def test_motion_before_the_force_is_told_from_noise(row, force):
     early = np.roll(row, -1500)
-    assert background.noise("x", RATE, early, force).cause == "force"
+    assert waveforms.noise("x", RATE, early, force).cause == "force"
 
 
 def test_copies_are_found_whatever_their_scale(row):
-    other = row[::-1]
-    found = list(waveforms.copies(["a", "b", "c"], [row, other, -3 * row]))
-    assert [(f.cause, f.channels) for f in found] == [("copy", ("a", "c"))]
+    reversed_row = row[::-1]
+    findings = list(waveforms.copies(["a", "b", "c"], [row, reversed_row, -3 * row]))
+    assert [(f.cause, f.channels) for f in findings] == [("copy", ("a", "c"))]
 
 
 def test_a_constant_row_has_no_offset_in_shares_of_its_motion():
-    assert background.offset("a", np.ones(9)) is None
+    assert waveforms.offset("a", np.ones(9)) is None
 
 
 def test_a_hum_whose_squares_are_zero_has_no_size():
     row = 1e-310 * np.sin(2 * np.pi * 50 * np.arange(4096) / 512)
-    assert background.hum("a", 512.0, row, np.zeros((1, 4096))) is None
-    loud = background.hum("a", 512.0, 1e300 * row, np.zeros((1, 4096)))
+    assert waveforms.hum("a", 512.0, row, np.zeros((1, 4096))) is None
+    loud = waveforms.hum("a", 512.0, 1e300 * row, np.zeros((1, 4096)))
     assert loud is not None
     assert "tone of 50 Hz" in loud.evidence

@@ -52,9 +52,9 @@ def test_segments_are_pooled_and_shown_one_by_one(identify, recording, tmp_path)
     status, out, err = identify("contact", recording, "--segment", 10, "--use", "displacement", "--out", tmp_path)
     assert (status, err) == (0, "")
     assert "stop" in out
-    parts = msgspec.json.decode((tmp_path / "segments.json").read_bytes(), type=Segments).segments
+    segments = msgspec.json.decode((tmp_path / "segments.json").read_bytes(), type=Segments).segments
     report = msgspec.json.decode((tmp_path / "contact.json").read_bytes(), type=ContactReport)
-    assert [(p.start_s, p.end_s) for p in parts] == [(0.0, 30.0)]
+    assert [(p.start_s, p.end_s) for p in segments] == [(0.0, 30.0)]
     assert report.contacts[0].clearance_m.value == pytest.approx(Sdof().clearance_m, rel=1e-2)
     assert (tmp_path / "segments.png").stat().st_size > 10_000
     (contact,) = read_rig(tmp_path / "rig.json").contacts
@@ -68,24 +68,24 @@ def test_tables_show_value_and_half_of_the_interval(identify, recording, tmp_pat
     words = ("--use", "displacement", "--tolerances", "exact", "--out", tmp_path)
     status, out, err = identify("contact", recording, *words)
     assert (status, err) == (0, "")
-    told = msgspec.json.decode((tmp_path / "contact.json").read_bytes())["contacts"][0]["clearance_m"]
+    estimate = msgspec.json.decode((tmp_path / "contact.json").read_bytes())["contacts"][0]["clearance_m"]
     row = next(line for line in out.splitlines() if "stop" in line)
     clearance = row.split("│")[2]
     value, half = (float(x) for x in clearance.split("±"))
-    assert value == pytest.approx(1e3 * told["value"], rel=1e-2)
-    assert half == pytest.approx(1e3 * 1.96 * told["standard_error"], rel=0.05)
+    assert value == pytest.approx(1e3 * estimate["value"], rel=1e-2)
+    assert half == pytest.approx(1e3 * 1.96 * estimate["standard_error"], rel=0.05)
     assert "NIFO by modal equation" in out
     assert "mass 1" in out
 
 
 def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path):
-    kept = tmp_path / "contact.json"
-    kept.write_text("mine")
+    existing = tmp_path / "contact.json"
+    existing.write_text("mine")
     status, out, err = identify("contact", recording, "--out", tmp_path)
     assert (status, out) == (1, "")
-    assert err == f"identify: {kept}: exists already; give another name, or --force to overwrite it\n"
-    assert kept.read_text() == "mine"
-    assert list(tmp_path.iterdir()) == [kept]
+    assert err == f"identify: {existing}: exists already; give another name, or --force to overwrite it\n"
+    assert existing.read_text() == "mine"
+    assert list(tmp_path.iterdir()) == [existing]
     (tmp_path / "believed").mkdir()
     (tmp_path / "believed" / "rig.json").write_text("mine too")
     status, _, err = identify("contact", recording, "--out", tmp_path / "believed")
@@ -94,7 +94,7 @@ def test_results_are_not_overwritten_unless_forced(identify, recording, tmp_path
     assert (status, "rig.json: exists already" in err) == (1, True)
     status, _, err = identify("contact", recording, "--out", tmp_path, "--force")
     assert (status, err) == (0, "")
-    assert msgspec.json.decode(kept.read_bytes(), type=ContactReport).rig == "sdof"
+    assert msgspec.json.decode(existing.read_bytes(), type=ContactReport).rig == "sdof"
 
 
 @pytest.mark.parametrize(
@@ -116,9 +116,9 @@ def test_what_cannot_be_done_is_said_in_one_line(identify, recording, words, sen
 
 
 def test_a_file_that_is_no_recording_is_named(identify, tmp_path):
-    missing, other = tmp_path / "none.mcap", tmp_path / "other.mcap"
-    other.write_text("time,force\n")
-    for path, sentence in ((missing, "cannot be opened"), (other, "is no MCAP file")):
+    missing, other_recording = tmp_path / "none.mcap", tmp_path / "other.mcap"
+    other_recording.write_text("time,force\n")
+    for path, sentence in ((missing, "cannot be opened"), (other_recording, "is no MCAP file")):
         status, out, err = identify("contact", path)
         assert (status, out) == (1, "")
         assert err.startswith(f"identify: {path}: {sentence}")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identify.contacts.acceptance import equation_findings, fit_findings, widened
+from identify.contacts.acceptance import equation_findings, fit_findings, widened_estimate
 from identify.contacts.joint_fit import JointEstimate
 from identify.linear.modal import ModalEquation
 from identify.linear.nuisance import Nuisance, NuisanceKind
@@ -36,18 +36,20 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
 
 
 @pytest.mark.parametrize(
-    ("pull", "in_gaps", "factor"),
+    ("pull", "mass_pull", "factor"),
     [(1.0, 0.0, 1.0), (2.0, 1.0, 2.0), (-3.0, 2.0, 3.0), (0.0, 0.75, 1.25), (2.0, 2.4, 2.6)],
 )
-def test_errors_grow_with_the_pull_of_a_whole_body(pull, in_gaps, factor):
-    found = widened(joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance(NuisanceKind.FREQUENCY, "base")), in_gaps)
-    np.testing.assert_allclose(found.errors, factor * joint().errors)
+def test_errors_grow_with_the_pull_of_a_whole_body(pull, mass_pull, factor):
+    widened = widened_estimate(
+        joint((pull, 4.0, 4.0, 0.0)), (*PARAMETERS, Nuisance(NuisanceKind.FREQUENCY, "base")), mass_pull
+    )
+    np.testing.assert_allclose(widened.errors, factor * joint().errors)
 
 
-@pytest.mark.parametrize(("pull", "in_gaps", "factor"), [(0.0, 0.0, 1.0), (0.75, 0.0, 1.25), (-2.4, 0.75, 2.6)])
-def test_of_a_rig_of_one_body_any_pull_counts(pull, in_gaps, factor):
-    found = widened(joint((pull, 4.0, 4.0)), PARAMETERS, in_gaps)
-    np.testing.assert_allclose(found.errors, factor * joint().errors)
+@pytest.mark.parametrize(("pull", "mass_pull", "factor"), [(0.0, 0.0, 1.0), (0.75, 0.0, 1.25), (-2.4, 0.75, 2.6)])
+def test_of_a_rig_of_one_body_any_pull_counts(pull, mass_pull, factor):
+    widened = widened_estimate(joint((pull, 4.0, 4.0)), PARAMETERS, mass_pull)
+    np.testing.assert_allclose(widened.errors, factor * joint().errors)
 
 
 @pytest.mark.parametrize(("held", "factor"), [(True, 3.0), (False, 1.0)])
@@ -57,8 +59,8 @@ def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held,
         Nuisance(NuisanceKind.FREQUENCY, "base"),
         Nuisance(NuisanceKind.HIGH_PASS, "a"),
     )
-    found = widened(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
-    np.testing.assert_allclose(found.errors, factor * joint().errors)
+    widened = widened_estimate(replace(joint((0.0, 0.0, -3.0)), sides_known=held), parameters, 0.0)
+    np.testing.assert_allclose(widened.errors, factor * joint().errors)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +75,8 @@ def test_a_high_pass_that_is_pulled_counts_where_a_spring_holds_the_bodies(held,
     ],
 )
 def test_a_fit_that_cannot_be_is_named(fit, cause, of):
-    (found,) = fit_findings({"stop": fit}, PARAMETERS)
-    assert (found.cause, found.of) == (cause, of)
+    (findings,) = fit_findings({"stop": fit}, PARAMETERS)
+    assert (findings.cause, findings.of) == (cause, of)
 
 
 def test_a_fit_within_its_tolerances_has_no_finding():
@@ -95,7 +97,7 @@ def test_a_modal_equation_that_is_sure_of_another_stiffness_is_named(mean, sprea
     equation = ModalEquation("beam", 2, 30.0, 0.01, 1.0, np.ones(1), (visibility,), still, still, still)
     over_frequency = mean * (1 + spread * np.array([[1.0, -1.0] * 8]))
     lines = np.arange(16.0)
-    one = Nifo(equation, (0,), lines, lines + 0j, over_frequency + 0j, np.array([50.0]), 10, 1.0)
-    found = list(equation_findings(["stop"], {"stop": joint()}, [one]))
-    assert [f.of for f in found] == ["stop"] * named
-    assert list(equation_findings(["stop"], {}, [one])) == []
+    nifo = Nifo(equation, (0,), lines, lines + 0j, over_frequency + 0j, np.array([50.0]), 10, 1.0)
+    findings = list(equation_findings(["stop"], {"stop": joint()}, [nifo]))
+    assert [f.of for f in findings] == ["stop"] * named
+    assert list(equation_findings(["stop"], {}, [nifo])) == []

@@ -19,8 +19,8 @@ def report(tmp_path, believed: Rig, true: Rig, rms_n: float = 12.0):
     return identify_contact(read(path)).report
 
 
-def codes(found):
-    return {u.name: u.code for u in found.unanswered}
+def codes(result):
+    return {u.name: u.code for u in result.unanswered}
 
 
 def is_within(estimate, value, share):
@@ -30,13 +30,13 @@ def is_within(estimate, value, share):
 @pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
 def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_path, quantity):
     believed = progressive_stop(quantity, (6.5e-4, 2e4), (8e-4, 6e4))
-    found = report(tmp_path, believed, progressive_stop(quantity, *STOPS))
-    assert [c.name for c in found.contacts] == ["bumper", "hard stop"]
-    for contact, (clearance_m, stiffness) in zip(found.contacts, STOPS, strict=True):
+    result = report(tmp_path, believed, progressive_stop(quantity, *STOPS))
+    assert [c.name for c in result.contacts] == ["bumper", "hard stop"]
+    for contact, (clearance_m, stiffness) in zip(result.contacts, STOPS, strict=True):
         assert is_within(contact.clearance_m, clearance_m, 0.01)
         assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
-    assert not found.findings
-    assert found.surface.histogram == ()
+    assert not result.findings
+    assert result.surface.histogram == ()
 
 
 def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path):
@@ -51,19 +51,19 @@ def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path):
         law=replace(law, upper_clearance_m=7e-4, stiffness_n_per_m=5e4),
     )
     rig = replace(rig, contacts=(replace(above, law=law), below))
-    found = report(tmp_path, rig, rig, 8.0)
-    for contact, true in zip(found.contacts, rig.contacts, strict=True):
+    result = report(tmp_path, rig, rig, 8.0)
+    for contact, true in zip(result.contacts, rig.contacts, strict=True):
         assert contact.lower_clearance_m is None
         assert is_within(contact.upper_clearance_m, true.law.upper_clearance_m, 0.01)
         assert is_within(contact.stiffness_n_per_m, true.law.stiffness_n_per_m, 0.02)
 
 
 def test_knees_that_coincide_are_told_of_no_stop(tmp_path):
-    found = report(
+    result = report(
         tmp_path, progressive_stop("displacement", *STOPS), progressive_stop("displacement", (7e-4, 8e3), (7e-4, 5e4))
     )
-    assert not found.contacts
-    assert list(codes(found).values()) == 2 * [RefusalCode.NOT_SEPARABLE]
+    assert not result.contacts
+    assert list(codes(result).values()) == 2 * [RefusalCode.NOT_SEPARABLE]
 
 
 def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(tmp_path):
@@ -72,19 +72,19 @@ def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(t
     alike = report(tmp_path, progressive_stop("displacement", (7e-4, 3e4), (6.5e-4, 3e4)), true)
     assert not alike.contacts
     assert list(codes(alike).values()) == 2 * [RefusalCode.INTERCHANGEABLE]
-    found = report(tmp_path, progressive_stop("displacement", (7e-4, 1e4), (6.5e-4, 8e4)), true)
-    for contact, (clearance_m, stiffness) in zip(found.contacts, STOPS, strict=True):
+    result = report(tmp_path, progressive_stop("displacement", (7e-4, 1e4), (6.5e-4, 8e4)), true)
+    for contact, (clearance_m, stiffness) in zip(result.contacts, STOPS, strict=True):
         assert is_within(contact.clearance_m, clearance_m, 0.01)
         assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
 
 
 def test_a_stop_that_is_not_reached_is_refused_alone(tmp_path):
     rig = progressive_stop("acceleration", (2e-4, 8e3), (2e-3, 1e5))
-    found = report(tmp_path, rig, rig, 2.0)
-    (bumper,) = found.contacts
+    result = report(tmp_path, rig, rig, 2.0)
+    (bumper,) = result.contacts
     assert bumper.name == "bumper"
     assert is_within(bumper.clearance_m, 2e-4, 0.02)
-    (hard_stop,) = found.unanswered
+    (hard_stop,) = result.unanswered
     assert (hard_stop.name, hard_stop.code) == ("hard stop", RefusalCode.NOT_REACHED)
     assert hard_stop.evidence["stop_mm"] == pytest.approx(2.0)
     assert 0.2 < hard_stop.evidence["reach_mm"] < 2.0
@@ -95,12 +95,12 @@ def test_three_stops(tmp_path):
     stops = ((4e-4, 9e3), (7e-4, 4e4), (1e-3, 1.6e5))
     rig = progressive_stop("acceleration", *STOPS)
     contacts = [
-        replace(rig.contacts[0], name=str(k), law=progressive_stop("acceleration", one).contacts[0].law)
-        for k, one in enumerate(stops)
+        replace(rig.contacts[0], name=str(k), law=progressive_stop("acceleration", law).contacts[0].law)
+        for k, law in enumerate(stops)
     ]
     rig = replace(rig, contacts=tuple(contacts))
-    found = report(tmp_path, rig, rig, 25.0)
-    for contact, (clearance_m, stiffness) in zip(found.contacts, stops, strict=True):
+    result = report(tmp_path, rig, rig, 25.0)
+    for contact, (clearance_m, stiffness) in zip(result.contacts, stops, strict=True):
         assert is_within(contact.clearance_m, clearance_m, 0.01)
         assert is_within(contact.stiffness_n_per_m, stiffness, 0.05)
 
@@ -110,6 +110,6 @@ def test_no_number_is_told_of_the_first_where_the_second_has_no_knee(tmp_path):
     rng = np.random.default_rng(5)
     clearances = 5e-4 * (1 + rng.uniform(0.1, 0.6, 2).cumsum())
     rig = progressive_stop("displacement", *((float(c), 2e4) for c in clearances))
-    found = report(tmp_path, rig, progressive_stop("displacement", (6e-4, 4e4)))
-    assert not found.contacts
-    assert len(codes(found)) == 2
+    result = report(tmp_path, rig, progressive_stop("displacement", (6e-4, 4e4)))
+    assert not result.contacts
+    assert len(codes(result)) == 2

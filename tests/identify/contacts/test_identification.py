@@ -40,7 +40,7 @@ def progress():
 
 
 @pytest.fixture(scope="module")
-def known(without_truth, progress):
+def identification(without_truth, progress):
     return identify_contact(without_truth, use="displacement", equation="barrel 3", progress=progress.append)
 
 
@@ -63,10 +63,10 @@ def short_mass(folder, law=None, duration_s=60.0, **settings):
     return read(path)
 
 
-def test_as_good_as_the_paper(known):
-    assert [c.name for c in known.report.contacts] == ["contact_1", "contact_2"]
-    assert known.report.unanswered == ()
-    for contact in known.report.contacts:
+def test_as_good_as_the_paper(identification):
+    assert [c.name for c in identification.report.contacts] == ["contact_1", "contact_2"]
+    assert identification.report.unanswered == ()
+    for contact in identification.report.contacts:
         clearance, stiffness = PAPER[contact.name]
         assert contact.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=clearance)
         assert contact.stiffness_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=stiffness)
@@ -76,23 +76,28 @@ def test_as_good_as_the_paper(known):
         assert abs(contact.damping_n_s_per_m.value) < 4 * contact.damping_n_s_per_m.standard_error + 0.5
 
 
-def test_the_papers_methods_are_as_good_as_the_paper(known):
+def test_the_papers_methods_are_as_good_as_the_paper(identification):
     """Modal equation 3 of the barrel: its first bending."""
-    nifo = next(n for n in known.report.nifo if n.equation == "barrel 3")
-    surface = next(s for s in known.report.surface.surfaces if s.equation == "barrel 3")
-    assert known.report.main_equation == known.weak.equation.name == known.surface.equation.name == "barrel 3"
+    nifo = next(n for n in identification.report.nifo if n.equation == "barrel 3")
+    surface = next(s for s in identification.report.surface.surfaces if s.equation == "barrel 3")
+    assert (
+        identification.report.main_equation
+        == identification.weak.equation.name
+        == identification.surface.equation.name
+        == "barrel 3"
+    )
     assert nifo.averages == 40
     for stiffness in nifo.stiffness:
         assert stiffness.mean_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=PAPER[stiffness.contact][1])
-    for found in surface.clearances:
-        assert found.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=PAPER[found.contact][0])
-    for found in known.report.surface.histogram:
-        assert found.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=0.1)  # its density is an assumption
-    assert len(nifo.stiffness) == len(surface.clearances) == len(known.report.surface.histogram) == 2
+    for estimate in surface.clearances:
+        assert estimate.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=PAPER[estimate.contact][0])
+    for estimate in identification.report.surface.histogram:
+        assert estimate.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=0.1)  # its density is an assumption
+    assert len(nifo.stiffness) == len(surface.clearances) == len(identification.report.surface.histogram) == 2
 
 
-def test_every_body_and_equation_is_reported(known):
-    report, rig = known.report, known.rig
+def test_every_body_and_equation_is_reported(identification):
+    report, rig = identification.report, identification.rig
     assert [n.equation for n in report.nifo] == [f"barrel {i}" for i in range(1, 5)]  # the force is on the barrel
     assert [s.equation for s in report.surface.surfaces] == [
         f"{b} {i}" for b in ("cradle", "barrel") for i in (1, 2, 3, 4)
@@ -107,14 +112,14 @@ def test_every_body_and_equation_is_reported(known):
     assert set(report.channels_used[1:]) == sensors
 
 
-def test_contacts_near_a_node_are_named(known):
+def test_contacts_near_a_node_are_named(identification):
     """Contact 2 is 5 cm from the middle of the barrel, where its rotation has its node."""
-    hidden = {n.equation: n.nearly_invisible for n in known.report.nifo}
+    hidden = {n.equation: n.nearly_invisible for n in identification.report.nifo}
     assert hidden == {"barrel 1": (), "barrel 2": ("contact_2",), "barrel 3": (), "barrel 4": ()}
 
 
-def test_progress_only_grows(known, progress):
-    assert known.report.contacts
+def test_progress_only_grows(identification, progress):
+    assert identification.report.contacts
     assert progress == sorted(progress)
     assert 0 < progress[0] <= progress[-1] <= 1
 
@@ -128,16 +133,16 @@ def test_what_the_linear_model_leaves_out_is_refused(without_truth):
 
 
 def test_accelerometers_alone_tell_the_play_but_not_its_sides(without_truth):
-    found = identify_contact(without_truth, use="acceleration", tolerances=EXACT)
-    assert [c.name for c in found.report.contacts] == ["contact_1", "contact_2"]
-    for contact in found.report.contacts:
+    result = identify_contact(without_truth, use="acceleration", tolerances=EXACT)
+    assert [c.name for c in result.report.contacts] == ["contact_1", "contact_2"]
+    for contact in result.report.contacts:
         assert contact.lower_clearance_m is None
         assert contact.upper_clearance_m is None
         assert contact.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=2e-3)
         assert contact.stiffness_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=1e-2)
-    numbers = np.concatenate([found.eta_m.ravel(), found.weak.stiffness_n_per_m.ravel(), found.surface.fitted])
+    numbers = np.concatenate([result.eta_m.ravel(), result.weak.stiffness_n_per_m.ravel(), result.surface.fitted])
     assert np.isfinite(numbers).all()
-    assert all(name == "force" or name.endswith("acceleration") for name in found.report.channels_used)
+    assert all(name == "force" or name.endswith("acceleration") for name in result.report.channels_used)
 
 
 @pytest.mark.parametrize("use", ["displacement", "acceleration"])
@@ -146,14 +151,14 @@ def test_one_mass_with_unequal_stops_and_damping(tmp_path, use):
     law = DeadZone(lower_clearance_m=0.8e-3, upper_clearance_m=1.1e-3, stiffness_n_per_m=1.5e4, damping_n_s_per_m=4.0)
     recording = short_mass(tmp_path, law)
     (contact,) = identify_contact(recording, use=use, tolerances=EXACT).report.contacts
-    for found, true, share in (
+    for estimate, true, share in (
         (contact.lower_clearance_m, law.lower_clearance_m, 1e-3),
         (contact.upper_clearance_m, law.upper_clearance_m, 1e-3),
         (contact.clearance_m, law.clearance_m, 1e-3),
         (contact.stiffness_n_per_m, law.stiffness_n_per_m, 1e-3),
         (contact.damping_n_s_per_m, law.damping_n_s_per_m, 2e-2),
     ):
-        assert found.value == pytest.approx(true, rel=share)
+        assert estimate.value == pytest.approx(true, rel=share)
 
 
 def test_gains_are_not_fitted_to_the_noise(tmp_path):
@@ -165,14 +170,14 @@ def test_gains_are_not_fitted_to_the_noise(tmp_path):
 
 
 def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
-    found = identify_contact(short_mass(tmp_path, rms_n=0.01, duration_s=30.0), use="displacement")
-    assert found.report.contacts == ()
-    (silent,) = found.report.unanswered
+    result = identify_contact(short_mass(tmp_path, rms_n=0.01, duration_s=30.0), use="displacement")
+    assert result.report.contacts == ()
+    (silent,) = result.report.unanswered
     assert silent.name == "stop"
     assert (silent.code, silent.remedy) == (RefusalCode.HARDLY_CLOSES, RemedyCode.EXCITE_MORE)
-    assert found.outcomes.refusals["stop"].sentence == silent.reason
-    assert found.stops == (None,)
-    assert found.report.surface.histogram == ()
+    assert result.outcomes.refusals["stop"].sentence == silent.reason
+    assert result.stops == (None,)
+    assert result.report.surface.histogram == ()
 
 
 @pytest.fixture(scope="module")
@@ -206,18 +211,18 @@ def test_a_record_of_nothing_is_refused(mass):
 def test_a_contact_without_an_accelerometer_is_refused(without_truth):
     """Without it the drift of the relative displacement is not held."""
     rig = without_truth.rig
-    end = rig.contacts[0].at
-    kept = tuple(s for s in rig.sensors if s.station != end)
+    contact_station = rig.contacts[0].at
+    sensors = tuple(s for s in rig.sensors if s.station != contact_station)
     signals = dict(without_truth.signals)
     for quantity, group in signals.items():
-        rows = [i for i, s in enumerate(group.channels.stations) if s != end or quantity == "force"]
+        rows = [i for i, s in enumerate(group.channels.stations) if s != contact_station or quantity == "force"]
         channels = replace(
             group.channels,
             names=tuple(group.channels.names[i] for i in rows),
             stations=tuple(group.channels.stations[i] for i in rows),
         )
         signals[quantity] = replace(group, channels=channels, values=group.values[rows])
-    fewer = Recording(msgspec.structs.replace(rig, sensors=kept), signals, {})
+    fewer = Recording(msgspec.structs.replace(rig, sensors=sensors), signals, {})
     with pytest.raises(RigError, match=r"contact 'contact_1' has no sensor at 0\.0 m of 'barrel'"):
         identify_contact(fewer, use="acceleration")
 

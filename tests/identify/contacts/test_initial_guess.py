@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from identify.contacts.contact_record import ContactRecord
-from identify.contacts.initial_guess import first_pulls, regressed
+from identify.contacts.initial_guess import initial_pulls, regressed_guess
 from identify.signals.drift import Drift, spline
 from rig.model.contact_laws import penetration_m
 
@@ -23,10 +23,10 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     curve = spline(time_s.size, rate_hz, Drift(bend, noise_density=5e-3, spring_n_per_m=0.0))
     velocity = np.gradient(eta_m, 1 / rate_hz)
     none, share, moving = np.zeros((0, time_s.size)), np.zeros(0), np.zeros(0, dtype=bool)
-    seen = ContactRecord(
+    contact_record = ContactRecord(
         eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, 0.0, None, none, share, moving, share, none, moving
     )
-    law, knots = regressed(seen, curve)
+    law, knots = regressed_guess(contact_record, curve)
     assert law[0] == pytest.approx(clearance_m, rel=0.1)
     assert law[2] == pytest.approx(stiffness, rel=0.7)
     assert np.std((curve.value @ knots - slow_m)[100:-100]) < 2e-4
@@ -64,9 +64,9 @@ def ringing():
 
 def test_a_record_that_begins_in_motion_tells_its_start_beside_sparse_contact_forces(ringing):
     contact_n = np.where(np.arange(4000) % 50 < 12, 80.0, 0.0) * np.random.default_rng(1).uniform(0, 1, 4000)
-    found = first_pulls(record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
-    np.testing.assert_allclose(found, [1.3, -0.4, 0.0], atol=1e-3)
+    pulls = initial_pulls(record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
+    np.testing.assert_allclose(pulls, [1.3, -0.4, 0.0], atol=1e-3)
 
 
 def test_tolerances_are_left_to_the_fit(ringing):
-    assert not first_pulls(record(ringing[2:], ringing[2])).any()
+    assert not initial_pulls(record(ringing[2:], ringing[2])).any()

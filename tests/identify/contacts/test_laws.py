@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from identify.contacts import identify_contact
 from identify.contacts.acceptance import find_contacts
-from identify.contacts.contact_record import STIFFNESS
-from identify.contacts.identified_rig import identified_rig
+from identify.contacts.law_form import STIFFNESS
+from identify.contacts.results import identified_rig
 from rig.model.contact_laws import DeadZone
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
@@ -42,8 +42,8 @@ def case(request, tmp_path_factory):
 
 def test_the_law_that_the_record_asks_for_is_named(case):
     name, law, recording = case
-    found = identify_contact(recording)
-    (contact,) = found.report.contacts
+    identification = identify_contact(recording)
+    (contact,) = identification.report.contacts
     stiffness = law.stiffness_n_per_m
     if contact.reference_depth_m:
         stiffness *= (contact.reference_depth_m / law.reference_depth_m) ** (law.exponent - 1)
@@ -56,7 +56,7 @@ def test_the_law_that_the_record_asks_for_is_named(case):
     assert all(abs(estimate.value - value) < 3 * estimate.standard_error for estimate, value in pairs)
     closed = np.mean(np.abs(recording["mass_0000"]) > CLEARANCE_M)
     assert contact.closed_share == pytest.approx(closed, abs=0.01)
-    law = identified_rig(found.rig, found.report).contacts[0].law
+    law = identified_rig(identification.rig, identification.report).contacts[0].law
     assert (law.pulls, law.exponent > 1) == (name != "cannot pull", name == "power law")
 
 
@@ -66,8 +66,8 @@ def test_what_the_law_leaves_enters_the_intervals(case):
     by_others = {"power law": ("cannot pull",)}.get(name, ("power law",))
     estimate = find_contacts(recording, "auto", LABORATORY, by_others).outcomes.estimates["stop_1"]
     assert estimate.form.name == "dead zone"
-    own = replace_case(estimate, covariance=estimate.covariance - estimate.of_misfit)
-    widened = estimate.error(STIFFNESS) / own.error(STIFFNESS)
+    without_misfit = replace_case(estimate, covariance=estimate.covariance - estimate.of_misfit)
+    widened = estimate.error(STIFFNESS) / without_misfit.error(STIFFNESS)
     assert widened < 1.05 if name == "dead zone" else widened > 1.5
     if name == "cannot pull":
         assert abs(estimate.stiffness_n_per_m - law.stiffness_n_per_m) < 3 * estimate.error(STIFFNESS)
@@ -78,12 +78,12 @@ def test_a_stop_that_is_described_far_away_is_not_there(tmp_path):
     (tip,) = rig.contacts
     law = replace(tip.law, lower_clearance_m=1.0)
     rig = replace(rig, contacts=(replace(tip, law=law),), sensors=rig.sensors[1:])
-    found = identify_contact(read(recorded(Topology(rig, 10.0, ""), tmp_path / "r.mcap", duration_s=14.0)))
-    (contact,) = found.report.contacts
+    identification = identify_contact(read(recorded(Topology(rig, 10.0, ""), tmp_path / "r.mcap", duration_s=14.0)))
+    (contact,) = identification.report.contacts
     assert contact.lower_clearance_m is None
     for estimate, value in ((contact.clearance_m, 1e-3), (contact.stiffness_n_per_m, law.stiffness_n_per_m)):
         assert abs(estimate.value - value) < 3 * estimate.standard_error
-    (stops,) = found.stops
+    (stops,) = identification.stops
     assert (stops.clearance_m, stops.clearance_error_m) == (stops.upper_m, stops.upper_error_m)
 
 

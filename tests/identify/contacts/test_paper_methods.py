@@ -32,17 +32,18 @@ def chain() -> Rig:
         natural_hz=tuple((20.0 * np.sqrt(squares / squares[0])).tolist()),
         ratios=(0.02, 0.01, 0.01),
         rows=tuple(
-            ShapeRow(at, tuple(row.tolist())) for at, row in zip(places, shapes / np.sqrt(mass_kg), strict=True)
+            ShapeRow(position_m, tuple(row.tolist()))
+            for position_m, row in zip(places, shapes / np.sqrt(mass_kg), strict=True)
         ),
     )
-    masses = [Station("chain", at) for at in places]
+    masses = [Station("chain", position_m) for position_m in places]
     bumper = stop("bumper", masses[2], masses[1], CLEARANCE_M, STIFFNESS)
     return rig_of("chain", (body,), (bumper,), masses, masses[0], "displacement")
 
 
-def written(found, out):
+def written(identification, out):
     """contact.json of its results."""
-    write_results(found, out, "title", {c.name: c.law for c in found.rig.contacts}, "rig.json")
+    write_results(identification, out, "title", {c.name: c.law for c in identification.rig.contacts}, "rig.json")
     return json.loads((out / "contact.json").read_bytes())
 
 
@@ -57,25 +58,27 @@ def is_right(report):
 
 
 def test_a_body_of_three_modes_has_three_equations(tmp_path):
-    found = identify_contact(read(recorded(Topology(chain(), 200.0, ""), tmp_path / "r.mcap", duration_s=12.0)))
-    report = written(found, tmp_path / "out")
+    identification = identify_contact(
+        read(recorded(Topology(chain(), 200.0, ""), tmp_path / "r.mcap", duration_s=12.0))
+    )
+    report = written(identification, tmp_path / "out")
     assert [n["equation"] for n in report["nifo"]] == ["chain 1", "chain 2", "chain 3"]
     assert report["notes"] == []
-    (bumper,) = found.report.contacts
+    (bumper,) = identification.report.contacts
     assert bumper.clearance_m.value == pytest.approx(CLEARANCE_M, rel=0.01)
     assert bumper.stiffness_n_per_m.value == pytest.approx(STIFFNESS, rel=0.02)
     assert {path.name for path in (tmp_path / "out").iterdir()} >= {"contact.html", "rig.json", "frf.png"}
 
 
 def test_too_few_blocks_for_nifo_lose_no_answer(mass, tmp_path):
-    found = identify_contact(mass, use="displacement", averaging=Averaging(block_s=20.0))
-    assert is_right(found.report)
-    assert found.report.nifo == ()
-    (note,) = found.report.notes
+    identification = identify_contact(mass, use="displacement", averaging=Averaging(block_s=20.0))
+    assert is_right(identification.report)
+    assert identification.report.nifo == ()
+    (note,) = identification.report.notes
     assert note.startswith("NIFO of mass 1 cannot be made: 1 blocks for 3 unknowns a line")
     with pytest.raises(RigError, match="1 blocks for 3 unknowns"):
-        _ = found.weak
-    assert written(found, tmp_path)["notes"] == [note]
+        _ = identification.weak
+    assert written(identification, tmp_path)["notes"] == [note]
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     assert drawn == {"separated", "histogram", "section", "surface"}
     assert "1 blocks for 3 unknowns" in (tmp_path / "contact.html").read_text(encoding="utf-8")
@@ -86,11 +89,11 @@ def test_a_surface_that_cannot_be_fitted_loses_no_answer(mass, tmp_path, monkeyp
         raise np.linalg.LinAlgError("SVD did not converge")
 
     monkeypatch.setattr(paper_methods, "fit_surface", fails)
-    found = identify_contact(mass, use="displacement")
-    assert is_right(found.report)
-    assert found.report.surface.surfaces == ()
-    assert found.report.nifo
-    assert written(found, tmp_path)["notes"] == [
+    identification = identify_contact(mass, use="displacement")
+    assert is_right(identification.report)
+    assert identification.report.surface.surfaces == ()
+    assert identification.report.nifo
+    assert written(identification, tmp_path)["notes"] == [
         "the restoring force surface of mass 1 cannot be made: SVD did not converge"
     ]
     assert not {"outputs.png", "surface.png", "section.png"} & {path.name for path in tmp_path.iterdir()}
@@ -101,8 +104,8 @@ def test_a_figure_that_fails_is_a_note_and_all_else_is_written(mass, tmp_path, m
         raise ValueError("no room for axes")
 
     monkeypatch.setitem(figures._FIGURES, "frf", fails)
-    found = identify_contact(mass, use="displacement")
-    report = written(found, tmp_path)
+    identification = identify_contact(mass, use="displacement")
+    report = written(identification, tmp_path)
     assert report["notes"] == ["the figure of frf cannot be made: no room for axes"]
     assert report["contacts"]
     drawn = {path.stem for path in tmp_path.glob("*.png")}

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s, pooled, together
+from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s, pooled_estimate, pooled_report
 from identify.contacts.results import Estimate
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
@@ -20,41 +20,46 @@ def test_pooled_intervals_cover(shared):
     rng = np.random.default_rng(3)
     covered = []
     for _ in range(2000):
-        own = rng.uniform(0.5, 2.0, 40)
-        values = 7 + shared * rng.standard_normal() + own * rng.standard_normal(40)
-        found = pooled([Estimate(v, float(np.hypot(shared, o))) for v, o in zip(values, own, strict=True)])
-        covered.append(abs(found.value - 7) < 1.96 * found.standard_error)
+        own_errors = rng.uniform(0.5, 2.0, 40)
+        values = 7 + shared * rng.standard_normal() + own_errors * rng.standard_normal(40)
+        estimate = pooled_estimate(
+            [Estimate(v, float(np.hypot(shared, o))) for v, o in zip(values, own_errors, strict=True)]
+        )
+        covered.append(abs(estimate.value - 7) < 1.96 * estimate.standard_error)
     assert np.mean(covered) > 0.94
 
 
 def test_what_scatters_more_than_it_should_is_less_certain():
-    quiet, loud = (pooled([Estimate(5 + s, 0.1) for s in (-size, 0, size, 0)]) for size in (0.1, 1.0))
+    quiet, loud = (pooled_estimate([Estimate(5 + s, 0.1) for s in (-size, 0, size, 0)]) for size in (0.1, 1.0))
     assert loud.standard_error > 3 * quiet.standard_error
-    assert pooled([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
+    assert pooled_estimate([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
 
 
-@pytest.mark.parametrize(("tolerances", "within"), [(EXACT, 1e-5), (LABORATORY, 1e-3)])
-def test_a_long_record_in_segments(one_mass, tolerances, within):
-    report, parts = identify_long(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
-    assert [round(p.start_s) for p in parts] == [0, 212, 412, 612]
-    assert parts[-1].end_s == pytest.approx(825.0)
+@pytest.mark.parametrize(("tolerances", "relative_error"), [(EXACT, 1e-5), (LABORATORY, 1e-3)])
+def test_a_long_record_in_segments(one_mass, tolerances, relative_error):
+    report, segments = identify_long(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
+    assert [round(p.start_s) for p in segments] == [0, 212, 412, 612]
+    assert segments[-1].end_s == pytest.approx(825.0)
     (contact,) = report.contacts
     truth = Sdof()
-    for found, true in ((contact.clearance_m, truth.clearance_m), (contact.stiffness_n_per_m, truth.stiffness_n_per_m)):
-        assert found.value == pytest.approx(true, rel=within)
+    for estimate, true in (
+        (contact.clearance_m, truth.clearance_m),
+        (contact.stiffness_n_per_m, truth.stiffness_n_per_m),
+    ):
+        assert estimate.value == pytest.approx(true, rel=relative_error)
         if tolerances == LABORATORY:  # else the step of the simulation is the larger error
-            assert abs(found.value - true) < 4 * found.standard_error
-    assert sum(n.averages for p in parts for n in p.report.nifo) == report.nifo[0].averages
+            assert abs(estimate.value - true) < 4 * estimate.standard_error
+    assert sum(n.averages for p in segments for n in p.report.nifo) == report.nifo[0].averages
     assert msgspec.convert(msgspec.to_builtins(report), type(report)) == report
 
 
 def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
     settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=58.0, step_s=2.0**-13)
     path = simulate(settings, tmp_path / "long.mcap")
-    report, parts = identify_long(path, segment_s=24.0)
-    assert len(parts) == 2
-    for part in (*(p.report for p in parts), report):
-        for contact in part.contacts:
+    report, segments = identify_long(path, segment_s=24.0)
+    assert len(segments) == 2
+    for each_report in (*(s.report for s in segments), report):
+        for contact in each_report.contacts:
             assert contact.clearance_m.value == pytest.approx(5e-3, rel=2e-3)
             assert contact.stiffness_n_per_m.value == pytest.approx(1e5, rel=1e-2)
             assert abs(contact.clearance_m.value - 5e-3) < 3 * contact.clearance_m.standard_error
@@ -62,13 +67,13 @@ def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
 
 def test_a_contact_that_one_segment_tells_is_answered(simulate, tmp_path):
     path = simulate(Sdof(duration_s=30.0, step_s=2.0**-12), tmp_path / "short.mcap")
-    told, _ = identify_long(path, segment_s=40.0)
-    silent = msgspec.structs.replace(told, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
-    silent = msgspec.convert(msgspec.to_builtins(silent), type(told))
-    both = together([silent, told])
+    determined, _ = identify_long(path, segment_s=40.0)
+    silent = msgspec.structs.replace(determined, contacts=(), unanswered=({"name": "stop", "reason": "open"},))
+    silent = msgspec.convert(msgspec.to_builtins(silent), type(determined))
+    both = pooled_report([silent, determined])
     assert [c.name for c in both.contacts] == ["stop"]
     assert both.unanswered == ()
-    assert together([silent]).unanswered == silent.unanswered
+    assert pooled_report([silent]).unanswered == silent.unanswered
 
 
 def test_bad_segments_are_refused(one_mass, tmp_path):

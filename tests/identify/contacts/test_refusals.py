@@ -11,8 +11,7 @@ from identify import contacts
 from identify.checks import naming
 from identify.checks.findings import Finding
 from identify.contacts.refusals import CAUSES, REMEDIES, ContactRefusedError, RefusalCode, RemedyCode, refused
-from identify.contacts.results import Unanswered
-from identify.contacts.summary import unanswered
+from identify.contacts.results import Unanswered, unanswered
 
 
 def places() -> list[tuple[RefusalCode, set[str]]]:
@@ -64,8 +63,8 @@ def test_a_finding_beside_does_not_lose_the_code():
 
 def test_the_code_stands_beside_the_reason_in_contact_json():
     refusal = refused(RefusalCode.UNCERTAIN, quantity="stiffness", uncertain_percent=12.4).refusal
-    (one,) = unanswered({"stop": refusal})
-    plain = msgspec.json.decode(msgspec.json.encode(one))
+    (entry,) = unanswered({"stop": refusal})
+    plain = msgspec.json.decode(msgspec.json.encode(entry))
     assert plain == {
         "name": "stop",
         "reason": "its stiffness is uncertain by 12 % or more; record longer or change the force",
@@ -73,5 +72,5 @@ def test_the_code_stands_beside_the_reason_in_contact_json():
         "remedy": "record_longer_or_other_force",
         "evidence": {"quantity": "stiffness", "uncertain_percent": 12.4},
     }
-    assert msgspec.convert(plain, Unanswered) == one
+    assert msgspec.convert(plain, Unanswered) == entry
     assert msgspec.convert({"name": "stop", "reason": "open"}, Unanswered).code is None  # as written before codes

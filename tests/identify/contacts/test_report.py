@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from identify.contacts import identify_contact
-from identify.contacts.advice import recommendations, variance_shares
 from identify.contacts.refusals import REMEDIES
-from identify.contacts.report import write_page, write_results
+from identify.contacts.report import recommendations, variance_shares, write_page, write_results
 from identify.pages.wording import interval
 from rig.model.tolerances import EXACT
 from rig.recording import read
@@ -19,7 +18,7 @@ PHONE_PX = 375
 
 
 @pytest.fixture(scope="module")
-def found(simulate, tmp_path_factory):
+def identification(simulate, tmp_path_factory):
     """The one mass by its accelerometer alone, described as a laboratory would believe it."""
     settings = Sdof(duration_s=60.0, step_s=2.0**-12, sensors="acceleration", noise_density=1e-3)
     return identify_contact(read(simulate(settings, tmp_path_factory.mktemp("report") / "mass.mcap")))
@@ -36,17 +35,17 @@ def silent(simulate, tmp_path_factory):
 def page(tmp_path):
     """Writes the page of an identification without its figures, and gives its text."""
 
-    def written(found, title="mass", laws_name="true"):
+    def written(identification, title="mass", laws_name="true"):
         path = tmp_path / "contact.html"
-        write_page(found, {}, title, {c.name: c.law for c in found.rig.contacts}, laws_name, path)
+        write_page(identification, {}, title, {c.name: c.law for c in identification.rig.contacts}, laws_name, path)
         return path.read_text(encoding="utf-8")
 
     return written
 
 
-def test_the_values_stand_with_their_intervals_beside_the_true_ones(found, page):
-    text, law = unescape(page(found)), found.rig.contacts[0].law
-    (contact,) = found.report.contacts
+def test_the_values_stand_with_their_intervals_beside_the_true_ones(identification, page):
+    text, law = unescape(page(identification)), identification.rig.contacts[0].law
+    (contact,) = identification.report.contacts
     for estimate, true, scale, name in (
         (contact.clearance_m, law.clearance_m, 1e3, "clearance, mm"),
         (contact.stiffness_n_per_m, law.stiffness_n_per_m, 1.0, "stiffness, N/m"),
@@ -58,10 +57,10 @@ def test_the_values_stand_with_their_intervals_beside_the_true_ones(found, page)
     assert "<b>identified</b>" in text
 
 
-def test_what_was_assumed_is_said(found, silent, page):
-    text = unescape(page(found))
-    assert all(name in text for name in found.report.channels_used)
-    assert f"gains {100 * found.tolerances.gain:.2g} %" in text
+def test_what_was_assumed_is_said(identification, silent, page):
+    text = unescape(page(identification))
+    assert all(name in text for name in identification.report.channels_used)
+    assert f"gains {100 * identification.tolerances.gain:.2g} %" in text
     assert "believed exactly" not in text
     text = unescape(page(silent))
     assert "believed exactly" in text
@@ -77,12 +76,14 @@ def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page)
     assert f"{refused.name}: {REMEDIES[refused.remedy]}." in recommendations(silent)
 
 
-def test_the_sources_of_error_share_the_variance(found):
-    (answer,) = found.outcomes.estimates.values()
-    for shares in variance_shares(answer).values():
+def test_the_sources_of_error_share_the_variance(identification):
+    (estimate,) = identification.outcomes.estimates.values()
+    for shares in variance_shares(estimate).values():
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0
-    trusting = replace(answer, covariance=answer.covariance - answer.of_tolerances, of_tolerances=np.zeros((4, 4)))
+    trusting = replace(
+        estimate, covariance=estimate.covariance - estimate.of_tolerances, of_tolerances=np.zeros((4, 4))
+    )
     assert all(shares["tolerances"] == 0 for shares in variance_shares(trusting).values())
 
 
@@ -90,28 +91,30 @@ def test_the_sources_of_error_share_the_variance(found):
     ("source", "remedy"),
     [("of_tolerances", "calibrate"), ("of_drift", "displacement sensors"), (None, "record longer")],
 )
-def test_what_rules_the_error_is_what_is_advised(found, source, remedy):
-    (answer,) = found.outcomes.estimates.values()
+def test_what_rules_the_error_is_what_is_advised(identification, source, remedy):
+    (estimate,) = identification.outcomes.estimates.values()
     nothing = np.zeros((4, 4))
-    parts = {"of_tolerances": nothing, "of_drift": nothing} | ({source: answer.covariance} if source else {})
-    ruled = replace(found, outcomes=replace(found.outcomes, estimates={"stop": replace(answer, **parts)}))
+    covariances = {"of_tolerances": nothing, "of_drift": nothing} | ({source: estimate.covariance} if source else {})
+    ruled = replace(
+        identification, outcomes=replace(identification.outcomes, estimates={"stop": replace(estimate, **covariances)})
+    )
     said = [line for line in recommendations(ruled) if line.startswith("Most of the variance")]
     assert len(said) == 1
     assert remedy in said[0]
 
 
-def test_names_cannot_break_the_page(found, page):
+def test_names_cannot_break_the_page(identification, page):
     odd = "<i>&\"'</title>"
-    text = page(found, title=odd, laws_name=odd)
+    text = page(identification, title=odd, laws_name=odd)
     assert text.count(escape(odd)) == 3  # twice the title, once the column
     assert "<i>" not in text
 
 
-def test_a_browser_shows_all_of_it_on_a_phone(opened, found, tmp_path):
-    write_results(found, tmp_path, "mass", {c.name: c.law for c in found.rig.contacts}, "true")
-    seen = opened(tmp_path / "contact.html", PHONE_PX)
-    assert seen.scroll_px <= PHONE_PX
-    assert seen.pictures_px == ()  # all are plots to work with
-    assert len(seen.plots_px) == len(list(tmp_path.glob("*.png"))) > 0
-    assert min(seen.plots_px) > 200
-    assert seen.console == ()
+def test_a_browser_shows_all_of_it_on_a_phone(opened, identification, tmp_path):
+    write_results(identification, tmp_path, "mass", {c.name: c.law for c in identification.rig.contacts}, "true")
+    browser_page = opened(tmp_path / "contact.html", PHONE_PX)
+    assert browser_page.scroll_px <= PHONE_PX
+    assert browser_page.pictures_px == ()  # all are plots to work with
+    assert len(browser_page.plots_px) == len(list(tmp_path.glob("*.png"))) > 0
+    assert min(browser_page.plots_px) > 200
+    assert browser_page.console == ()

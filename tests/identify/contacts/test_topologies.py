@@ -14,9 +14,9 @@ from tests.campaigns.topologies import RIGS, chain, recorded
 @pytest.mark.parametrize("name", RIGS)
 def test_every_contact_is_found(name, tmp_path):
     case = RIGS[name]
-    found = identify_contact(read(recorded(case, tmp_path / "r.mcap", duration_s=24.0))).report
-    assert [c.name for c in found.contacts] == [c.name for c in case.rig.contacts]
-    for contact, true in zip(found.contacts, case.rig.contacts, strict=True):
+    report = identify_contact(read(recorded(case, tmp_path / "r.mcap", duration_s=24.0))).report
+    assert [c.name for c in report.contacts] == [c.name for c in case.rig.contacts]
+    for contact, true in zip(report.contacts, case.rig.contacts, strict=True):
         clearance_m = min(true.law.lower_clearance_m, true.law.upper_clearance_m)
         for estimate, value in (
             (contact.clearance_m, clearance_m),

@@ -8,22 +8,22 @@ from msgspec.structs import asdict, replace
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision_table import Bounded, Evidence, Strength
 from identify.gaps.results import (
-    AGAIN,
+    SAME_EXPERIMENT,
     Attribution,
     Band,
-    Between,
     Cause,
-    Compared,
     Criteria,
     Curve,
     Diagnosis,
-    Figure,
     Gap,
-    Left,
     Matters,
     NextExperiment,
+    ParameterByRecord,
+    RecordDifferences,
     ResidualMap,
     Share,
+    SummaryStatistic,
+    UnexplainedShares,
     labels_of,
 )
 from identify.gaps.rollout.results import PredictionErrors, Rollout
@@ -89,7 +89,9 @@ def tuples(*rows):
 
 
 def left(share, *contacts, p_value):
-    return Left(share=share, contact_shares={f"contact_{i}": s for i, s in enumerate(contacts, 1)}, p_value=p_value)
+    return UnexplainedShares(
+        share=share, contact_shares={f"contact_{i}": s for i, s in enumerate(contacts, 1)}, p_value=p_value
+    )
 
 
 def cause(effects, words, probability, explained, interval, left, parameters, instead=(), **places):
@@ -185,9 +187,9 @@ CUBIC = cause(
     {"hardening_spring.stiffness_n_per_m3": (2.96e10, 4.1e8, "N/m^3")},
 )
 FIGURES = (
-    Figure("acceleration, rms of all sensors", "m/s^2", 18.42, 16.03, 18.37, 0.74),
-    Figure("time that contact_1 is closed", "%", 31.24, 28.81, 31.02, 2.5),
-    Figure("impacts of contact_1", "1/s", 24.61, 27.33, 24.9, 2.9),
+    SummaryStatistic("acceleration, rms of all sensors", "m/s^2", 18.42, 16.03, 18.37, 0.74),
+    SummaryStatistic("time that contact_1 is closed", "%", 31.24, 28.81, 31.02, 2.5),
+    SummaryStatistic("impacts of contact_1", "1/s", 24.61, 27.33, 24.9, 2.9),
 )
 
 
@@ -316,7 +318,7 @@ ONE_MASS = Attribution(
 
 
 def compared(parameter, place, values, p_value, trend):
-    return Compared(
+    return ParameterByRecord(
         parameter=parameter,
         place=place,
         values=tuple(Value(v, 0.002, "1") for v in values),
@@ -325,7 +327,7 @@ def compared(parameter, place, values, p_value, trend):
     )
 
 
-BETWEEN = Between(
+BETWEEN = RecordDifferences(
     records=("1, 12 N", "2, 18 N", "3, 24 N, validates"),
     cause=(compared("sensor_gain.factor", "barrel_4", (1.02, 1.021, 1.019), 0.61, "none"),),
     cause_p_value=0.61,
@@ -365,7 +367,7 @@ GAPS = {
         next_experiments=(
             NextExperiment("hang a known 395 g on the cradle at 1 m", 7.3),
             NextExperiment("record with 2.5 times the force", 2.1),
-            NextExperiment(AGAIN, 0.4),
+            NextExperiment(SAME_EXPERIMENT, 0.4),
             NextExperiment("record with 0.3 times the force", -0.1),
         ),
         next_between=("added_mass", "clamp_compliance"),

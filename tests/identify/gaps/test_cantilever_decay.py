@@ -12,7 +12,7 @@ from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_briefly, fit_effects, refined
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.ringing_screening import ringing_screening
+from identify.gaps.search.screening import mode_screening
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station
@@ -114,8 +114,8 @@ def fitted(record, effect=None):
     known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
     context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), tuple(known))
     if effect is None:
-        return context.nothing().hypothesis
-    asked = ringing_screening(record, record.rig, [one for one in known if one.kind.name == effect])
+        return context.nominal_fit().hypothesis
+    asked = mode_screening(record, record.rig, [one for one in known if one.kind.name == effect])
     briefly = [fit_briefly(context, (one.candidate,), one.values, None) for one in asked]
     return refined(context, min(briefly, key=lambda one: one.cost)).hypothesis
 
@@ -123,7 +123,7 @@ def fitted(record, effect=None):
 def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
     for quantity in NOISE:
         nothing = fitted(record_of(decay(quantity, 3.0)))
-        assert not nothing.leaves_something
+        assert not nothing.is_incomplete
         assert nothing.misfit.share < 5e-3
 
 
@@ -133,7 +133,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     record = record_of(hit(quantity, (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.003))
     nothing = fitted(record)
     assert record.forced
-    assert not nothing.leaves_something
+    assert not nothing.is_incomplete
     assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
@@ -143,10 +143,10 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
-    found = fit_effects(context, (modulus,), modulus.default, context.at).hypothesis
+    found = fit_effects(context, (modulus,), modulus.default, context.residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
-    assert context.nothing().hypothesis.misfit.share > 0.3
-    assert not found.leaves_something
+    assert context.nominal_fit().hypothesis.misfit.share > 0.3
+    assert not found.is_incomplete
 
 
 @pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
@@ -157,7 +157,7 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
     assert np.all(errors < [0.01, 0.02])
     assert before.misfit.share > 0.3
-    assert not found.leaves_something
+    assert not found.is_incomplete
 
 
 def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_found():
@@ -167,7 +167,7 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
     assert abs(found.values[0] - 1.26**2) < 3 * error
     assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
     assert before.misfit.share > 0.3
-    assert not found.leaves_something
+    assert not found.is_incomplete
 
 
 def test_the_record_tells_every_mode_from_its_first_sample_on():

@@ -7,7 +7,7 @@ import pytest
 
 import identify
 from identify.gaps.decision.contact_evidence import contact_minus_two_log
-from identify.gaps.decision.prepare import observed
+from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.residual import linearized, residual_of
 from identify.gaps.search.candidates import candidates, scale_of
@@ -30,7 +30,7 @@ MASS = AddedMass(mass_kg=0.15, relative_position=0.7)
 
 def hypothesis_of(recording, *effects):
     """Effects of the library at typical values, as a search may hand them over."""
-    observation = observed(recording, LABORATORY)
+    observation = prepare_recording(recording, LABORATORY)
     known = candidates(scale_of(observation.record, recording.rig), [s.name for s in recording.rig.sensors], False)
     parts = []
     for effect in effects:

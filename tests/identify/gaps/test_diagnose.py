@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision import describe
+from identify.gaps.decision import answer
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
+from identify.gaps.decision.recordings import fault_of
 from identify.gaps.decision_table import Verdict
-from identify.gaps.faults import fault_of
 from identify.gaps.results import Matters
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
@@ -43,13 +43,14 @@ def null_reference(tmp_path_factory):
     """The null references of the rig at the forces of both records, made once."""
     path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
     for record in records(RIG, RIG):
-        null_reference_of(record, LABORATORY, modal, "modal", kept=path)
+        null_reference_of(record, LABORATORY, modal, "modal", path=path)
     return path
 
 
 def records(*actual: Rig) -> list[Recording]:
     return [
-        modal(RIG, one, force(seed, rms), seed) for seed, (one, rms) in enumerate(zip(actual, (0.5, 0.7), strict=True))
+        modal(RIG, machine, force(seed, rms), seed)
+        for seed, (machine, rms) in enumerate(zip(actual, (0.5, 0.7), strict=True))
     ]
 
 
@@ -86,8 +87,8 @@ def test_an_effect_is_named_with_its_size(text, parameter, value, null_reference
     assert gap.verdict == "explained"
     assert gap.causes[0].effects == (text.partition(":")[0],)
     assert gap.notes == ()
-    found = gap.causes[0].parameters[parameter]
-    assert found.value == pytest.approx(value, rel=0.05)
+    estimate = gap.causes[0].parameters[parameter]
+    assert estimate.value == pytest.approx(value, rel=0.05)
     assert gap.causes[0].explained > 0.9
     assert corrected != RIG
     assert [c.y_label for c in gap.curves[:2]] == ["(m)^2/Hz", "(m)/N"]
@@ -99,8 +100,8 @@ def test_a_side_analysis_that_fails_is_a_note_and_no_loss(monkeypatch, null_refe
     def fails(*_):
         raise ZeroDivisionError("no such thing")
 
-    for analysis in ("compared", "attribution"):
-        monkeypatch.setattr(describe, analysis, fails)
+    for analysis in ("compare_responses", "attribution"):
+        monkeypatch.setattr(answer, analysis, fails)
     gap, corrected = diagnosed(effect_named("contact_clearance:factor=1.1").applied_to(RIG), null_reference)
     assert gap.verdict == "explained"
     assert gap.causes[0].parameters["contact_clearance.factor"].value == pytest.approx(1.1, rel=0.01)
@@ -122,8 +123,8 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
         def applied_to(self, rig: Rig) -> Rig:
             return replace(rig, force_sensor=replace(rig.force_sensor, lag_s=rig.force_sensor.lag_s + self.lag_s))
 
-    others = {name: kind for name, kind in effects().items() if name != "force_shift"}
-    monkeypatch.setattr(candidates, "effects", lambda: {**others, GrowingLag.name: GrowingLag})
+    library = {name: kind for name, kind in effects().items() if name != "force_shift"}
+    monkeypatch.setattr(candidates, "effects", lambda: {**library, GrowingLag.name: GrowingLag})
     gap, _ = diagnosed(GrowingLag(lag_s=6e-3).applied_to(RIG), null_reference)
     assert gap.causes[0].effects == ("growing_lag",)
     assert gap.causes[0].parameters["growing_lag.lag_s"].value == pytest.approx(6e-3, rel=0.05)
@@ -137,7 +138,7 @@ def test_what_the_validation_hardly_reaches_is_not_called_consistent(text, verdi
     actual = effect_named(text).applied_to(RIG) if text else RIG
     gap, corrected = diagnose(modal(RIG, actual, force(0, 0.5), 0), modal(RIG, actual, force(1, 0.03), 1), SIMULATOR)
     assert gap.verdict == verdict
-    assert [one.name for one in gap.not_seen] == ["force of stop"]
+    assert [quantity.name for quantity in gap.not_seen] == ["force of stop"]
     assert (corrected == RIG) == (verdict == Verdict.CANNOT_TELL)
     if verdict == Verdict.EXPLAINED:
         assert gap.sentence.startswith("A clearance of stop that is 9.9")
@@ -146,9 +147,9 @@ def test_what_the_validation_hardly_reaches_is_not_called_consistent(text, verdi
 
 def test_another_rigs_validation_is_refused(null_reference):
     fit, validation = records(RIG, RIG)
-    other = with_fields(validation, rig=replace(RIG, name="other"))
+    of_another_rig = with_fields(validation, rig=replace(RIG, name="other"))
     with pytest.raises(RigError, match="of another rig"):
-        diagnose(fit, other, SIMULATOR, null_reference)
+        diagnose(fit, of_another_rig, SIMULATOR, null_reference)
 
 
 def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Recording:
@@ -169,12 +170,12 @@ def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Re
 def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_path, damaged):
     path = tmp_path / "one.null_reference.json"
     _, validation = records(RIG, RIG)
-    made = null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2)
-    whole = path.read_bytes()
-    assert null_reference_of(validation, LABORATORY, refuse, "modal", kept=path, simulations=2) == made
-    path.write_bytes(damaged(whole))
-    assert null_reference_of(validation, LABORATORY, modal, "modal", kept=path, simulations=2) == made
-    assert path.read_bytes() == whole
+    made = null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulations=2)
+    content = path.read_bytes()
+    assert null_reference_of(validation, LABORATORY, refuse, "modal", path=path, simulations=2) == made
+    path.write_bytes(damaged(content))
+    assert null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulations=2) == made
+    assert path.read_bytes() == content
 
 
 def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
@@ -203,14 +204,16 @@ def test_a_file_of_something_else_is_not_lost_to_a_null_reference(tmp_path):
     path = tmp_path / "notes.json"
     path.write_text("my notes")
     with pytest.raises(RigError, match=r"notes.json: is no null reference, and is not written over"):
-        null_reference_of(records(RIG, RIG)[1], LABORATORY, refuse, "modal", kept=path, simulations=2)
+        null_reference_of(records(RIG, RIG)[1], LABORATORY, refuse, "modal", path=path, simulations=2)
     assert path.read_text() == "my notes"
 
 
 def test_a_short_record_is_refused(null_reference):
     short = [
-        with_fields(one, signals={n: Signals(s.channels, 0.0, s.values[:, :2000]) for n, s in one.signals.items()})
-        for one in records(RIG, RIG)
+        with_fields(
+            recording, signals={n: Signals(s.channels, 0.0, s.values[:, :2000]) for n, s in recording.signals.items()}
+        )
+        for recording in records(RIG, RIG)
     ]
     with pytest.raises(RigError, match=r"lasts 3.91 s; the diagnosis needs"):
         diagnose(*short, SIMULATOR, null_reference)
@@ -226,10 +229,16 @@ def test_dead_and_clipped_channels_are_what_they_are(change, fault):
 
 def test_a_record_of_dead_channels_is_refused(null_reference):
     dead = []
-    for one in records(RIG, RIG):
-        moved = one.signals["displacement"]
+    for recording in records(RIG, RIG):
+        displacement = recording.signals["displacement"]
         dead.append(
-            with_fields(one, signals={**one.signals, "displacement": with_fields(moved, values=0 * moved.values)})
+            with_fields(
+                recording,
+                signals={
+                    **recording.signals,
+                    "displacement": with_fields(displacement, values=0 * displacement.values),
+                },
+            )
         )
     with pytest.raises(RigError, match="every channel is dead or clipped"):
         diagnose(*dead, SIMULATOR, null_reference)

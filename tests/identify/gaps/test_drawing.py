@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.null_machine import drawn, with_crosstalk
+from identify.gaps.decision.null_simulations import draw_rig, with_crosstalk
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
@@ -17,10 +17,10 @@ ODD_M = 1.0272139258614885
 def barrel_of_odd_length():
     rig = BarrelCradle(sensors="acceleration").rig()
     bodies = tuple(replace(b, length_m=ODD_M) if b.name == "barrel" else b for b in rig.bodies)
-    ends = tuple(
+    sensors = tuple(
         replace(s, station=replace_station(s.station)) if s.station.body == "barrel" else s for s in rig.sensors
     )
-    return replace(rig, bodies=bodies, sensors=ends)
+    return replace(rig, bodies=bodies, sensors=sensors)
 
 
 def replace_station(station):
@@ -29,20 +29,22 @@ def replace_station(station):
 
 @pytest.mark.parametrize("rig", [BarrelCradle(sensors="acceleration").rig(), barrel_of_odd_length(), Sdof().rig()])
 def test_exact_tolerances_draw_the_rig_itself(rig):
-    actual = drawn(rig, EXACT, np.random.default_rng(1).standard_normal(600))
+    actual = draw_rig(rig, EXACT, np.random.default_rng(1).standard_normal(600))
     assert actual.sensors == rig.sensors
     assert actual.contacts == rig.contacts
-    for one, believed in zip(actual.bodies, rig.bodies, strict=True):
-        count = min(8, one.max_modes)
-        np.testing.assert_allclose(one.frequencies_hz(count), believed.frequencies_hz(count), rtol=1e-12)
-        places = np.array([s.station.position_m for s in rig.sensors if s.station.body == one.name])
-        np.testing.assert_allclose(one.shapes(places, count), believed.shapes(places, count), rtol=1e-9, atol=1e-12)
+    for body, nominal_body in zip(actual.bodies, rig.bodies, strict=True):
+        count = min(8, body.max_modes)
+        np.testing.assert_allclose(body.frequencies_hz(count), nominal_body.frequencies_hz(count), rtol=1e-12)
+        places = np.array([s.station.position_m for s in rig.sensors if s.station.body == body.name])
+        np.testing.assert_allclose(
+            body.shapes(places, count), nominal_body.shapes(places, count), rtol=1e-9, atol=1e-12
+        )
 
 
 def test_draws_scatter_as_the_tolerances_say():
     rig = BarrelCradle(sensors="acceleration").rig()
     rng = np.random.default_rng(2)
-    rigs = [drawn(rig, LABORATORY, rng.standard_normal(600)) for _ in range(200)]
+    rigs = [draw_rig(rig, LABORATORY, rng.standard_normal(600)) for _ in range(200)]
     gains = np.array([[s.gain for s in r.sensors] for r in rigs])
     assert gains.std() == pytest.approx(LABORATORY.gain, rel=0.1)
     corners_hz = np.array([[s.high_pass_hz for s in r.sensors] for r in rigs])
@@ -59,10 +61,10 @@ def test_channels_show_shares_of_those_beside_them():
     groups = channel_groups(rig)["acceleration"]
     recording = Recording(rig, {"acceleration": Signals(groups, 0.0, values)}, {})
     drawings = [with_crosstalk(recording, 2e-3, np.random.default_rng(seed)) for seed in range(100)]
-    mixing = np.array([one.signals["acceleration"].values for one in drawings])
-    beside = np.abs(np.subtract.outer(np.arange(len(values)), np.arange(len(values)))) == 1
-    np.testing.assert_array_equal(mixing[:, ~beside], np.broadcast_to(values[~beside], mixing[:, ~beside].shape))
-    assert mixing[:, beside].std() == pytest.approx(2e-3, rel=0.1)
+    mixing = np.array([drawing.signals["acceleration"].values for drawing in drawings])
+    adjacent = np.abs(np.subtract.outer(np.arange(len(values)), np.arange(len(values)))) == 1
+    np.testing.assert_array_equal(mixing[:, ~adjacent], np.broadcast_to(values[~adjacent], mixing[:, ~adjacent].shape))
+    assert mixing[:, adjacent].std() == pytest.approx(2e-3, rel=0.1)
     assert with_crosstalk(recording, 0.0, np.random.default_rng(1)) == recording
 
 
@@ -70,7 +72,7 @@ def test_strain_gauges_keep_their_fibre():
     """The bodies that are drawn are given by their modes, which do not say how thick they are."""
     rig = BarrelCradle(sensors="acceleration").rig()
     gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain")
-    actual = drawn(
+    actual = draw_rig(
         replace(rig, sensors=(*rig.sensors, gauge)), LABORATORY, np.random.default_rng(3).standard_normal(600)
     )
     assert actual.sensors[-1].fibre_m == rig.body("cradle").half_thickness_m

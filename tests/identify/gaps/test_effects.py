@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.residual.fit import derivative
 from identify.gaps.residual.likelihood import reference_of
-from identify.gaps.residual.residual import linearized, residual_of
+from identify.gaps.residual.residual import derivative, linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.screening import followed_hz
+from identify.gaps.search.screening import peak_frequencies_hz
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal
@@ -79,12 +78,12 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
     begun = Search(reference_of(linearized(record, RIG)), linearization, believed, ())
     found = fit_effects(begun, (candidate,), start, believed).hypothesis
-    assert found.misfit.minus_two_log < begun.nothing().cost
+    assert found.misfit.minus_two_log < begun.nominal_fit().cost
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)
 
 
 def test_the_frequency_of_a_tone_stands_out_of_the_residual():
     _, truth, record = case("tone:mass")
     linearization, believed = fit_nuisance(record, RIG)
-    found = followed_hz(linearization, believed, 3)
+    found = peak_frequencies_hz(linearization, believed, 3)
     assert np.min(np.abs(found - truth[2])) < 0.1 / SETTINGS.duration_s

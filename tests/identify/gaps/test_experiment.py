@@ -7,11 +7,17 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision import experiment
-from identify.gaps.decision.experiment import begun_on, disagreement, experiments, next_experiments, refitted
+from identify.gaps.decision.experiment import (
+    disagreement,
+    experiments,
+    initial_search,
+    next_experiments,
+    refit_hypothesis,
+)
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.results import AGAIN
+from identify.gaps.results import SAME_EXPERIMENT
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.nominal import fit_nuisance
@@ -35,36 +41,38 @@ def believed():
 def cause(believed):
     """A cause at some value, known as exactly as its standard error says."""
     record, _ = believed
-    nothing = Search(reference_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nothing().hypothesis
-    known = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
+    nothing = Search(reference_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nominal_fit().hypothesis
+    library = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
 
-    def made(name, value, error):
-        part = next(c for c in known if c.kind.name == name)
-        return with_fields(nothing, parts=(part,), values=np.array([value]), covariance=np.array([[error**2]]))
+    def hypothesis(name, value, error):
+        candidate = next(c for c in library if c.kind.name == name)
+        return with_fields(
+            nothing, candidates=(candidate,), values=np.array([value]), covariance=np.array([[error**2]])
+        )
 
-    return made
+    return hypothesis
 
 
 def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
     record, force_n = believed
-    tried = list(experiments(record, force_n))
+    options = list(experiments(record, force_n))
     start = round(record.excited_s * record.sample_rate_hz)
-    same = np.std(tried[0].forces_n[:, start:])
-    assert tried[0].words == AGAIN
-    assert len({t.words for t in tried}) == len(tried)
-    for one in tried:
-        assert not np.any(one.forces_n[:, : round(0.9 * record.sample_rate_hz)])
-        named = [w for w in one.words.split() if w.replace(".", "").isdigit()] if "times" in one.words else ["1"]
-        assert np.std(one.forces_n[:, start:]) == pytest.approx(float(named[-1]) * same, rel=0.01)
-    lengths_s = {round(t.forces_n.shape[1] / record.sample_rate_hz, 2) for t in tried}
+    rms_n = np.std(options[0].forces_n[:, start:])
+    assert options[0].words == SAME_EXPERIMENT
+    assert len({option.words for option in options}) == len(options)
+    for option in options:
+        assert not np.any(option.forces_n[:, : round(0.9 * record.sample_rate_hz)])
+        named = [w for w in option.words.split() if w.replace(".", "").isdigit()] if "times" in option.words else ["1"]
+        assert np.std(option.forces_n[:, start:]) == pytest.approx(float(named[-1]) * rms_n, rel=0.01)
+    lengths_s = {round(option.forces_n.shape[1] / record.sample_rate_hz, 2) for option in options}
     assert lengths_s == {15.0, 45.0}
-    assert sum(t.changed(RIG).masses != RIG.masses for t in tried) == 1
+    assert sum(option.modify_rig(RIG).masses != RIG.masses for option in options) == 1
 
 
 def test_of_beams_the_force_moves_and_displacements_are_measured():
     rig = BarrelCradle(sensors="acceleration", duration_s=12.0).rig()
     force_n = force_history(BarrelCradle().force(), 12.0, 1 / rig.sample_rate_hz)
-    changed = [e.changed(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
+    changed = [e.modify_rig(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
     places = {r.force_at for r in changed}
     assert {(p.body, p.position_m) for p in places} == {
         *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)),
@@ -73,40 +81,42 @@ def test_of_beams_the_force_moves_and_displacements_are_measured():
 
 
 @pytest.fixture
-def few(monkeypatch):
+def three_experiments(monkeypatch):
     """Two experiments, as each costs seconds."""
-    every = experiment.experiments
-    monkeypatch.setattr(experiment, "experiments", lambda *given: list(every(*given))[:3])
+    all_experiments = experiment.experiments
+    monkeypatch.setattr(experiment, "experiments", lambda *given: list(all_experiments(*given))[:3])
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("three_experiments")
 def test_what_differs_is_told_by_some_experiment_and_what_does_not_by_none(believed, cause):
     record, force_n = believed
     softer, stiffer = (cause("contact_stiffness", factor, 0.01) for factor in (0.9, 1.1))
-    told = next_experiments(record, force_n, (softer, stiffer), modal)
-    assert told[0].log_odds > 1
-    assert [t.log_odds for t in told] == sorted((t.log_odds for t in told), reverse=True)
+    proposals = next_experiments(record, force_n, (softer, stiffer), modal)
+    assert proposals[0].log_odds > 1
+    assert [proposal.log_odds for proposal in proposals] == sorted(
+        (proposal.log_odds for proposal in proposals), reverse=True
+    )
     alike = next_experiments(record, force_n, (softer, softer), modal)
     assert max(abs(a.log_odds) for a in alike) < 0.1
 
 
-@pytest.mark.usefixtures("few")
+@pytest.mark.usefixtures("three_experiments")
 def test_a_rival_that_is_hardly_known_may_change(believed, cause):
     """Of one effect at two values that the first record leaves open, no record can say which is the true one."""
     record, force_n = believed
     softer, stiffer = (cause("contact_stiffness", factor, 1.0) for factor in (0.9, 1.1))
-    told = next_experiments(record, force_n, (softer, stiffer), modal)
-    assert max(abs(t.log_odds) for t in told) < 0.2
+    proposals = next_experiments(record, force_n, (softer, stiffer), modal)
+    assert max(abs(proposal.log_odds) for proposal in proposals) < 0.2
 
 
 def test_refitted_finds_the_value_and_two_values_disagree_by_their_errors(believed, cause):
     _, force_n = believed
     actual = effect_named("contact_stiffness:factor=1.1").applied_to(RIG)
     record = record_of(modal(RIG, actual, force_n, 2))
-    begun = begun_on(record, RIG)
-    found = refitted(begun, cause("contact_stiffness", 0.9, 0.1))
-    assert found.values[0] == pytest.approx(1.1, abs=0.02)
-    one, other = cause("contact_stiffness", 1.0, 0.03), cause("contact_stiffness", 1.1, 0.04)
-    assert disagreement(one, other) == pytest.approx((0.1 / 0.05) ** 2)
+    start = initial_search(record, RIG)
+    refit = refit_hypothesis(start, cause("contact_stiffness", 0.9, 0.1))
+    assert refit.values[0] == pytest.approx(1.1, abs=0.02)
+    first, second = cause("contact_stiffness", 1.0, 0.03), cause("contact_stiffness", 1.1, 0.04)
+    assert disagreement(first, second) == pytest.approx((0.1 / 0.05) ** 2)
     with pytest.raises(RigError):
-        refitted(begun, cause("contact_stiffness", -1.0, 0.1))
+        refit_hypothesis(start, cause("contact_stiffness", -1.0, 0.1))

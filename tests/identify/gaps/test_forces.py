@@ -10,7 +10,7 @@ import identify
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.unmeasured_force.observed import bare_residual, force_noise
+from identify.gaps.unmeasured_force.whitened_record import bare_residual, force_noise
 from rig.effects import effect_named
 from rig.model.description import Station
 from rig.recording import Recording, Signals, channel_groups
@@ -62,7 +62,7 @@ def test_the_noise_of_every_force_is_whitened():
     record = record_of(noise(replace(BEAMS, force_at=(BEAMS.force_at, Station("cradle", 0.6)))))
     bare = bare_residual(record, record.rig)
     standard = bare.model.sensor_response / bare.model.deviation
-    by_force = [bare.rowed((standard * bare.accelerance(at))[:, bare.lines]) for at in record.rig.forces]
+    by_force = [bare.project((standard * bare.accelerance(at))[:, bare.lines]) for at in record.rig.forces]
     pushed = np.stack(by_force, axis=2) * np.sqrt(force_noise(record))
     for line in (50, 500):
         modes, one = bare.force_modes[line], np.eye(bare.rows)

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import identify
-from identify.gaps.decision.release import FIRST_S, released
+from identify.gaps.decision.null_simulations import SCALED_S, free_decay_simulator
+from identify.gaps.decision.recordings import check_decay
 from identify.gaps.decision.sentence import UNSCALED
-from identify.gaps.faults import check_decay
-from identify.gaps.residual.extent import LEFT_OUT_S
+from identify.gaps.residual.extent import OMITTED_S
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from rig.errors import RigError
@@ -28,12 +28,12 @@ def row(recording):
 @pytest.mark.parametrize(("effect", "verdict"), [("", "cannot_tell"), (STIFFER, "explained")])
 def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
     records = (decay(ACCELEROMETER, tmp_path, effect, level) for level in (1.0, VALIDATES))
-    found = identify.gap(*records)
-    assert found.report.verdict == verdict
-    assert UNSCALED in found.report.sentence
-    assert "dead" not in {f.cause for f in found.findings}
+    result = identify.gap(*records)
+    assert result.report.verdict == verdict
+    assert UNSCALED in result.report.sentence
+    assert "dead" not in {f.cause for f in result.findings}
     if effect:
-        best = found.report.causes[0]
+        best = result.report.causes[0]
         assert best.effects == ("contact_stiffness",)
         factor = best.parameters["contact_stiffness.factor"]
         assert abs(factor.value - 1.3) < 1.96 * factor.standard_error < 0.1
@@ -42,31 +42,40 @@ def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
 @pytest.mark.parametrize("name", [ACCELEROMETER, DISPLACEMENT])
 def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
     measured = decay(name, tmp_path)
-    simulate = released(measured, modal)
-    one, other = (simulate(measured.rig, measured.rig, measured.forces_n, seed) for seed in (1, 2))
-    first = round(FIRST_S * measured.rig.sample_rate_hz)
-    for made in (one, other):
-        assert made.samples == measured.samples
-        assert not np.any(made.forces_n)
-        assert np.std(row(made)[:first]) == pytest.approx(np.std(row(measured)[:first]), rel=0.1)
-        check_decay(made)
-        assert record_of(made).time_s[0] == pytest.approx(LEFT_OUT_S, abs=0.1)
-    assert np.std(row(one)[:first] - row(other)[:first]) > 0.1 * np.std(row(one)[:first])
+    simulate = free_decay_simulator(measured, modal)
+    first_simulation, second_simulation = (
+        simulate(measured.rig, measured.rig, measured.forces_n, seed) for seed in (1, 2)
+    )
+    scaled_samples = round(SCALED_S * measured.rig.sample_rate_hz)
+    for simulation in (first_simulation, second_simulation):
+        assert simulation.samples == measured.samples
+        assert not np.any(simulation.forces_n)
+        assert np.std(row(simulation)[:scaled_samples]) == pytest.approx(
+            np.std(row(measured)[:scaled_samples]), rel=0.1
+        )
+        check_decay(simulation)
+        assert record_of(simulation).time_s[0] == pytest.approx(OMITTED_S, abs=0.1)
+    assert np.std(row(first_simulation)[:scaled_samples] - row(second_simulation)[:scaled_samples]) > 0.1 * np.std(
+        row(first_simulation)[:scaled_samples]
+    )
 
 
 def test_null_simulations_of_beams_move_as_much_as_the_record(tmp_path):
     measured = decay("two beams, free decay, displacements", tmp_path)
-    made = released(measured, modal)(measured.rig, measured.rig, measured.forces_n, 1)
+    simulation = free_decay_simulator(measured, modal)(measured.rig, measured.rig, measured.forces_n, 1)
     second = round(measured.rig.sample_rate_hz)
-    levels = [row(one)[: FIRST_S * second].reshape(FIRST_S, second).std(axis=1) for one in (measured, made)]
+    levels = [
+        row(recording)[: SCALED_S * second].reshape(SCALED_S, second).std(axis=1)
+        for recording in (measured, simulation)
+    ]
     assert np.log(levels[1] / levels[0]).mean() == pytest.approx(0.0, abs=0.2)
     check_decay(measured)
 
 
 def test_effects_of_the_force_and_its_channel_need_a_force(tmp_path):
     record = record_of(decay(ACCELEROMETER, tmp_path))
-    given = scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known
-    names, unforced = ({c.kind.name for c in candidates(*given, forced=forced)} for forced in (True, False))
+    arguments = scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known
+    names, unforced = ({c.kind.name for c in candidates(*arguments, forced=forced)} for forced in (True, False))
     assert not record.forced
     channels = {"force_gain", "force_shift", "sensor_gain", "sensor_delay"}
     assert channels <= names

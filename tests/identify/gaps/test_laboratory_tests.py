@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from identify.gaps.decision.hypotheses import search_record
-from identify.gaps.decision.null_reference import is_impulsive
+from identify.gaps.decision.null_simulations import is_impulsive
+from identify.gaps.decision.prepare import search_record
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -24,9 +24,9 @@ def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
     record = record_of(recorded(test, tmp_path / "r.mcap", duration_s=20.0, effect=test.effect))
     best = search_record(record, reference_of(linearized(record, record.rig))).hypotheses[0]
     assert best.effects == (test.effect.partition(":")[0],)
-    at = best.parameters.names.index(parameter)
-    assert abs(best.values[at] - value) < 3 * np.sqrt(best.covariance[at, at])
-    assert np.sqrt(best.covariance[at, at]) < 0.1 * value
+    index = best.parameters.names.index(parameter)
+    assert abs(best.values[index] - value) < 3 * np.sqrt(best.covariance[index, index])
+    assert np.sqrt(best.covariance[index, index]) < 0.1 * value
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_a_hammers_force_is_known_and_its_band_ends(kind, low_hz, blows, highest
 
 def test_a_record_counts_until_it_has_decayed(tmp_path):
     record = record_of(recorded(TESTS["one mass, one measured blow"], tmp_path / "r.mcap", duration_s=30.0))
-    end_s = record.taken.stop / record.rate_hz
+    end_s = record.counted_samples.stop / record.rate_hz
     power = (record.in_time(record.delivered)[0] ** 2).mean()
     assert 5.0 < end_s < 25.5
     assert power > 0

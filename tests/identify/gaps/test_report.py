@@ -14,13 +14,19 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from identify.gaps.decision.sentence import sentence
-from identify.gaps.page.advice import next_steps, rest_hz
-from identify.gaps.page.curves import curves
+from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
 from identify.gaps.page.pictures import pictures
-from identify.gaps.page.report import write_all, write_page
-from identify.gaps.page.screen import shown
+from identify.gaps.page.report import curves, write_all, write_page
+from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, Band, Gap, Note
-from identify.gaps.wording import alternatives, chance, closes, interval, leaves, probability
+from identify.gaps.wording import (
+    interval,
+    look_alikes_of,
+    p_value_words,
+    probability,
+    removed_share_words,
+    unexplained_words,
+)
 from identify.pages.wording import COVERED, number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
@@ -89,7 +95,7 @@ def test_every_number_is_on_the_page(written):
     lefts = [gap.before, *(cause.left for cause in gap.causes)]
     said |= {percent(s) for left in lefts for s in (left.share, *left.contact_shares.values())}
     for cause in gap.causes:
-        said |= {probability(cause.probability), closes(cause), *cause.places.values(), *cause.parameters}
+        said |= {probability(cause.probability), removed_share_words(cause), *cause.places.values(), *cause.parameters}
         said |= {interval(v) for v in cause.parameters.values()}
     for figure in gap.figures:
         said |= {number(figure.measured), f"± {number(figure.by_chance, 2)}"}
@@ -105,7 +111,7 @@ def test_every_number_is_on_the_page(written):
     ):
         said |= {percent(s) for s in shares.values()}
     said |= {percent(s.share) for s in (*where.band_hz, *where.time_s)}
-    said |= {" / ".join([words, *others]) for words, others in alternatives(gap)} | set(next_steps(gap))
+    said |= {" / ".join([words, *others]) for words, others in look_alikes_of(gap)} | set(next_steps(gap))
     said |= {percent(x) for q in gap.evidence.quantities for x in (q.value, q.upper) if q.upper is not None}
     said |= {words for cause in gap.causes[:1] for words in cause.words}
     if gap.rollout:
@@ -122,7 +128,7 @@ def test_every_number_is_on_the_page(written):
         said |= {gap.unknown.law, percent(gap.unknown.explained), f"{number(gap.unknown.rms_n, 3)} N rms"}
     assert said <= set(page.texts)
     text = " ".join(page.texts)
-    assert chance(gap.evidence.p_value) in text
+    assert p_value_words(gap.evidence.p_value) in text
     assert f"alone they leave as much in {percent(gap.before.p_value)} of all cases" in text
 
 
@@ -159,7 +165,7 @@ def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
     said = "Not computed: where the difference lies (singular <matrix>)."
     assert escape(said) in (tmp_path / "gap.html").read_text(encoding="utf-8")
     console = Console(width=300, record=True)
-    console.print(shown(gap))
+    console.print(screen_view(gap))
     assert said in console.export_text()
 
 
@@ -240,8 +246,8 @@ def test_what_is_left_is_named_by_its_frequencies(gaps):
             [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
         )
     )
-    assert rest_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
-    assert rest_hz(replace(gap, bands=bands[:1])) == []
+    assert unexplained_ranges_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
+    assert unexplained_ranges_hz(replace(gap, bands=bands[:1])) == []
 
 
 def test_names_cannot_break_the_page(gaps, tmp_path):
@@ -288,13 +294,13 @@ def test_a_link_is_not_written_through(gaps, tmp_path):
 
 def test_the_screen_shows_the_verdict(diagnosis):
     console = Console(width=900, record=True, file=StringIO())
-    console.print(shown(diagnosis))
+    console.print(screen_view(diagnosis))
     text = console.export_text()
     assert diagnosis.sentence in text
     for cause in diagnosis.causes:
         assert probability(cause.probability) in text
-        assert closes(cause) in text
-        assert leaves(cause.left) in text
+        assert removed_share_words(cause) in text
+        assert unexplained_words(cause.left) in text
         for value in cause.parameters.values():
             assert interval(value) in text
     for step in next_steps(diagnosis):
@@ -330,8 +336,8 @@ def test_nothing_is_said_to_be_certain():
 
 def test_what_closes_nothing_is_said_to_close_nothing(gaps):
     cause = gaps["pair"].causes[0]
-    assert closes(cause) == "94.0 % (91.0 to 96.0 %)"
-    assert closes(replace(cause, explained=0.02, interval_95=(-0.1, 0.2))) == "nothing"
+    assert removed_share_words(cause) == "94.0 % (91.0 to 96.0 %)"
+    assert removed_share_words(replace(cause, explained=0.02, interval_95=(-0.1, 0.2))) == "nothing"
     assert probability(1.0) == "> 99.9 %"
 
 

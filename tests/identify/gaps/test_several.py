@@ -56,34 +56,34 @@ def nominal():
 @pytest.fixture(scope="module")
 def null_reference(tmp_path_factory, nominal):
     path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
-    null_reference_of(nominal[2], LABORATORY, modal, "modal", kept=path)
+    null_reference_of(nominal[2], LABORATORY, modal, "modal", path=path)
     return path
 
 
 def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     mass_kg = 0.1
-    records = [record_of(one) for one in recordings(*[with_effect(f"added_mass:mass_kg={mass_kg}")] * 3)[:2]]
-    seen, known = references(records), library(records[0])
-    (part,) = [c for c in known if c.kind.name == "added_mass"]
-    begun = Search(seen[0], *fit_nuisance(records[0], RIG), tuple(known))
-    alone = fit_effects(begun, (part,), np.array([0.5 * mass_kg]), begun.at).hypothesis
-    again = fitted_together(records[:1], seen[:1], alone)
-    both = fitted_together(records, seen, alone)
-    errors = [float(np.sqrt(one.covariance[0, 0])) for one in (alone, again, both)]
-    assert again.values == pytest.approx(alone.values, abs=0.5 * errors[0])
+    records = [record_of(item) for item in recordings(*[with_effect(f"added_mass:mass_kg={mass_kg}")] * 3)[:2]]
+    variances, candidates = references(records), library(records[0])
+    (candidate,) = [c for c in candidates if c.kind.name == "added_mass"]
+    context = Search(variances[0], *fit_nuisance(records[0], RIG), tuple(candidates))
+    first_record = fit_effects(context, (candidate,), np.array([0.5 * mass_kg]), context.residual).hypothesis
+    first_pooled = fitted_together(records[:1], variances[:1], first_record)
+    both_records = fitted_together(records, variances, first_record)
+    errors = [float(np.sqrt(item.covariance[0, 0])) for item in (first_record, first_pooled, both_records)]
+    assert first_pooled.values == pytest.approx(first_record.values, abs=0.5 * errors[0])
     assert errors[1] == pytest.approx(errors[0], rel=0.3)
     assert errors[2] < errors[1]
-    assert both.values[0] == pytest.approx(mass_kg, abs=1.96 * errors[2])
+    assert both_records.values[0] == pytest.approx(mass_kg, abs=1.96 * errors[2])
 
 
 def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(null_reference):
     wider = with_effect("contact_clearance:factor=1.05")
     gap, _ = diagnose(recordings(RIG, RIG, wider), None, SIMULATOR, null_reference)
-    (found,) = gap.between.differing
-    assert found.parameter == "contact_clearance.factor"
-    assert found.trend == "grows"
-    first, second, last = (v.value for v in found.values)
-    errors = [v.standard_error for v in found.values]
+    (clearance,) = gap.between.differing
+    assert clearance.parameter == "contact_clearance.factor"
+    assert clearance.trend == "grows"
+    first, second, last = (value.value for value in clearance.values)
+    errors = [value.standard_error for value in clearance.values]
     assert last / first == pytest.approx(1.05, abs=1.96 * np.hypot(errors[0], errors[2]))
     assert second == pytest.approx(first, abs=1.96 * np.hypot(errors[0], errors[1]))
     assert "contact_clearance.factor (stop) grows" in gap.sentence
@@ -100,16 +100,16 @@ def test_what_all_records_have_is_a_cause_and_no_difference(null_reference):
 
 
 def test_nothing_differs_between_records_of_the_believed_rig(nominal):
-    records = [record_of(one) for one in nominal]
+    records = [record_of(recording) for recording in nominal]
     between = differences(records, references(records), None, library(records[0]), ("1", "2", "3"), (1.0, 1.0, 1.0))
     assert between.differing == between.cause == ()
     assert between.looked_at > 5
 
 
 def test_any_record_validates_and_a_recording_counts_once(nominal, null_reference):
-    other = with_fields(nominal[1], rig=replace(RIG, name="other"))
+    of_another_rig = with_fields(nominal[1], rig=replace(RIG, name="other"))
     with pytest.raises(RigError, match="recording 2 is of another rig"):
-        diagnose([nominal[0], other, nominal[2]], None, SIMULATOR, null_reference)
+        diagnose([nominal[0], of_another_rig, nominal[2]], None, SIMULATOR, null_reference)
     with pytest.raises(RigError, match="recording 3 is the same as an earlier one"):
         diagnose([*nominal[:2], with_fields(nominal[0])], None, SIMULATOR, null_reference)
     with pytest.raises(RigError, match="cannot validate itself"):
@@ -120,9 +120,9 @@ def test_any_record_validates_and_a_recording_counts_once(nominal, null_referenc
 
 def test_a_file_given_twice_or_missing_is_named(nominal, tmp_path):
     paths = [tmp_path / f"{k}.mcap" for k in range(2)]
-    for path, one in zip(paths, nominal, strict=False):
-        with writing(path, RIG, {n: s.channels for n, s in one.signals.items()}, {}) as file:
-            file.append_all({n: s.values for n, s in one.signals.items()})
+    for path, recording in zip(paths, nominal, strict=False):
+        with writing(path, RIG, {n: s.channels for n, s in recording.signals.items()}, {}) as file:
+            file.append_all({n: s.values for n, s in recording.signals.items()})
 
     def error(*arguments):
         return str(CliRunner().invoke(app, ["gap", *map(str, arguments)]).exception)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.gaps.decision.prepare import observed
+from identify.gaps.decision.prepare import prepare_recording
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search
@@ -25,7 +25,7 @@ DAMPING = ContactDamping(damping_n_s_per_m=20.0, contact="contact_1")
 
 def search_of(recording):
     """The nominal rig fitted to a recording, and what a search may try there."""
-    observation = observed(recording, LABORATORY)
+    observation = prepare_recording(recording, LABORATORY)
     linearization, residual = fit_nuisance(observation.record, recording.rig)
     names = [s.name for s in recording.rig.sensors]
     known = candidates(scale_of(observation.record, recording.rig), names, False)
@@ -39,14 +39,14 @@ def pair(recorded_machine):
 
 @pytest.fixture(scope="module")
 def model(pair):
-    steady = [c for c in pair.known if not c.kind.stochastic]
-    nothing = pair.nothing().hypothesis
-    return local_model(pair.linearization, pair.at, pair.reference, pair.linearization.rig, nothing, steady)
+    steady = [c for c in pair.candidates if not c.kind.stochastic]
+    nothing = pair.nominal_fit().hypothesis
+    return local_model(pair.linearization, pair.residual, pair.reference, pair.linearization.rig, nothing, steady)
 
 
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
-    left = misfit(pair.linearization.record, pair.reference, pair.at)
+    left = misfit(pair.linearization.record, pair.reference, pair.residual)
     cells, contacts = model.levels(np.zeros(len(model.spectra)))
     near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
     assert near.mean() > 0.9
@@ -62,8 +62,8 @@ def test_majorisation_never_raises_the_statistic(model):
 
 def test_an_effect_that_dominates_is_selected_alone(pair, model):
     """It bends the model of the others."""
-    selection = selected(model, pair.nothing().hypothesis)
-    assert [part.name for part in selection.parts] == ["added_mass:barrel"]
+    selection = selected(model, pair.nominal_fit().hypothesis)
+    assert [part.name for part in selection.candidates] == ["added_mass:barrel"]
 
 
 def test_finds_both_effects_with_their_numbers(pair):
@@ -79,7 +79,7 @@ def test_finds_both_effects_with_their_numbers(pair):
 
 def test_names_nothing_where_nothing_is(recorded_machine):
     (nothing,) = search(search_of(recorded_machine(SETTINGS)))
-    assert nothing.parts == ()
+    assert nothing.candidates == ()
 
 
 def test_a_strong_base_motion_leads_to_what_stands_beside_it(recorded_machine):

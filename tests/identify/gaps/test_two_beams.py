@@ -35,7 +35,7 @@ def records(actual=RIG):
 @pytest.fixture(scope="module")
 def null_reference(tmp_path_factory):
     path = tmp_path_factory.mktemp("null_reference") / "null_reference.json"
-    null_reference_of(records()[1], LABORATORY, modal, "modal", kept=path)
+    null_reference_of(records()[1], LABORATORY, modal, "modal", path=path)
     return path
 
 
@@ -64,8 +64,8 @@ def test_effects_are_named_with_their_size(null_reference, effects, parameter, v
     actual = reduce(lambda rig, text: effect_named(text).applied_to(rig), effects, RIG)
     gap, _ = diagnosed(actual, null_reference)
     assert set(gap.causes[0].effects) == {text.split(":")[0] for text in effects}
-    found = gap.causes[0].parameters[parameter]
-    assert abs(found.value - value) < 4 * found.standard_error
+    estimate = gap.causes[0].parameters[parameter]
+    assert abs(estimate.value - value) < 4 * estimate.standard_error
 
 
 def test_what_the_library_lacks_is_unknown_and_described(null_reference):

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from identify.gaps.decision.bounds import Difference
-from identify.gaps.decision.comparison import Judged
+from identify.gaps.decision.comparison import ValidatedHypothesis
+from identify.gaps.decision.judge import predicted_decision
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
-from identify.gaps.decision.prediction import predicted_decision
-from identify.gaps.decision.verdict import acts_where_they_do, decided
+from identify.gaps.decision.verdict import acts_at_effects
+from identify.gaps.decision.verdict import decide as decide_verdict
 from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit, Reference
 from identify.gaps.results import Matters
@@ -25,7 +26,7 @@ RIG = BarrelCradle(sensors="acceleration", noise_density=1e-3).rig()
 
 
 @pytest.mark.parametrize(
-    ("effect", "force", "same"),
+    ("effect", "force", "is_rival"),
     [
         ("linear_spring:relative_position=0.8,body=cradle", ForcePlace("force", (Station("cradle", 0.82),)), True),
         ("linear_spring:relative_position=0.8,body=cradle", ForcePlace("force", (Station("cradle", 0.5),)), False),
@@ -35,56 +36,70 @@ RIG = BarrelCradle(sensors="acceleration", noise_density=1e-3).rig()
         ("youngs_modulus:factor=1.1", ForcePlace("distributed", bodies=("cradle",)), False),
     ],
 )
-def test_a_force_at_the_place_of_an_effect_is_its_rival(effect, force, same):
+def test_a_force_at_the_place_of_an_effect_is_its_rival(effect, force, is_rival):
     sensor = RIG.sensors[3].name
     rig = effect_named(effect.format(sensor=sensor)).applied_to(RIG)
     if force.sensor:
         force = ForcePlace("sensor", sensor=sensor)
-    assert acts_where_they_do(force, RIG, rig) is same
+    assert acts_at_effects(force, RIG, rig) is is_rival
 
 
 def test_a_pair_of_forces_at_a_contact_is_the_rival_of_another_law():
     rig = effect_named("contact_clearance:factor=1.1,contact=contact_1").applied_to(RIG)
     first, second = RIG.contacts
-    assert acts_where_they_do(ForcePlace("pair", (first.at, first.against)), RIG, rig)
-    assert not acts_where_they_do(ForcePlace("pair", (second.at, second.against)), RIG, rig)
+    assert acts_at_effects(ForcePlace("pair", (first.at, first.against)), RIG, rig)
+    assert not acts_at_effects(ForcePlace("pair", (second.at, second.against)), RIG, rig)
 
 
 ONES = np.ones((40, 6))
 
 
-def left(level: float) -> Misfit:
+def misfit_of_level(level: float) -> Misfit:
     """A residual of this variance in every band of every sensor."""
-    reference = Reference(usual=ONES, noise=0.5 * ONES, power=1e3 * ONES, lines=np.full(40, 50.0), seen=())
+    reference = Reference(
+        expected_variance=ONES, noise=0.5 * ONES, power=1e3 * ONES, lines=np.full(40, 50.0), observations=()
+    )
     none = np.ones((20, 0))
     return Misfit(
         reference=reference,
-        left=np.full((20, 40, 6), level),
-        measured=ONES,
-        contact_left=none,
+        variance_by_second=np.full((20, 40, 6), level),
+        variance_correction=ONES,
+        contact_level_by_second=none,
         contact_n2=none,
         force_n2=none,
         pulls=np.zeros(4),
         drift=0.0,
         freedom=0.0,
-        sharp=0.0,
+        line_cost=0.0,
         samples=80.0,
     )
 
 
-def judged(level: float, effect: str = "", share: float = 1.0) -> Judged:
+def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> ValidatedHypothesis:
     """A hypothesis of one effect or none, so many times as strong as is typical, with an error of a tenth of that."""
     if not effect:
-        return Judged(
-            Hypothesis((), np.zeros(0), np.zeros((0, 0)), left(level)), RIG, RIG, left(level), left(level), 0.0
+        return ValidatedHypothesis(
+            Hypothesis((), np.zeros(0), np.zeros((0, 0)), misfit_of_level(level)),
+            RIG,
+            RIG,
+            misfit_of_level(level),
+            misfit_of_level(level),
+            0.0,
         )
     kind = effects()[effect]
     place = next(iter(kind.placements(RIG, [])))
-    scale = Scale(RIG, 10.0, 30.0).at(place)
-    part = Candidate(kind, place, kind.parameters(scale), kind.typical(scale))
-    values = np.array([share * part.default[0], *part.default[1:]])
-    covariance = np.diag((0.1 * np.abs(part.default)) ** 2)
-    return Judged(Hypothesis((part,), values, covariance, left(level)), RIG, RIG, left(level), left(60.0), 0.0)
+    scale = Scale(RIG, 10.0, 30.0).with_place(place)
+    candidate = Candidate(kind, place, kind.parameters(scale), kind.typical(scale))
+    values = np.array([share * candidate.default[0], *candidate.default[1:]])
+    covariance = np.diag((0.1 * np.abs(candidate.default)) ** 2)
+    return ValidatedHypothesis(
+        Hypothesis((candidate,), values, covariance, misfit_of_level(level)),
+        RIG,
+        RIG,
+        misfit_of_level(level),
+        misfit_of_level(60.0),
+        0.0,
+    )
 
 
 NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, (), {}) for x in np.linspace(-9, 9, 12)))
@@ -92,7 +107,7 @@ DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 
 def decide(ranked, vetoed):
-    return decided(ranked, DIFFERENCE, NULLS, Matters(), None, vetoed)
+    return decide_verdict(ranked, DIFFERENCE, NULLS, Matters(), None, vetoed)
 
 
 def ruling_out(*worse):
@@ -100,28 +115,36 @@ def ruling_out(*worse):
 
 
 def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
-    mass, spring, nominal = judged(1.5, "added_mass"), judged(1.52, "linear_spring"), judged(60.0)
+    mass, spring, nominal = (
+        validated_hypothesis(1.5, "added_mass"),
+        validated_hypothesis(1.52, "linear_spring"),
+        validated_hypothesis(60.0),
+    )
     ranked = [mass, spring, nominal]
-    as_it_is = predicted_decision(ranked, decide, ruling_out())
-    assert as_it_is.decision.named is mass
-    assert not as_it_is.ruled_out
-    other = predicted_decision(ranked, decide, ruling_out(mass))
-    assert other.decision.named is spring
-    assert other.decision.helps
-    assert other.ruled_out == (mass,)
-    assert not other.vetoed
+    unvetoed = predicted_decision(ranked, decide, ruling_out())
+    assert unvetoed.decision.named is mass
+    assert not unvetoed.ruled_out
+    without_mass = predicted_decision(ranked, decide, ruling_out(mass))
+    assert without_mass.decision.named is spring
+    assert without_mass.decision.corrects_rig
+    assert without_mass.ruled_out == (mass,)
+    assert not without_mass.vetoed
 
 
 def test_a_veto_stays_where_no_other_effect_was_likely():
-    mass, spring, nominal = judged(1.5, "added_mass"), judged(1.52, "linear_spring"), judged(60.0)
-    nothing_told = judged(1.52, "linear_spring", 0.1)
+    mass, spring, nominal = (
+        validated_hypothesis(1.5, "added_mass"),
+        validated_hypothesis(1.52, "linear_spring"),
+        validated_hypothesis(60.0),
+    )
+    nothing_told = validated_hypothesis(1.52, "linear_spring", 0.1)
     for ranked, worse in (
         ([mass, spring, nominal], (mass, spring)),
-        ([mass, judged(5.0, "linear_spring"), nominal], (mass,)),
+        ([mass, validated_hypothesis(5.0, "linear_spring"), nominal], (mass,)),
         ([mass, nothing_told, nominal], (mass,)),
     ):
         outcome = predicted_decision(ranked, decide, ruling_out(*worse))
         assert outcome.vetoed
         assert outcome.decision.named is mass
-        assert not outcome.decision.helps
+        assert not outcome.decision.corrects_rig
         assert not outcome.ruled_out

@@ -12,8 +12,8 @@ from msgspec.structs import replace
 import identify
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Mode, Surfaces
 from identify.history.changes import LEVEL, Observation, history_of
-from identify.history.observed import sources_in
-from identify.history.page import csv_of, drawn, sentence, write_page
+from identify.history.observations import sources_in
+from identify.history.page import csv_of, history_figure, sentence, write_page
 from rig.effects.contact_clearance import ContactClearance
 from rig.errors import RigError
 from rig.files import write_json
@@ -27,8 +27,8 @@ OWN, SHARED = 0.0005, 0.002
 
 def report(rng, change=1.0, bias=1.0, rig="machine"):
     def estimate(value):
-        error, found = abs(value) * np.hypot(OWN, SHARED), value * (bias + OWN * rng.normal())
-        return Estimate(found, error, abs(value) * OWN)
+        error, measured = abs(value) * np.hypot(OWN, SHARED), value * (bias + OWN * rng.normal())
+        return Estimate(measured, error, abs(value) * OWN)
 
     names = ("contact_1", "contact_2")
     contacts = tuple(
@@ -54,14 +54,16 @@ def report(rng, change=1.0, bias=1.0, rig="machine"):
     )
 
 
-def history(seed, changes, **others):
+def history(seed, changes, **report_options):
     rng = np.random.default_rng(seed)
     bias = 1 + SHARED * rng.normal()
-    return history_of([Observation(name=str(i), report=report(rng, c, bias, **others)) for i, c in enumerate(changes)])
+    return history_of(
+        [Observation(name=str(i), report=report(rng, c, bias, **report_options)) for i, c in enumerate(changes)]
+    )
 
 
-def changed(found):
-    return [(q.of, q.quantity) for q in found.quantities if q.changed]
+def changed(result):
+    return [(q.of, q.quantity) for q in result.quantities if q.changed]
 
 
 @pytest.mark.parametrize("count", [2, 3, 12])
@@ -71,19 +73,19 @@ def test_of_machines_that_do_not_change_hardly_any_is_said_to(count):
 
 
 def test_wear_of_one_contact_is_found_with_its_size():
-    off = []
+    scores = []
     for seed in range(40):
-        found = history(seed, np.linspace(1, 1.005, 12))
-        assert ("contact_2", "clearance_m") in changed(found)
-        worn = next(q for q in found.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
-        off.append((worn.drift.value - 5e-6) / worn.drift.standard_error)
-    assert 0.6 < np.std(off) < 1.5  # the errors of the drift are what they say
-    assert sentence(found).startswith("12 recordings of machine: contact_2: clearance drifts by")
+        result = history(seed, np.linspace(1, 1.005, 12))
+        assert ("contact_2", "clearance_m") in changed(result)
+        worn = next(q for q in result.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
+        scores.append((worn.drift.value - 5e-6) / worn.drift.standard_error)
+    assert 0.6 < np.std(scores) < 1.5  # the errors of the drift are what they say
+    assert sentence(result).startswith("12 recordings of machine: contact_2: clearance drifts by")
 
 
 def test_a_change_between_two_is_found_although_their_intervals_overlap():
-    found = history(1, (1.0, 1.003))
-    assert changed(found) == [("contact_2", "clearance_m")]
+    result = history(1, (1.0, 1.003))
+    assert changed(result) == [("contact_2", "clearance_m")]
     assert 1.96 * np.hypot(OWN, SHARED) > 0.003
 
 
@@ -91,8 +93,8 @@ def test_scatter_beyond_the_intervals_is_no_trend():
     rng = np.random.default_rng(5)
     alarms = 0
     for seed in range(200):
-        found = history(seed, 1 + 0.005 * rng.normal(size=12))
-        worn = next(q for q in found.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
+        result = history(seed, 1 + 0.005 * rng.normal(size=12))
+        worn = next(q for q in result.quantities if (q.of, q.quantity) == ("contact_2", "clearance_m"))
         alarms += worn.p_trend < LEVEL
         assert worn.p_different < LEVEL
     assert alarms < 200 * LEVEL
@@ -100,17 +102,19 @@ def test_scatter_beyond_the_intervals_is_no_trend():
 
 def test_what_a_recording_does_not_tell_is_left_out():
     rng = np.random.default_rng(2)
-    whole = [report(rng) for _ in range(3)]
-    part = replace(whole[1], contacts=whole[1].contacts[:1])
-    found = history_of([Observation(name=n, report=r) for n, r in zip("abc", (whole[0], part, whole[2]), strict=True)])
-    second = [q for q in found.quantities if q.of == "contact_2"]
+    complete = [report(rng) for _ in range(3)]
+    incomplete = replace(complete[1], contacts=complete[1].contacts[:1])
+    result = history_of(
+        [Observation(name=n, report=r) for n, r in zip("abc", (complete[0], incomplete, complete[2]), strict=True)]
+    )
+    second = [q for q in result.quantities if q.of == "contact_2"]
     assert all(q.values[1] is None and None not in (q.values[0], q.values[2]) for q in second)
-    lines = list(csv.DictReader(io.StringIO(csv_of(found).decode())))
+    lines = list(csv.DictReader(io.StringIO(csv_of(result).decode())))
     assert [row["recording"] for row in lines if (row["of"], row["quantity"]) == ("contact_2", "clearance_m")] == [
         "a",
         "c",
     ]
-    assert float(lines[0]["value"]) == found.quantities[0].values[0]
+    assert float(lines[0]["value"]) == result.quantities[0].values[0]
 
 
 def test_what_cannot_be_compared_is_refused():
@@ -133,17 +137,17 @@ def test_what_cannot_be_compared_is_refused():
 def test_dates_stand_on_the_axis_where_they_ascend(days, label, tmp_path):
     rng, first = np.random.default_rng(1), datetime(2026, 3, 1, 10, tzinfo=UTC)
     dates = [None if day is None else first + timedelta(days=day) for day in days]
-    found = history_of([Observation(name=str(d), recorded=d, report=report(rng)) for d in dates])
-    figure = drawn(found)
+    result = history_of([Observation(name=str(d), recorded=d, report=report(rng)) for d in dates])
+    figure = history_figure(result)
     below = figure.figure.axes[1]
     assert below.get_xlabel() == label
     scale = {"days": 1.0, "hours": 24.0}.get(label.split()[-1])
-    at = [scale * day for day in days] if scale else [1, 2, 3]
+    positions = [scale * day for day in days] if scale else [1, 2, 3]
     middle = np.mean([line.get_xdata() for line in below.lines[::3]], axis=0)  # the contacts stand side by side
-    np.testing.assert_allclose(middle, at, atol=1e-9)
-    write_page(found, figure, tmp_path / "history.html")
+    np.testing.assert_allclose(middle, positions, atol=1e-9)
+    write_page(result, figure, tmp_path / "history.html")
     text = (tmp_path / "history.html").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(io.StringIO(csv_of(found).decode())))
+    rows = list(csv.DictReader(io.StringIO(csv_of(result).decode())))
     for date in dates:
         if date:
             assert f"{date:%Y-%m-%d %H:%M}" in text
@@ -152,7 +156,7 @@ def test_dates_stand_on_the_axis_where_they_ascend(days, label, tmp_path):
 
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
-    """Of one mass, whose clearance wears by 2 % in all."""
+    """Recordings of one mass whose clearance wears by 2 % in all."""
     folder = tmp_path_factory.mktemp("machine")
     for number in range(4):
         machine = Sdof(seed=number, noise_density=1e-3, high_hz=6.0)
@@ -174,23 +178,23 @@ def recordings(tmp_path_factory):
 def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(recordings, tmp_path):
     sources = sources_in(recordings)
     assert [path.name for path in sources] == ["run7.mcap", "run8.mcap", "run9.mcap", "run10.mcap", "run11.mcap"]
-    found = identify.compare(sources)
-    assert found.changed
-    assert changed(found.report) == [("stop", "clearance_m")]
-    assert all(one.recorded for one in found.report.used)
-    (worn,) = (q for q in found.report.quantities if q.changed)
+    comparison = identify.compare(sources)
+    assert comparison.changed
+    assert changed(comparison.report) == [("stop", "clearance_m")]
+    assert all(observation.recorded for observation in comparison.report.used)
+    (worn,) = (q for q in comparison.report.quantities if q.changed)
     assert worn.drift.value == pytest.approx(0.02e-3, abs=1.96 * worn.drift.standard_error)
-    found.save(tmp_path)
+    comparison.save(tmp_path)
     assert (tmp_path / "history.json").read_text().count('"recorded":') == 4
     page = (tmp_path / "history.html").read_text()
     assert "left out: " in page
     assert "run11.mcap" in page
     assert all(hashlib.sha256(path.read_bytes()).hexdigest()[:12] in page for path in sources[:4])
-    assert sentence(found.report) in page
-    again = identify.compare(
-        [write(tmp_path / path.stem, o) for path, o in zip(sources, found.report.used, strict=False)]
+    assert sentence(comparison.report) in page
+    from_reports = identify.compare(
+        [write(tmp_path / path.stem, o) for path, o in zip(sources, comparison.report.used, strict=False)]
     )
-    assert [q.values for q in again.report.quantities] == [q.values for q in found.report.quantities]
+    assert [q.values for q in from_reports.report.quantities] == [q.values for q in comparison.report.quantities]
 
 
 def write(folder, observation):

@@ -7,12 +7,12 @@ import pytest
 from identify.linear.modal import (
     NEARLY_INVISIBLE,
     contact_shapes,
+    correctable_samples,
     modal_equations,
     pushing_force,
     relative_displacements,
     relative_velocities,
     transformation,
-    until,
 )
 from identify.signals.kinematics import Kinematics, kinematics
 from rig.errors import RigError
@@ -79,9 +79,9 @@ def test_the_motion_of_the_fitted_modes_is_recovered(stations):
         equations = modal_equations(rig, motion, body, modes=stations)
         assert [e.name for e in equations] == [f"{body.name} {i + 1}" for i in range(stations)]
         for order, row in enumerate(("displacement", "velocity", "acceleration")):
-            found = np.stack([getattr(e, row) for e in equations])
+            recovered = np.stack([getattr(e, row) for e in equations])
             size = np.abs(true[body.name][order]).max()
-            np.testing.assert_allclose(found, true[body.name][order], atol=1e-10 * size)
+            np.testing.assert_allclose(recovered, true[body.name][order], atol=1e-10 * size)
 
 
 def test_a_modal_equation_carries_its_mode():
@@ -103,13 +103,13 @@ def test_forces_push_a_mode_as_much_as_the_one_that_does_the_same_work():
     rig = rig_of()
     at_end, third = rig.force_at, Station("barrel", 0.25)
     forces_n = np.random.default_rng(4).standard_normal((2, SAMPLES))
-    several = msgspec.structs.replace(rig, force_at=(third, at_end))
+    two_forces_rig = msgspec.structs.replace(rig, force_at=(third, at_end))
     motion = motion_at_sensors(rig, lambda _: tones(6, 1))
-    translation, rotation = modal_equations(several, motion, rig.body("barrel"))[:2]
-    one = modal_equations(rig, motion, rig.body("barrel"))[1]
-    assert rotation.shape_at_force == one.shape_at_force
-    np.testing.assert_allclose(pushing_force(several, translation, forces_n), forces_n.sum(axis=0))
-    np.testing.assert_allclose(pushing_force(several, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
+    translation, rotation = modal_equations(two_forces_rig, motion, rig.body("barrel"))[:2]
+    single_force_rotation = modal_equations(rig, motion, rig.body("barrel"))[1]
+    assert rotation.shape_at_force == single_force_rotation.shape_at_force
+    np.testing.assert_allclose(pushing_force(two_forces_rig, translation, forces_n), forces_n.sum(axis=0))
+    np.testing.assert_allclose(pushing_force(two_forces_rig, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
 
 
 def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():
@@ -134,9 +134,9 @@ def test_a_body_without_stations_is_refused():
 
 def test_stations_that_coincide_are_refused():
     full = rig_of(stations=4)
-    beside = Station("cradle", full.sensors[0].station.position_m + 1e-5)
-    moved = msgspec.structs.replace(full.sensors[1], station=beside)
-    rig = msgspec.structs.replace(full, sensors=(full.sensors[0], moved, *full.sensors[2:]))
+    coincident = Station("cradle", full.sensors[0].station.position_m + 1e-5)
+    moved_sensor = msgspec.structs.replace(full.sensors[1], station=coincident)
+    rig = msgspec.structs.replace(full, sensors=(full.sensors[0], moved_sensor, *full.sensors[2:]))
     motion = motion_at_sensors(rig, lambda _: tones(4, 1))
     with pytest.raises(RigError, match="the stations of 'cradle' do not tell 4 modes apart"):
         transformation(rig, rig.body("cradle"), motion)
@@ -186,17 +186,19 @@ def test_the_higher_modes_are_taken_off(stations):
     force_n, *contact_n = np.cos(phases + shifts).sum(axis=1)  # periodic, up to 300 Hz
     contact_n = np.stack(contact_n)
     motion = motion_at_sensors(rig, lambda body: forced(rig, body, MAX_MODES, force_n, contact_n), force_n)
-    samples = until(motion)
+    samples = correctable_samples(motion)
     assert samples == SAMPLES - RATE_HZ / 4
     for body in rig.bodies:
         true = forced(rig, body, stations, force_n, contact_n)
         for order, row in enumerate(("displacement", "velocity", "acceleration")):
-            left = [
-                np.stack([getattr(e, row)[:samples] for e in modal_equations(rig, motion, body, stations, given)])
+            errors = [
+                np.stack(
+                    [getattr(e, row)[:samples] for e in modal_equations(rig, motion, body, stations, contact_force_n)]
+                )
                 - true[order][:, :samples]
-                for given in (None, contact_n)
+                for contact_force_n in (None, contact_n)
             ]
-            before, after = (np.linalg.norm(x) / np.linalg.norm(true[order]) for x in left)
+            before, after = (np.linalg.norm(x) / np.linalg.norm(true[order]) for x in errors)
             assert after < 1e-9
             assert before > 1e-5
 
@@ -207,7 +209,7 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
     contact_n = read_truth(truth_path(barrel_cradle)).signals["contact_force"].values
     rig, motion = recording.rig, kinematics(recording, "displacement")
     contact_n = contact_n[:, : motion.force_n.size]
-    samples = until(motion)
+    samples = correctable_samples(motion)
     in_band = np.fft.rfftfreq(samples, 1 / RATE_HZ) < 200.0
     hann = np.hanning(samples)
 
@@ -216,7 +218,8 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
 
     for body in rig.bodies:
         for measured, clean in zip(
-            *(modal_equations(rig, motion, body, 4, given) for given in (None, contact_n)), strict=True
+            *(modal_equations(rig, motion, body, 4, contact_force_n) for contact_force_n in (None, contact_n)),
+            strict=True,
         ):
             forced_by = measured.shape_at_force * motion.force_n - measured.shape_at_contacts @ contact_n
             natural = 2 * np.pi * measured.frequency_hz
@@ -236,13 +239,13 @@ def test_the_modal_equations_balance_once_the_higher_modes_are_off(barrel_cradle
 def test_relative_displacement_from_the_sensors_at_the_contact():
     rig = rig_of()
     motion = motion_at_sensors(rig, lambda _: tones(9, 1))  # more modes than could be fitted
-    for rows, found in (
+    for rows, relative in (
         (motion.displacement_m, relative_displacements(rig, motion)),
         (motion.velocity_m_per_s, relative_velocities(rig, motion)),
     ):
-        at = {s.station: row for s, row in zip(rig.sensors, rows, strict=True)}
-        for contact, eta in zip(rig.contacts, found, strict=True):
-            np.testing.assert_array_equal(eta, at[contact.at] - at[contact.against])
+        by_station = {s.station: row for s, row in zip(rig.sensors, rows, strict=True)}
+        for contact, eta in zip(rig.contacts, relative, strict=True):
+            np.testing.assert_array_equal(eta, by_station[contact.at] - by_station[contact.against])
 
 
 def test_relative_displacement_from_the_modes_where_no_sensor_stands():

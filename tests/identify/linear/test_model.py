@@ -53,11 +53,11 @@ def test_a_cache_changes_no_number(size):
 def test_a_cache_makes_each_body_once_and_goes_with_its_owner():
     rig = BarrelCradle().rig()
     cache = ResponseCache(OMEGA)
-    first, again = (response_of(rig, rig.bodies[0], cache) for _ in range(2))
-    assert first.dynamics is again.dynamics
-    assert first.accelerance is again.accelerance
+    first, second = (response_of(rig, rig.bodies[0], cache) for _ in range(2))
+    assert first.dynamics is second.dynamics
+    assert first.accelerance is second.accelerance
     gone = weakref.ref(cache)
-    del cache, first, again
+    del cache, first, second
     assert gone() is None
 
 

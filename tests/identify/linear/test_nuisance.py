@@ -51,7 +51,7 @@ def test_every_parameter_has_one_key_and_one_column(beams):
     parameters = [change.parameter for change in changes_of(observed(beams))]
     assert len(set(parameters)) == len(parameters)
     assert len({p.name for p in parameters}) == len(parameters)
-    whole = {p for p in parameters if p.mode is None}
+    bodywise = {p for p in parameters if p.mode is None}
     sensors = [s.name for s in beams.sensors]
     for kind, of in (
         (NuisanceKind.GAIN, sensors),
@@ -62,7 +62,7 @@ def test_every_parameter_has_one_key_and_one_column(beams):
         (NuisanceKind.DAMPING, [b.name for b in beams.bodies]),
         (NuisanceKind.FORCE_GAIN, ["the force"]),
     ):
-        assert sorted(p.of for p in whole if p.kind == kind) == sorted(of)
+        assert sorted(p.of for p in bodywise if p.kind == kind) == sorted(of)
 
 
 def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
@@ -70,9 +70,9 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
     changes = {change.parameter: change for change in changes_of(observed(beams))}
     for body in beams.bodies:
         for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-            alone = [c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is not None]
-            (together,) = (c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is None)
-            np.testing.assert_allclose(sum(c.delivered for c in alone), together.delivered, rtol=1e-9, atol=1e-12)
+            by_mode = [c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is not None]
+            (common,) = (c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is None)
+            np.testing.assert_allclose(sum(c.delivered for c in by_mode), common.delivered, rtol=1e-9, atol=1e-12)
     separate = [c.parameter for c in changes_of(observed(beams), common=False)]
     assert set(changes) - set(separate) == {
         p
@@ -84,48 +84,48 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
 def test_a_change_is_one_tolerance_long(beams):
     linear = ("gain", "position_m", "delay_s", "force_gain", "mass", "frequency", "damping")
     doubled = replace(LABORATORY, **{name: 2 * getattr(LABORATORY, name) for name in linear})
-    for one, two in zip(changes_of(observed(beams)), changes_of(observed(beams, doubled)), strict=True):
-        assert one.parameter == two.parameter
-        longer = 1 if one.parameter.kind is NuisanceKind.HIGH_PASS else 2  # which is no linear matter
-        np.testing.assert_allclose(two.delivered, longer * one.delivered)
+    for single, double in zip(changes_of(observed(beams)), changes_of(observed(beams, doubled)), strict=True):
+        assert single.parameter == double.parameter
+        ratio = 1 if single.parameter.kind is NuisanceKind.HIGH_PASS else 2  # which is no linear matter
+        np.testing.assert_allclose(double.delivered, ratio * single.delivered)
     assert not list(changes_of(observed(beams, EXACT)))
 
 
 def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_does(beams):
     """To first order: the response of the sensor with one tolerance more, less that without."""
-    now, share = observed(beams), 1e-3
-    accelerations = now.explained / now.sensor_response
-    for change in changes_of(now):
+    signals, share = observed(beams), 1e-3
+    accelerations = signals.explained / signals.sensor_response
+    for change in changes_of(signals):
         if change.parameter.kind not in (NuisanceKind.GAIN, NuisanceKind.DELAY):
             continue
         (i,) = change.sensors
         sensor = beams.sensors[i]
-        moved = (
+        changed_sensor = (
             replace(sensor, gain=sensor.gain * (1 + share * LABORATORY.gain))
             if change.parameter.kind is NuisanceKind.GAIN
             else replace(sensor, delay_s=sensor.delay_s + share * LABORATORY.delay_s)
         )
-        more = (moved.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
-        np.testing.assert_allclose(change.delivered[0], more, rtol=1e-5)
+        expected = (changed_sensor.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
+        np.testing.assert_allclose(change.delivered[0], expected, rtol=1e-5)
 
 
 def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
-    now = observed(beams)
-    found = list(crosstalk_of(now))
-    assert len(found) == 2 * (len(beams.sensors) - 1)
+    signals = observed(beams)
+    changes = list(crosstalk_of(signals))
+    assert len(changes) == 2 * (len(beams.sensors) - 1)
     names = [s.name for s in beams.sensors]
-    for change in found:
-        source, shown_in = (names.index(name) for name in change.parameter.of.split(" in "))
-        assert abs(source - shown_in) == 1
-        assert change.sensors == [shown_in]
-        np.testing.assert_allclose(change.delivered[0], LABORATORY.crosstalk * now.explained[source])
-        accelerations = now.explained / now.sensor_response
+    for change in changes:
+        source, target = (names.index(name) for name in change.parameter.of.split(" in "))
+        assert abs(source - target) == 1
+        assert change.sensors == [target]
+        np.testing.assert_allclose(change.delivered[0], LABORATORY.crosstalk * signals.explained[source])
+        accelerations = signals.explained / signals.sensor_response
         np.testing.assert_allclose(
             change.reading.pattern * (change.reading.weights @ accelerations), change.delivered, rtol=1e-9
         )
     assert not list(crosstalk_of(observed(beams, EXACT)))
     mixed = replace(beams, sensors=(replace(beams.sensors[0], quantity="displacement"), *beams.sensors[1:]))
-    assert len(list(crosstalk_of(observed(mixed)))) == len(found) - 2
+    assert len(list(crosstalk_of(observed(mixed)))) == len(changes) - 2
 
 
 @pytest.mark.parametrize("settings", [BarrelCradle(sensors="acceleration"), Sdof(sensors="acceleration")])
@@ -150,6 +150,6 @@ def test_a_single_mass_bends_in_no_mode():
 
 def test_what_some_sensors_deliver_stands_in_the_rows_of_these(beams):
     change = next(c for c in changes_of(observed(beams)) if c.parameter.kind is NuisanceKind.MASS)
-    whole = change.at_all(len(beams.sensors))
-    np.testing.assert_array_equal(whole[change.sensors], change.delivered)
-    assert not np.any(np.delete(whole, change.sensors, axis=0))
+    at_all = change.at_all_sensors(len(beams.sensors))
+    np.testing.assert_array_equal(at_all[change.sensors], change.delivered)
+    assert not np.any(np.delete(at_all, change.sensors, axis=0))

@@ -30,7 +30,7 @@ def covariances(rng: np.random.Generator) -> np.ndarray:
     return roots @ roots.conj().transpose(0, 2, 1) + np.eye(SENSORS)
 
 
-def parts(covariance: np.ndarray) -> list[tuple[slice, np.ndarray]]:
+def batches(covariance: np.ndarray) -> list[tuple[slice, np.ndarray]]:
     return [(slice(0, 2), covariance[:2]), (slice(2, LINES), covariance[2:])]
 
 
@@ -40,25 +40,25 @@ def test_inputs_are_those_of_least_squares_with_a_row_more_for_each_prior(rng, f
     measured = drawn(rng, SENSORS, LINES)
     projected = projection(by_input / deviation, deviation, free)
     rows, inputs = projected.of(measured)
-    alone, _ = estimated_inputs(by_input / deviation, measured / deviation, free)
+    single, _ = estimated_inputs(by_input / deviation, measured / deviation, free)
     for line in range(LINES):
         weighted = np.concatenate([(by_input[..., line] / deviation[:, line]).T, np.eye(INPUTS)[free:]])
-        wanted = lstsq(weighted, np.append(measured[:, line] / deviation[:, line], np.zeros(INPUTS - free)))[0]
-        np.testing.assert_allclose(alone[:, line], wanted, rtol=1e-9)
-        np.testing.assert_allclose(inputs[:, line], wanted[:free], rtol=1e-9)
-        np.testing.assert_allclose(rows[SENSORS:, line], wanted[free:], rtol=1e-9)
-        left = measured[:, line] - wanted @ by_input[..., line]
-        np.testing.assert_allclose(rows[:SENSORS, line], left / deviation[:, line], rtol=1e-8)
+        expected = lstsq(weighted, np.append(measured[:, line] / deviation[:, line], np.zeros(INPUTS - free)))[0]
+        np.testing.assert_allclose(single[:, line], expected, rtol=1e-9)
+        np.testing.assert_allclose(inputs[:, line], expected[:free], rtol=1e-9)
+        np.testing.assert_allclose(rows[SENSORS:, line], expected[free:], rtol=1e-9)
+        residual = measured[:, line] - expected @ by_input[..., line]
+        np.testing.assert_allclose(rows[:SENSORS, line], residual / deviation[:, line], rtol=1e-8)
 
 
 def test_what_some_sensors_deliver_is_what_all_do_with_the_others_at_rest(rng):
     by_input, deviation = drawn(rng, INPUTS, SENSORS, LINES), rng.uniform(0.1, 3, (SENSORS, LINES))
-    some, delivered = [1, 4], drawn(rng, 2, LINES)
+    sensors, delivered = [1, 4], drawn(rng, 2, LINES)
     everywhere = np.zeros((SENSORS, LINES), dtype=complex)
-    everywhere[some] = delivered
+    everywhere[sensors] = delivered
     projected = projection(by_input, deviation, 2)
-    for one, other in zip(projected.of(delivered, some), projected.of(everywhere), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12)
+    for by_two, by_all in zip(projected.of(delivered, sensors), projected.of(everywhere), strict=True):
+        np.testing.assert_allclose(by_two, by_all, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(projected.single().of(everywhere)[0], projected.of(everywhere)[0], rtol=1e-4, atol=1e-5)
 
 
@@ -66,37 +66,39 @@ def test_what_some_sensors_deliver_is_what_all_do_with_the_others_at_rest(rng):
 def test_the_determinant_is_that_of_the_likelihood_with_the_inputs_integrated_out(rng, free):
     """Of noise one and inputs of variance one: log det (1 + B B^H), in what free inputs do not reach."""
     by_input = drawn(rng, INPUTS, SENSORS, LINES)
-    wanted = 0.0
+    expected = 0.0
     for line in range(LINES):
         outside = null_space(by_input[:free, :, line].conj()) if free else np.eye(SENSORS)
-        seen = outside.conj().T @ by_input[free:, :, line].T
-        wanted += np.linalg.slogdet(np.eye(len(seen)) + seen @ seen.conj().T)[1]
+        reached = outside.conj().T @ by_input[free:, :, line].T
+        expected += np.linalg.slogdet(np.eye(len(reached)) + reached @ reached.conj().T)[1]
     _, log_determinant = estimated_inputs(by_input, drawn(rng, SENSORS, LINES), free)
-    assert log_determinant == pytest.approx(wanted, rel=1e-9)
+    assert log_determinant == pytest.approx(expected, rel=1e-9)
 
 
 def test_with_a_covariance_the_inputs_are_those_of_whitened_sensors(rng):
     by_input, covariance = drawn(rng, INPUTS, SENSORS, LINES), covariances(rng)
     measured, columns = drawn(rng, SENSORS, LINES), drawn(rng, 2, SENSORS, LINES)
-    to_inputs, condition = to_free_inputs(by_input, parts(covariance))
+    to_inputs, condition = to_free_inputs(by_input, batches(covariance))
     assert 1 <= condition < 1e4
-    residuals = np.concatenate(list(without_free_inputs([columns, measured[None]], by_input, parts(covariance))))
+    residuals = np.concatenate(list(without_free_inputs([columns, measured[None]], by_input, batches(covariance))))
     for line in range(LINES):
         root = np.linalg.cholesky(covariance[line])
         white = [
             solve_triangular(root, x, lower=True)
             for x in (by_input[..., line].T, measured[:, line], columns[1, :, line])
         ]
-        wanted = lstsq(white[0], white[1])[0]
-        np.testing.assert_allclose(to_inputs[..., line] @ measured[:, line], wanted, rtol=1e-9)
-        own = residuals[line * SENSORS : (line + 1) * SENSORS]
-        np.testing.assert_allclose(own[:, 2], white[1] - white[0] @ wanted, rtol=1e-7, atol=1e-9)
-        np.testing.assert_allclose(own[:, 1], white[2] - white[0] @ lstsq(white[0], white[2])[0], rtol=1e-7, atol=1e-9)
+        expected = lstsq(white[0], white[1])[0]
+        np.testing.assert_allclose(to_inputs[..., line] @ measured[:, line], expected, rtol=1e-9)
+        standard = residuals[line * SENSORS : (line + 1) * SENSORS]
+        np.testing.assert_allclose(standard[:, 2], white[1] - white[0] @ expected, rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(
+            standard[:, 1], white[2] - white[0] @ lstsq(white[0], white[2])[0], rtol=1e-7, atol=1e-9
+        )
 
 
 def test_inputs_that_the_sensors_do_not_tell_apart_are_said_to_be_so_and_share_what_they_make(rng):
     by_input = drawn(rng, 1, SENSORS, LINES) * np.array([1.0, 2.0])[:, None, None]
-    _, condition = to_free_inputs(by_input, parts(covariances(rng)))
+    _, condition = to_free_inputs(by_input, batches(covariances(rng)))
     assert condition > 1e12
     inputs = np.array([[3.0], [-1.0]]) * np.ones(LINES)
     measured = -unexplained(by_input, inputs.astype(complex), np.zeros((SENSORS, LINES), dtype=complex))

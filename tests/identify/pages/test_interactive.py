@@ -18,12 +18,12 @@ PHONE_PX = 375
 def models(html):
     """Every model of the first plot in the HTML, by its kind."""
     (item,) = re.findall(r"embed_item\((.*)\)</script>", html)
-    found = {}
+    by_type = {}
 
     def walk(value):
         if isinstance(value, dict):
             if value.get("type") == "object":
-                found.setdefault(value["name"], []).append(value.get("attributes", {}))
+                by_type.setdefault(value["name"], []).append(value.get("attributes", {}))
             for each in value.values():
                 walk(each)
         elif isinstance(value, list):
@@ -31,7 +31,7 @@ def models(html):
                 walk(each)
 
     walk(json.loads(item))
-    return found
+    return by_type
 
 
 def curves(figure, name="a curve", count=50):
@@ -42,21 +42,21 @@ def curves(figure, name="a curve", count=50):
 
 
 def everything(figure):
-    left, right = figure.subplots(1, 2)
-    left.hist(np.random.default_rng(1).standard_normal(500), bins=20)
-    left.axvspan(0, 1, alpha=0.2, label="a span")
-    left.stairs([1, 2, 3], [0, 1, 2, 3], label="steps", baseline=None)
-    left.errorbar([1, 2], [3, 4], [0.1, 0.2], fmt="o-", label="with errors", capsize=2)
+    left_axes, right = figure.subplots(1, 2)
+    left_axes.hist(np.random.default_rng(1).standard_normal(500), bins=20)
+    left_axes.axvspan(0, 1, alpha=0.2, label="a span")
+    left_axes.stairs([1, 2, 3], [0, 1, 2, 3], label="steps", baseline=None)
+    left_axes.errorbar([1, 2], [3, 4], [0.1, 0.2], fmt="o-", label="with errors", capsize=2)
     cells = right.hexbin(*np.random.default_rng(2).standard_normal((2, 2000)), C=np.arange(2000.0), gridsize=12)
     figure.colorbar(cells, label="force, N")
 
 
 def test_curves_can_be_switched_and_panels_move_together():
-    found = models(interactive(picture(curves).figure))
-    assert [len(legend["items"]) for legend in found["Legend"]] == [2, 2]
-    assert {legend["click_policy"] for legend in found["Legend"]} == {"hide"}
-    assert len(found["Range1d"]) == 3  # one for both ordinates
-    assert {"BoxZoomTool", "HoverTool", "ResetTool"} <= set(found)
+    by_type = models(interactive(picture(curves).figure))
+    assert [len(legend["items"]) for legend in by_type["Legend"]] == [2, 2]
+    assert {legend["click_policy"] for legend in by_type["Legend"]} == {"hide"}
+    assert len(by_type["Range1d"]) == 3  # one for both ordinates
+    assert {"BoxZoomTool", "HoverTool", "ResetTool"} <= set(by_type)
 
 
 def logarithmic(figure):
@@ -66,8 +66,8 @@ def logarithmic(figure):
 
 
 def test_titles_fit_a_phone():
-    found = models(interactive(picture(logarithmic).figure))
-    titles = {one["text"]["attributes"]["text"] for one in found["Title"]}
+    by_type = models(interactive(picture(logarithmic).figure))
+    titles = {title["text"]["attributes"]["text"] for title in by_type["Title"]}
     assert titles == {"histogram of the relative\ndisplacement of contact_1"}
 
 
@@ -82,11 +82,13 @@ def test_long_curves_keep_their_peaks():
     html = interactive(picture(draw).figure)
     assert len(html) < 20 * MOST_POINTS
     (source,) = models(html)["ColumnDataSource"]
-    kept = dict(source["data"]["entries"])["y"]
-    written = b64decode(kept["array"]["data"])
-    shown = np.frombuffer(gzip.decompress(written) if written.startswith(b"\x1f\x8b") else written, dtype=kept["dtype"])
-    assert shown.size <= MOST_POINTS
-    assert shown.max() == 7.0
+    y_entry = dict(source["data"]["entries"])["y"]
+    written = b64decode(y_entry["array"]["data"])
+    y_values = np.frombuffer(
+        gzip.decompress(written) if written.startswith(b"\x1f\x8b") else written, dtype=y_entry["dtype"]
+    )
+    assert y_values.size <= MOST_POINTS
+    assert y_values.max() == 7.0
 
 
 @pytest.mark.parametrize(
@@ -100,9 +102,9 @@ def test_long_curves_keep_their_peaks():
     ],
 )
 def test_what_it_cannot_draw_stays_a_picture(draw):
-    shown = picture(draw)
-    assert interactive(shown.figure) == ""
-    assert "<img" in page.figure("a", shown, "said")
+    image = picture(draw)
+    assert interactive(image.figure) == ""
+    assert "<img" in page.figure("a", image, "said")
 
 
 def test_a_browser_draws_them(opened, tmp_path):
@@ -110,8 +112,8 @@ def test_a_browser_draws_them(opened, tmp_path):
     html = page.figure("a", picture(lambda figure: curves(figure, odd)), odd) + page.figure("b", picture(everything))
     html += page.figure("c", picture(logarithmic))
     page.write(tmp_path / "p.html", title=odd, colour="red", verdict="", sentence="", sections=[("A", html)], foot="")
-    seen = opened(tmp_path / "p.html", PHONE_PX)
-    assert seen.console == ()
-    assert seen.scroll_px == PHONE_PX
-    assert len(seen.plots_px) == 3
-    assert min(seen.plots_px) > 500  # panels one below the other
+    browser_page = opened(tmp_path / "p.html", PHONE_PX)
+    assert browser_page.console == ()
+    assert browser_page.scroll_px == PHONE_PX
+    assert len(browser_page.plots_px) == 3
+    assert min(browser_page.plots_px) > 500  # panels one below the other

@@ -14,17 +14,17 @@ def written(path, html):
 
 def test_a_wide_table_and_a_long_word_need_no_sideways_scrolling(opened, tmp_path):
     wide = page.table([f"column {i}" for i in range(12)], [[f"{i:.12f}" for i in range(12)], ["word" * 40] * 12])
-    seen = opened(written(tmp_path / "page.html", wide + page.listed(["word" * 100])), PHONE_PX)
-    assert (seen.scroll_px, seen.console) == (PHONE_PX, ())
+    browser_page = opened(written(tmp_path / "page.html", wide + page.listed(["word" * 100])), PHONE_PX)
+    assert (browser_page.scroll_px, browser_page.console) == (PHONE_PX, ())
 
 
 @pytest.mark.parametrize(
     ("html", "found"),
     [
-        (page.picture("broken", b"no picture"), lambda seen: seen.pictures_px == (0,)),
-        ("<script>nowhere()</script>", lambda seen: "nowhere is not defined" in "".join(seen.console)),
-        ("<script>console.error('odd')</script>", lambda seen: "odd" in "".join(seen.console)),
-        ('<div style="width:900px">wide</div>', lambda seen: seen.scroll_px >= 900),
+        (page.picture("broken", b"no picture"), lambda opened_page: opened_page.pictures_px == (0,)),
+        ("<script>nowhere()</script>", lambda opened_page: "nowhere is not defined" in "".join(opened_page.console)),
+        ("<script>console.error('odd')</script>", lambda opened_page: "odd" in "".join(opened_page.console)),
+        ('<div style="width:900px">wide</div>', lambda opened_page: opened_page.scroll_px >= 900),
     ],
 )
 def test_what_is_wrong_with_a_page_is_seen(opened, tmp_path, html, found):

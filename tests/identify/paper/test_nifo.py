@@ -61,10 +61,10 @@ def cut_of(samples, band_hz=(2.0, 35.0), window="sin4", averages=20):
     return blocks(samples, RATE_HZ, Averaging(averages=averages, window=window), band_hz)
 
 
-def frf_error(found):
+def frf_error(result):
     """Total squared error over the band, as a share."""
-    true = found.true_frf()
-    return float(np.sum(np.abs(found.frf - true) ** 2) / np.sum(np.abs(true) ** 2))
+    true = result.true_frf()
+    return float(np.sum(np.abs(result.frf - true) ** 2) / np.sum(np.abs(true) ** 2))
 
 
 @pytest.mark.parametrize(("window", "bound"), [("hann", 1e-3), ("sin4", 1e-8), ("sin6", 1e-8)])
@@ -80,48 +80,48 @@ def test_the_weak_form_is_exact_where_the_papers_form_leaks(window, bound):
 
 def test_contacts_are_told_apart_only_where_they_are_seen():
     equation, force, depth = transient((0.6, 0.0))
-    found = nifo(equation, force, depth, cut_of(force.size))
-    assert found.contacts == (0,)
-    assert found.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
+    result = nifo(equation, force, depth, cut_of(force.size))
+    assert result.contacts == (0,)
+    assert result.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
 
 
 def test_a_contact_that_never_closes_takes_no_part():
     equation, force, depth = transient()
     closed = force - SHAPES[1] * STIFFNESS_N_PER_M[1] / SHAPE_AT_FORCE * depth[1]  # without its force
-    found = nifo(equation, closed, np.stack([depth[0], np.zeros_like(force)]), cut_of(force.size))
-    assert found.contacts == (0,)
-    assert found.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
+    result = nifo(equation, closed, np.stack([depth[0], np.zeros_like(force)]), cut_of(force.size))
+    assert result.contacts == (0,)
+    assert result.mean_n_per_m == pytest.approx(STIFFNESS_N_PER_M[:1], rel=1e-4)
 
 
 def test_without_contacts_there_remains_the_linear_frf():
     equation, force, depth = transient((0.0, 0.0))
-    found = nifo(equation, force, depth, cut_of(force.size))
-    assert found.contacts == ()
-    assert found.stiffness_n_per_m.shape == (0, found.frequency_hz.size)
-    np.testing.assert_allclose(found.frf, found.true_frf(), rtol=1e-3)
+    result = nifo(equation, force, depth, cut_of(force.size))
+    assert result.contacts == ()
+    assert result.stiffness_n_per_m.shape == (0, result.frequency_hz.size)
+    np.testing.assert_allclose(result.frf, result.true_frf(), rtol=1e-3)
 
 
 @pytest.mark.parametrize(("form", "unknowns"), [("weak", 4), ("paper", 3)])
 def test_more_blocks_than_unknowns_are_needed(form, unknowns):
     equation, force, depth = transient()
-    few = blocks(
+    too_few = blocks(
         force.size, RATE_HZ, Averaging(block_s=0.999 * force.size / RATE_HZ / unknowns, overlap=0.0), (2.0, 35.0)
     )
-    assert len(few.starts) == unknowns
+    assert len(too_few.starts) == unknowns
     with pytest.raises(RigError, match=f"{unknowns} blocks for {unknowns} unknowns a line; use shorter blocks"):
-        nifo(equation, force, depth, few, form)
+        nifo(equation, force, depth, too_few, form)
 
 
 def test_inputs_that_are_copies_are_refused():
     with pytest.raises(RigError, match="the force and the contacts' displacements are the same at some frequency"):
-        line_by_line(lambda some: np.ones((3, len(some), 5), dtype=complex), 8)
+        line_by_line(lambda chosen: np.ones((3, len(chosen), 5), dtype=complex), 8)
 
 
 def test_a_modes_frequency_and_damping_from_its_frf():
-    found = nifo(*transient(), cut_of(30_000))
-    exact = replace(found, frf=receptance(13.0, 0.07, found.frequency_hz))
+    result = nifo(*transient(), cut_of(30_000))
+    exact = replace(result, frf=receptance(13.0, 0.07, result.frequency_hz))
     assert fitted_mode(exact) == pytest.approx((13.0, 0.07))
-    assert fitted_mode(found) == pytest.approx((NATURAL_HZ, ZETA), rel=1e-3)
+    assert fitted_mode(result) == pytest.approx((NATURAL_HZ, ZETA), rel=1e-3)
 
 
 def test_a_rigid_modes_frf_is_a_masses():
@@ -130,10 +130,10 @@ def test_a_rigid_modes_frf_is_a_masses():
 
 
 def test_mean_and_spread_over_frequency():
-    found = nifo(*transient(), cut_of(30_000))
+    result = nifo(*transient(), cut_of(30_000))
     stiffness = np.array([[1.0 + 2.0j, 3.0 - 2.0j], [5.0, 5.0]])
-    assert isinstance(found, Nifo)
-    changed = replace(found, stiffness_n_per_m=stiffness, frequency_hz=np.array([1.0, 2.0]), frf=np.ones(2, complex))
+    assert isinstance(result, Nifo)
+    changed = replace(result, stiffness_n_per_m=stiffness, frequency_hz=np.array([1.0, 2.0]), frf=np.ones(2, complex))
     np.testing.assert_allclose(changed.mean_n_per_m, [2.0, 5.0])
     np.testing.assert_allclose(changed.deviation_n_per_m, [np.sqrt(5.0), 0.0])
 
@@ -163,11 +163,11 @@ def test_one_mass_as_in_the_paper(measured):
     depth = penetration(eta[0], stops.lower_m, stops.upper_m, rate_hz)[None]
     cut = blocks(force.size, rate_hz, Averaging(averages=40, overlap=0.5, window="hann"), (0.5, TRUE.high_hz))
     for form, frf_share in (("paper", 7e-3), ("weak", 2e-4)):
-        found = nifo(equation, force, depth, cut, form)
-        assert found.averages == 40
-        assert found.mean_n_per_m[0] == pytest.approx(TRUE.stiffness_n_per_m, rel=4.8e-4)
-        assert frf_error(found) <= frf_share
-    assert fitted_mode(found) == pytest.approx((TRUE.frequency_hz, TRUE.damping_ratio), rel=1e-3)
+        result = nifo(equation, force, depth, cut, form)
+        assert result.averages == 40
+        assert result.mean_n_per_m[0] == pytest.approx(TRUE.stiffness_n_per_m, rel=4.8e-4)
+        assert frf_error(result) <= frf_share
+    assert fitted_mode(result) == pytest.approx((TRUE.frequency_hz, TRUE.damping_ratio), rel=1e-3)
 
 
 def test_the_standard_error_of_the_mean_is_its_scatter(measured):
@@ -176,15 +176,15 @@ def test_the_standard_error_of_the_mean_is_its_scatter(measured):
     rng = np.random.default_rng(1)
     means, errors = [], []
     for rows in np.array_split(np.arange(force.size), 12):
-        part = replace(
+        section = replace(
             equation, **{name: getattr(equation, name)[rows] for name in ("displacement", "velocity", "acceleration")}
         )
         noisy = force[rows] + 0.05 * rng.standard_normal(rows.size)
         depth = penetration(eta[0], TRUE.clearance_m, TRUE.clearance_m, TRUE.sample_rate_hz)[None, rows]
         cut = blocks(rows.size, TRUE.sample_rate_hz, Averaging(averages=20), (0.5, TRUE.high_hz))
-        found = nifo(part, noisy, depth, cut)
-        means.append(found.mean_n_per_m[0])
-        errors.append(found.stiffness_error_n_per_m[0])
+        result = nifo(section, noisy, depth, cut)
+        means.append(result.mean_n_per_m[0])
+        errors.append(result.stiffness_error_n_per_m[0])
     scatter = np.std(means, ddof=1)
     assert np.mean(means) == pytest.approx(TRUE.stiffness_n_per_m, abs=4 * scatter / np.sqrt(len(means)))
     assert scatter / 3 < np.mean(errors) < 3 * scatter

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from identify.linear.modal import ModalEquation
-from identify.paper.surface import LEAST_CONTACT, Stops, clearance_from_occurrence, fit_surface, restoring_force
+from identify.paper.surface import LEAST_CONTACT_SHARE, Stops, clearance_from_occurrence, fit_surface, restoring_force
 from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import joined
@@ -54,8 +54,8 @@ def equation_and_force(noise_n=0.0, seed=1, stops=STOPS_M, shapes=SHAPES):
     return equation, force + noise_n * np.random.default_rng(1000 + seed).standard_normal(SAMPLES), eta
 
 
-def start(stops=STOPS_M, off=1.15):
-    return tuple(Stops(off * lower, upper / off, 0.0, 0.0, 0.0) for lower, upper in stops)
+def start(stops=STOPS_M, ratio=1.15):
+    return tuple(Stops(ratio * lower, upper / ratio, 0.0, 0.0, 0.0) for lower, upper in stops)
 
 
 @pytest.mark.parametrize("factor", [1, 4])
@@ -63,10 +63,10 @@ def test_unequal_stops_and_stiffnesses_are_recovered(factor):
     equation, force, eta = equation_and_force()
     surface = fit_surface(equation, force, eta, factor, start())
     assert surface.measured.shape == surface.fitted.shape == (SAMPLES // factor,)
-    for found, (lower, upper) in zip(surface.stops, STOPS_M, strict=True):
-        assert found.lower_m == pytest.approx(lower, rel=1e-5)
-        assert found.upper_m == pytest.approx(upper, rel=1e-5)
-        assert found.clearance_m == pytest.approx((lower + upper) / 2, rel=1e-5)
+    for stops, (lower, upper) in zip(surface.stops, STOPS_M, strict=True):
+        assert stops.lower_m == pytest.approx(lower, rel=1e-5)
+        assert stops.upper_m == pytest.approx(upper, rel=1e-5)
+        assert stops.clearance_m == pytest.approx((lower + upper) / 2, rel=1e-5)
     np.testing.assert_allclose(surface.stiffness_n_per_m, STIFFNESS_N_PER_M, rtol=1e-5)
     np.testing.assert_allclose(surface.fitted, surface.measured, atol=1e-4 * np.std(surface.measured))
 
@@ -86,17 +86,17 @@ def test_the_surface_is_the_contacts_share_on_the_linear_part():
 def test_standard_errors_cover():
     """Errors in standard errors over independent noise: their size, and how many lie within one and within two."""
     draws, noise_n = 25, 4.0
-    off = {"lower": [], "upper": [], "clearance": []}
+    scores = {"lower": [], "upper": [], "clearance": []}
     for seed in range(draws):
         equation, force, eta = equation_and_force(noise_n, seed)
-        for found, (lower, upper) in zip(fit_surface(equation, force, eta, 1, start()).stops, STOPS_M, strict=True):
-            off["lower"].append((found.lower_m - lower) / found.lower_error_m)
-            off["upper"].append((found.upper_m - upper) / found.upper_error_m)
-            off["clearance"].append((found.clearance_m - (lower + upper) / 2) / found.clearance_error_m)
-            assert 1e-5 < found.lower_error_m / lower < 0.1
-    for sizes in off.values():
+        for stops, (lower, upper) in zip(fit_surface(equation, force, eta, 1, start()).stops, STOPS_M, strict=True):
+            scores["lower"].append((stops.lower_m - lower) / stops.lower_error_m)
+            scores["upper"].append((stops.upper_m - upper) / stops.upper_error_m)
+            scores["clearance"].append((stops.clearance_m - (lower + upper) / 2) / stops.clearance_error_m)
+            assert 1e-5 < stops.lower_error_m / lower < 0.1
+    for sizes in scores.values():
         assert 1 / 1.5 < np.sqrt(np.mean(np.square(sizes))) < 1.5
-    sizes = np.abs([*off["lower"], *off["upper"]])
+    sizes = np.abs([*scores["lower"], *scores["upper"]])
     for multiple, share in ((1.0, 0.683), (2.0, 0.954)):
         least, most = binom.ppf([1e-4, 1 - 1e-4], sizes.size, share) / sizes.size
         assert least <= np.mean(sizes < multiple) <= most
@@ -124,12 +124,12 @@ def test_a_contact_that_never_closes_has_no_stops(started):
 
 def test_a_contact_that_hardly_closes_has_no_stops():
     _, _, eta = equation_and_force()
-    for share, told in ((LEAST_CONTACT / 2, False), (4 * LEAST_CONTACT, True)):
+    for share, is_determined in ((LEAST_CONTACT_SHARE / 2, False), (4 * LEAST_CONTACT_SHARE, True)):
         both = float(np.quantile(np.abs(eta[1]), 1 - share))
         stops = (STOPS_M[0], (both, both))
         equation, force, _ = equation_and_force(stops=stops)
-        surface = fit_surface(equation, force, eta, 1, start(stops, off=1.01))
-        assert (surface.stops[1] is not None) == told
+        surface = fit_surface(equation, force, eta, 1, start(stops, ratio=1.01))
+        assert (surface.stops[1] is not None) == is_determined
 
 
 def boltzmann(lower, upper, slope, stiffness, samples, rng):
@@ -143,11 +143,11 @@ def boltzmann(lower, upper, slope, stiffness, samples, rng):
 @pytest.mark.parametrize(("lower", "upper"), [(0.8, 0.8), (0.6, 1.0)])
 def test_stops_from_the_density_that_the_method_assumes(lower, upper):
     rng = np.random.default_rng(1)
-    found = clearance_from_occurrence(1e-3 * boltzmann(lower, upper, 0.5, 20.0, 200_000, rng))
-    assert found.lower_m == pytest.approx(1e-3 * lower, abs=4 * found.lower_error_m)
-    assert found.upper_m == pytest.approx(1e-3 * upper, abs=4 * found.upper_error_m)
-    assert found.clearance_m == pytest.approx(1e-3 * (lower + upper) / 2, abs=4 * found.clearance_error_m)
-    assert max(found.lower_error_m, found.upper_error_m) < 0.05e-3
+    stops = clearance_from_occurrence(1e-3 * boltzmann(lower, upper, 0.5, 20.0, 200_000, rng))
+    assert stops.lower_m == pytest.approx(1e-3 * lower, abs=4 * stops.lower_error_m)
+    assert stops.upper_m == pytest.approx(1e-3 * upper, abs=4 * stops.upper_error_m)
+    assert stops.clearance_m == pytest.approx(1e-3 * (lower + upper) / 2, abs=4 * stops.clearance_error_m)
+    assert max(stops.lower_error_m, stops.upper_error_m) < 0.05e-3
 
 
 def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
@@ -155,20 +155,20 @@ def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
 
     The standard error of one record is as large as the last bound; eight records together are held to it.
     """
-    step_s, duration_s, found = 2.0**-12, 400.0, []
+    step_s, duration_s, estimates = 2.0**-12, 400.0, []
     for seed in range(1, 9):
         settings = Sdof(high_hz=200.0, rms_n=1.8, seed=seed)
         force_n = force_history(settings.force(), duration_s, step_s)
         eta = joined(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
-        found.append(clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8]))
-    values, errors = (np.array(x) for x in zip(*((f.clearance_m, f.clearance_error_m) for f in found), strict=True))
+        estimates.append(clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8]))
+    values, errors = (np.array(x) for x in zip(*((f.clearance_m, f.clearance_error_m) for f in estimates), strict=True))
     assert np.abs((values - settings.clearance_m) / errors).max() < 3
     assert values.mean() == pytest.approx(settings.clearance_m, rel=0.15)
 
 
 def test_a_mirrored_displacement_swaps_the_stops():
     eta = 1e-3 * boltzmann(0.6, 1.0, 0.5, 20.0, 100_000, np.random.default_rng(2))
-    found, mirrored = clearance_from_occurrence(eta), clearance_from_occurrence(-eta)
-    assert found.upper_m > found.lower_m
-    assert mirrored.lower_m == pytest.approx(found.upper_m, rel=1e-2)
-    assert mirrored.upper_m == pytest.approx(found.lower_m, rel=1e-2)
+    stops, mirrored = clearance_from_occurrence(eta), clearance_from_occurrence(-eta)
+    assert stops.upper_m > stops.lower_m
+    assert mirrored.lower_m == pytest.approx(stops.upper_m, rel=1e-2)
+    assert mirrored.upper_m == pytest.approx(stops.lower_m, rel=1e-2)

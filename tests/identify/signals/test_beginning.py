@@ -2,32 +2,32 @@
 
 import numpy as np
 
-from identify.signals.beginning import at_rest_until, force_begins, led_in
+from identify.signals.beginning import excitation_start, force_onset, lead_in
 
 RATE_HZ = 1000.0
 
 
-def noisy(samples, begin, noise, size, seed=0):
+def noisy(samples, start, noise, size, seed=0):
     rng = np.random.default_rng(seed)
-    return noise * rng.standard_normal(samples) + size * rng.standard_normal(samples) * (np.arange(samples) >= begin)
+    return noise * rng.standard_normal(samples) + size * rng.standard_normal(samples) * (np.arange(samples) >= start)
 
 
 def test_the_first_sample_of_the_force_is_found():
-    assert abs(force_begins(noisy(5000, 1200, 0.01, 5.0), RATE_HZ) - 1200) <= 2
-    assert force_begins(noisy(5000, 0, 0.01, 5.0), RATE_HZ) == 0
+    assert abs(force_onset(noisy(5000, 1200, 0.01, 5.0), RATE_HZ) - 1200) <= 2
+    assert force_onset(noisy(5000, 0, 0.01, 5.0), RATE_HZ) == 0
 
 
 def test_a_rig_that_moves_before_its_force_is_not_at_rest():
     force = noisy(5000, 1200, 0.01, 5.0)
     still, moving = noisy(5000, 1200, 1e-4, 1.0, seed=1), noisy(5000, 0, 1e-4, 1.0, seed=2)
-    assert at_rest_until(force, [still], RATE_HZ) == force_begins(force, RATE_HZ)
-    assert at_rest_until(force, [still, moving], RATE_HZ) == 0
+    assert excitation_start(force, [still], RATE_HZ) == force_onset(force, RATE_HZ)
+    assert excitation_start(force, [still, moving], RATE_HZ) == 0
 
 
 def test_a_lead_in_keeps_value_and_slope():
     time_s = np.arange(2000) / RATE_HZ
     signal = 3.0 + 2.0 * time_s + np.sin(2 * np.pi * time_s)
-    joined = np.concatenate([led_in(signal, 500), signal])
+    joined = np.concatenate([lead_in(signal, 500), signal])
     before = 2 * signal[0] - signal[500:0:-1]
     np.testing.assert_allclose(joined[450:500], before[450:], rtol=5e-2)
     assert abs(joined[0]) < 1e-2

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rig
-from identify.signals.beginning import force_begins
+from identify.signals.beginning import force_onset
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, kinematics
 from identify.signals.noise import acceleration_noise
 from rig.errors import RigError
@@ -28,7 +28,7 @@ TONES = ((3e-3, 1.3, 0.2), (1e-3, 17.0, 1.0), (2e-5, 150.0, 2.0))
 SLOW = ((5e-3, 0.1, 0.4),)
 
 
-def moved(order, time_s, tones=TONES):
+def motion_of_tones(order, time_s, tones=TONES):
     """The order-th derivative of tones that set in over three seconds after the first; the product rule written out."""
     phase = np.pi / 2 * np.clip((time_s - 1) / 3, 0, 1)
     rate = np.where((time_s > 1) & (time_s < 4), np.pi / 6, 0.0)
@@ -64,7 +64,7 @@ def recorded(*sensors, tones=TONES, duration_s=DURATION_S, rng=None, quiet_s=1.0
     time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     groups = {"force": (["force"], [(time_s >= quiet_s) * 1.0])}
     for s in sensors:
-        delivered = s.gain * moved(ORDERS[s.quantity], time_s - s.delay_s, tones)
+        delivered = s.gain * motion_of_tones(ORDERS[s.quantity], time_s - s.delay_s, tones)
         if rng is not None:
             delivered += s.noise_density * np.sqrt(RATE_HZ / 2) * rng.standard_normal(time_s.size)
         names, rows = groups.setdefault(s.quantity, ([], []))
@@ -88,7 +88,7 @@ def rows(motion):
 def errors(motion, tones=TONES):
     """rms of the error over rms of the motion, by quantity."""
     time_s = np.arange(motion.force_n.size) / RATE_HZ
-    true = {quantity: moved(order, time_s, tones) for quantity, order in ORDERS.items()}
+    true = {quantity: motion_of_tones(order, time_s, tones) for quantity, order in ORDERS.items()}
     return {q: float(np.std(row - true[q]) / np.std(true[q])) for q, row in rows(motion).items()}
 
 
@@ -118,8 +118,10 @@ def test_what_integration_loses_is_told():
     time_s = np.arange(motion.force_n.size) / RATE_HZ
     middle = (time_s > 10) & (time_s < 45)
     lost = motion.lost_m_per_s2[0][middle]
-    slow = moved(2, time_s, SLOW)[middle]
-    assert np.std(motion.displacement_m[0][middle] - moved(0, time_s)[middle]) < 2e-2 * np.std(moved(0, time_s, SLOW))
+    slow = motion_of_tones(2, time_s, SLOW)[middle]
+    assert np.std(motion.displacement_m[0][middle] - motion_of_tones(0, time_s)[middle]) < 2e-2 * np.std(
+        motion_of_tones(0, time_s, SLOW)
+    )
     assert np.std(lost - slow) < 2e-2 * np.std(slow)
 
 
@@ -133,8 +135,8 @@ def test_nothing_is_lost_where_the_displacement_was_measured():
 def test_gain_and_delay_are_undone(quantity):
     plain = kinematics(recorded(sensor(quantity)))
     late = kinematics(recorded(sensor(quantity, gain=-1.7, delay_s=3.3e-3)))
-    for one, other in zip(rows(plain).values(), rows(late).values(), strict=True):
-        assert np.std(one - other) < 2e-3 * np.std(one)
+    for plain_row, late_row in zip(rows(plain).values(), rows(late).values(), strict=True):
+        assert np.std(plain_row - late_row) < 2e-3 * np.std(plain_row)
 
 
 @pytest.mark.parametrize("order", [("displacement", "acceleration"), ("acceleration", "displacement")])
@@ -147,7 +149,7 @@ def test_each_motion_comes_from_the_sensor_that_needs_least(order):
     time_s = np.arange(motion.force_n.size) / RATE_HZ
     for derivative, factor in ((0, 1.0), (1, 1.0), (2, 2.0)):
         row = list(rows(motion).values())[derivative]
-        assert np.std(row - factor * moved(derivative, time_s)) < 1e-3 * np.std(row)
+        assert np.std(row - factor * motion_of_tones(derivative, time_s)) < 1e-3 * np.std(row)
     assert motion.channels == ("displacement", "acceleration")
 
 
@@ -180,7 +182,7 @@ def test_the_force_begins_where_it_begins():
 def test_forces_begin_with_the_first_that_acts():
     forces_n = np.random.default_rng(1).standard_normal((3, 3000))
     forces_n[0, :1500], forces_n[1, :1200], forces_n[2] = 0.0, 0.0, 0.0
-    assert force_begins(forces_n, RATE_HZ) == 1200
+    assert force_onset(forces_n, RATE_HZ) == 1200
 
 
 @pytest.mark.parametrize(("quiet_s", "noise_n"), [(1.5, 0.0), (1.5, 2e-3), (1.5, 0.05), (0.2, 0.05), (0.0, 0.05)])
@@ -197,20 +199,22 @@ def test_noise_is_heard_before_the_force_or_else_described(quiet_s):
     density = 2e-3
     noisy = sensor("acceleration", noise_density=density)
     recording = recorded(noisy, rng=np.random.default_rng(1), quiet_s=quiet_s)
-    (found,) = acceleration_noise(kinematics(recording), recording.rig)
-    heard = max(1.0, (quiet_s - 0.05) * RATE_HZ)
-    tolerance = 4 / np.sqrt(2 * heard) if quiet_s else 1e-12
-    assert found == pytest.approx(density * np.sqrt(RATE_HZ / 2), rel=tolerance)
+    (noise,) = acceleration_noise(kinematics(recording), recording.rig)
+    quiet_samples = max(1.0, (quiet_s - 0.05) * RATE_HZ)
+    tolerance = 4 / np.sqrt(2 * quiet_samples) if quiet_s else 1e-12
+    assert noise == pytest.approx(density * np.sqrt(RATE_HZ / 2), rel=tolerance)
 
 
 def test_strain_gauges_are_recorded_and_left_out(tmp_path):
     settings = BarrelCradle(sensors="displacement", duration_s=4.0)
-    believed = settings.rig()
+    stated_rig = settings.rig()
     gauge = Sensor(name="root", station=Station("cradle", 0.0), quantity="strain", noise_density=1e-9)
-    without, beside = (
-        rig.record(one, tmp_path / f"{k}.mcap", force=settings.force(), duration_s=4.0, step_s=settings.step_s)
-        for k, one in enumerate((believed, msgspec.structs.replace(believed, sensors=(*believed.sensors, gauge))))
+    without_gauge, with_gauge = (
+        rig.record(described, tmp_path / f"{k}.mcap", force=settings.force(), duration_s=4.0, step_s=settings.step_s)
+        for k, described in enumerate(
+            (stated_rig, msgspec.structs.replace(stated_rig, sensors=(*stated_rig.sensors, gauge)))
+        )
     )
-    assert beside["root"].unit == "m/m"
-    assert 1e-6 < np.std(beside["root"]) < 1e-2
-    np.testing.assert_array_equal(kinematics(without).displacement_m, kinematics(beside).displacement_m)
+    assert with_gauge["root"].unit == "m/m"
+    assert 1e-6 < np.std(with_gauge["root"]) < 1e-2
+    np.testing.assert_array_equal(kinematics(without_gauge).displacement_m, kinematics(with_gauge).displacement_m)

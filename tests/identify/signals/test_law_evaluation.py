@@ -82,8 +82,8 @@ def test_stiffness_and_clearance_are_not_biased():
         eta = 8e-3 * sampled(times)
         return np.stack([eta, rate_of(eta, times * rate_hz)])
 
-    def force(off, softer):
-        law = equal_sides(gap_m * (1 + off), stiffness * (1 + softer), 20.0)
+    def force(clearance_error, stiffness_error):
+        law = equal_sides(gap_m * (1 + clearance_error), stiffness * (1 + stiffness_error), 20.0)
         return evaluated(law.force_n, signals(1), rate_hz, factor)[INSIDE]
 
     step = 1e-4

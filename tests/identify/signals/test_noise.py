@@ -1,4 +1,4 @@
-"""The noise of accelerations where no quiet start tells it."""
+"""Noise of accelerations and channels in records without a quiet start."""
 
 from dataclasses import replace
 
@@ -7,23 +7,56 @@ import pytest
 from msgspec.structs import replace as changed
 
 from identify.signals.kinematics import kinematics
-from identify.signals.noise import acceleration_noise, noise_source
+from identify.signals.noise import (
+    acceleration_noise,
+    noise_source,
+    rounding_noise_density,
+    spectrogram_noise_density,
+)
 from rig.recording import read
 from rig.simulation.reference import Sdof
 
 DENSITY = 2e-3
+RATE_HZ = 2048.0
 
 
 def test_the_description_or_the_highest_frequencies_tell_the_noise(simulate, tmp_path):
     settings = Sdof(duration_s=30.0, step_s=2.0**-12, sensors="acceleration", noise_density=DENSITY)
-    whole = read(simulate(settings, tmp_path / "r.mcap"))
-    signals = {k: replace(s, values=np.ascontiguousarray(s.values[:, 2048:])) for k, s in whole.signals.items()}
-    silent = changed(whole.rig, sensors=tuple(changed(s, noise_density=0.0) for s in whole.rig.sensors))
-    true = DENSITY * np.sqrt(whole.rig.sample_rate_hz / 2)
-    for rig, source, within in (
-        (whole.rig, "noise_density in rig.json", 1e-9),
+    recording = read(simulate(settings, tmp_path / "r.mcap"))
+    signals = {k: replace(s, values=np.ascontiguousarray(s.values[:, 2048:])) for k, s in recording.signals.items()}
+    silent = changed(recording.rig, sensors=tuple(changed(s, noise_density=0.0) for s in recording.rig.sensors))
+    true = DENSITY * np.sqrt(recording.rig.sample_rate_hz / 2)
+    for rig, source, tolerance in (
+        (recording.rig, "noise_density in rig.json", 1e-9),
         (silent, "the highest frequencies of the record", 0.4),
     ):
-        motion = kinematics(replace(whole, rig=rig, signals=signals))
+        motion = kinematics(replace(recording, rig=rig, signals=signals))
         assert noise_source(motion, rig) == source
-        assert acceleration_noise(motion, rig) == pytest.approx(true, rel=within)
+        assert acceleration_noise(motion, rig) == pytest.approx(true, rel=tolerance)
+
+
+def ringing(duration_s):
+    time_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    modes = ((1e-3, 0.6, 30.0), (2e-4, 3.0, 190.0))
+    return sum(size * np.exp(-rate * time_s) * np.sin(2 * np.pi * hz * time_s) for size, rate, hz in modes)
+
+
+@pytest.mark.parametrize("duration_s", [1.0, 4.0, 20.0])
+@pytest.mark.parametrize("density", [5e-8, 1e-6])
+def test_the_noise_beside_a_decay_is_heard(duration_s, density):
+    signal = ringing(duration_s)
+    rng = np.random.default_rng(402)
+    noise = density * np.sqrt(RATE_HZ / 2) * rng.standard_normal(signal.size)
+    assert spectrogram_noise_density(signal + noise, RATE_HZ)[0] == pytest.approx(
+        density, rel=0.15
+    )  # three of its deviations in the shortest record
+
+
+def test_motion_alone_is_not_surely_noise():
+    assert not spectrogram_noise_density(ringing(4.0), RATE_HZ)[1]
+    walk = np.cumsum(np.random.default_rng(403).standard_normal(20_000))
+    assert not spectrogram_noise_density(walk, RATE_HZ)[1]
+
+
+def test_no_channel_shows_less_than_24_bits():
+    assert rounding_noise_density(np.array([2.0, -1.0]), 200.0) == pytest.approx(2e-7 / 10)

@@ -39,9 +39,9 @@ def test_derivatives_can_be_moved_from_the_signal_to_the_window(name):
     x = np.exp(pole * time_s)
     cut = blocks(x.size, RATE_HZ, Averaging(block_s=1.0, window=name), (1.0, 50.0))
     omega = 2 * np.pi * cut.frequency_hz
-    moved = cut.spectra(x.real, 2) - 2j * omega * cut.spectra(x.real, 1) - omega**2 * cut.spectra(x.real)
+    by_window = cut.spectra(x.real, 2) - 2j * omega * cut.spectra(x.real, 1) - omega**2 * cut.spectra(x.real)
     direct = cut.spectra((pole**2 * x).real)
-    np.testing.assert_allclose(moved, direct, atol=1e-6 * np.abs(direct).max())
+    np.testing.assert_allclose(by_window, direct, atol=1e-6 * np.abs(direct).max())
 
 
 def test_a_tone_stands_at_its_line_with_the_windows_mean():
@@ -49,12 +49,12 @@ def test_a_tone_stands_at_its_line_with_the_windows_mean():
     x = np.cos(2 * np.pi * line * np.arange(1000) / length)
     cut = blocks(x.size, RATE_HZ, Averaging(block_s=length / RATE_HZ), (5.0, 100.0))
     spectra = cut.spectra(x)
-    at = int(np.argmin(np.abs(cut.frequency_hz - line * RATE_HZ / length)))
-    assert cut.frequency_hz[at] == line * RATE_HZ / length
+    line_index = int(np.argmin(np.abs(cut.frequency_hz - line * RATE_HZ / length)))
+    assert cut.frequency_hz[line_index] == line * RATE_HZ / length
     np.testing.assert_allclose(
-        np.abs(spectra[:, at]), length / 4
+        np.abs(spectra[:, line_index]), length / 4
     )  # the Hann window's mean is 1/2, the cosine's half 1/2
-    np.testing.assert_allclose(spectra[:, at + 3 :], 0, atol=1e-9 * length)
+    np.testing.assert_allclose(spectra[:, line_index + 3 :], 0, atol=1e-9 * length)
 
 
 @given(
@@ -127,12 +127,12 @@ INSIDE = slice(200, -200)
 def test_decimation_keeps_what_the_new_rate_can_show_and_no_more(factor):
     samples = 6001
     time_s = np.arange(samples) / RATE_HZ
-    kept = np.sin(2 * np.pi * 0.35 * RATE_HZ / factor * time_s)
-    lost = np.sin(2 * np.pi * (0.61 * RATE_HZ / factor) * time_s) if factor > 1 else np.zeros(samples)
-    few = decimated(np.stack([kept, kept + lost]), factor)
-    assert few.shape == (2, -(-samples // factor))
-    for row in few:
-        np.testing.assert_allclose(row[INSIDE], kept[::factor][INSIDE], atol=2e-3)
+    passed = np.sin(2 * np.pi * 0.35 * RATE_HZ / factor * time_s)
+    stopped = np.sin(2 * np.pi * (0.61 * RATE_HZ / factor) * time_s) if factor > 1 else np.zeros(samples)
+    decimated_rows = decimated(np.stack([passed, passed + stopped]), factor)
+    assert decimated_rows.shape == (2, -(-samples // factor))
+    for row in decimated_rows:
+        np.testing.assert_allclose(row[INSIDE], passed[::factor][INSIDE], atol=2e-3)
 
 
 def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
@@ -141,10 +141,10 @@ def test_the_band_of_a_force_holds_all_but_the_share_at_either_end():
     lines = np.arange(int(low * duration_s), int(high * duration_s) + 1)
     spectrum = np.zeros(samples // 2 + 1, dtype=complex)
     spectrum[lines] = np.exp(2j * np.pi * np.random.default_rng(1).uniform(size=lines.size))  # equal power
-    found = force_band(np.fft.irfft(spectrum, samples), RATE_HZ, share)
+    band_hz = force_band(np.fft.irfft(spectrum, samples), RATE_HZ, share)
     lines_out = share * lines.size
-    assert found[0] == pytest.approx(low + lines_out / duration_s, abs=1 / duration_s)
-    assert found[1] == pytest.approx(high - lines_out / duration_s, abs=1 / duration_s)
+    assert band_hz[0] == pytest.approx(low + lines_out / duration_s, abs=1 / duration_s)
+    assert band_hz[1] == pytest.approx(high - lines_out / duration_s, abs=1 / duration_s)
 
 
 def test_the_band_of_several_forces_holds_that_of_each_that_acts():

@@ -20,7 +20,7 @@ from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
 from rig.viewer import viewing
 
-SHORT = ("--plant", "modal", "--duration", "2")
+TWO_SECONDS = ("--plant", "modal", "--duration", "2")
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def one_line(err):
 
 def test_from_recording_to_viewing(rig, tmp_path):
     path = tmp_path / "s.mcap"
-    status, out, err = rig("record", "sdof", *SHORT, "--seed", 7, "--set", "rms_n=0.25", "--out", path)
+    status, out, err = rig("record", "sdof", *TWO_SECONDS, "--seed", 7, "--set", "rms_n=0.25", "--out", path)
     assert (status, err) == (0, "")
     assert str(path) in out
     assert str(truth_path(path)) in out
@@ -86,7 +86,7 @@ def test_from_recording_to_viewing(rig, tmp_path):
 
 def test_json_is_all_that_is_printed(rig, tmp_path):
     path = tmp_path / "s.mcap"
-    status, out, err = rig("record", "sdof", *SHORT, "--out", path, "--json")
+    status, out, err = rig("record", "sdof", *TWO_SECONDS, "--out", path, "--json")
     assert (status, err) == (0, "")
     assert json.loads(out) == {"recording": str(path), "truth": str(truth_path(path))}
     recording = read(path)
@@ -94,13 +94,13 @@ def test_json_is_all_that_is_printed(rig, tmp_path):
     assert status == 0
     assert json.loads(out) == {"file": str(path), "sound": True, "samples": recording.samples}
     status, out, _ = rig("info", path, "--json")
-    about = json.loads(out)
+    summary = json.loads(out)
     assert status == 0
-    assert from_json(json.dumps(about["rig"]).encode(), "the JSON") == recording.rig
-    assert about["duration_s"] == recording.duration_s
-    assert about["provenance"] == recording.provenance
+    assert from_json(json.dumps(summary["rig"]).encode(), "the JSON") == recording.rig
+    assert summary["duration_s"] == recording.duration_s
+    assert summary["provenance"] == recording.provenance
     rows = [row for s in recording.signals.values() for row in s.values]
-    np.testing.assert_allclose([c["rms"] for c in about["channels"]], [np.sqrt(np.mean(row**2)) for row in rows])
+    np.testing.assert_allclose([c["rms"] for c in summary["channels"]], [np.sqrt(np.mean(row**2)) for row in rows])
 
 
 def test_the_tables_fit_a_pipe_and_name_every_channel(rig, barrel):
@@ -131,7 +131,7 @@ def test_names_are_printed_as_they_are(rig, tmp_path):
 
 def test_nothing_is_overwritten_unasked(rig, tmp_path):
     path = tmp_path / "s.mcap"
-    words = ("record", "sdof", *SHORT, "--out", path)
+    words = ("record", "sdof", *TWO_SECONDS, "--out", path)
     for existing in (path, truth_path(path)):
         existing.write_text("precious")
         status, out, err = rig(*words)
@@ -197,22 +197,22 @@ def test_wrong_words_exit_with_2(rig, tmp_path, monkeypatch, words, said):
     ],
 )
 def test_values_that_cannot_be_used_exit_with_1_and_leave_nothing(rig, tmp_path, words, said):
-    status, out, err = rig("record", "sdof", *SHORT, *words, "--out", tmp_path / "s.mcap")
+    status, out, err = rig("record", "sdof", *TWO_SECONDS, *words, "--out", tmp_path / "s.mcap")
     assert (status, out) == (1, "")
     assert said in one_line(err)
     assert not list(tmp_path.iterdir())
 
 
 def test_a_folder_that_is_not_there_is_said(rig, tmp_path):
-    status, _, err = rig("record", "sdof", *SHORT, "--out", tmp_path / "none" / "s.mcap")
+    status, _, err = rig("record", "sdof", *TWO_SECONDS, "--out", tmp_path / "none" / "s.mcap")
     assert status == 1
     assert "none/s.mcap: cannot be written" in one_line(err)
 
 
-def sound(path, values=None, without=()):
+def sound(path, values=None, missing=()):
     """A recording of the one-mass rig, with other values for a group or without it."""
     machine = Sdof().rig()
-    groups = {name: g for name, g in channel_groups(machine).items() if name not in without}
+    groups = {name: g for name, g in channel_groups(machine).items() if name not in missing}
     with writing(path, machine, groups, {}) as recording:
         for name in groups:
             recording.append(name, (values or {}).get(name, np.random.default_rng(1).standard_normal((1, 20_000))))
@@ -224,7 +224,7 @@ def cut_in_the_middle(path):
 
 
 def with_a_flipped_byte(path):
-    """In the middle of the file, which is in the values of a block: those are nearly all of it."""
+    """Flip a bit in the middle of the file, which is in the values of a block."""
     sound(path)
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x10
@@ -250,7 +250,7 @@ BAD = {
     "cut in the middle": (cut_in_the_middle, "is cut off or damaged"),
     "a flipped byte": (with_a_flipped_byte, "damaged"),
     "without rig.json": (without_rig_json, "has no attachment rig.json"),
-    "without the force": (lambda path: sound(path, without=("force",)), "has no channel /rig/force/block"),
+    "without the force": (lambda path: sound(path, missing=("force",)), "has no channel /rig/force/block"),
     "with NaN": (with_nan, "channel 'mass_0000mm_acceleration' is not a finite number at sample 4096 (8.0000 s)"),
 }
 
@@ -268,7 +268,7 @@ def test_a_bad_file_gets_one_sentence(rig, tmp_path, command, make, said):
 
 
 def test_a_file_without_faults_gets_none(rig, tmp_path):
-    """What the bad ones are made from is good."""
+    """The file from which the bad ones are made is sound."""
     sound(tmp_path / "r.mcap")
     assert rig("check", tmp_path / "r.mcap")[0] == 0
 
@@ -280,8 +280,8 @@ def test_an_interrupted_recording_is_kept(tmp_path, plant):
     words = ["record", "sdof", "--plant", plant, "--duration", "400", "--out", str(path)]
     program = [sys.executable, "-c", "from rig.commands.cli import main; main()", *words]
     with subprocess.Popen(program, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as running:
-        part = tmp_path / "s.mcap.part"
-        while not (part.exists() and part.stat().st_size > 100_000):
+        part_path = tmp_path / "s.mcap.part"
+        while not (part_path.exists() and part_path.stat().st_size > 100_000):
             assert running.poll() is None, running.stderr.read()
             time.sleep(0.01)
         running.send_signal(signal.SIGINT)
@@ -320,8 +320,10 @@ def test_a_browser_is_served_until_the_command_is_ended(tmp_path, ending, in_bac
     """A shell has the commands that it runs in the background ignore SIGINT."""
     sound(tmp_path / "r.mcap")
     handler = "SIG_IGN" if in_background else "default_int_handler"  # whatever these tests are run in
-    begun = f"import signal; signal.signal(signal.SIGINT, signal.{handler}); from rig.commands.start import rig; rig()"
-    program = [sys.executable, "-c", begun]
+    program_text = (
+        f"import signal; signal.signal(signal.SIGINT, signal.{handler}); from rig.commands.start import rig; rig()"
+    )
+    program = [sys.executable, "-c", program_text]
     with (tmp_path / "said").open("wb") as said:
         running = subprocess.Popen([*program, "view", str(tmp_path / "r.mcap"), "--web"], stdout=said, stderr=said)
     try:
@@ -349,9 +351,9 @@ def test_a_browser_is_served_until_the_command_is_ended(tmp_path, ending, in_bac
             urlopen(unquote(data).replace("recording", "r"), timeout=20)
         running.send_signal(getattr(signal, ending))
         assert running.wait(20) == 130
-        for one in (page, unquote(data)):
+        for url in (page, unquote(data)):
             with pytest.raises(URLError):
-                urlopen(one, timeout=5)
+                urlopen(url, timeout=5)
     finally:
         running.kill()
         running.wait(20)

@@ -62,10 +62,10 @@ def test_what_is_written_is_recorded_exported_and_imported_at_once(rig, tmp_path
     assert rig("export", "r.mcap", "--format", "csv", "--out", "lab/run.csv")[0] == 0
     status, _, err = rig("import", "lab/run.csv", "--map", "lab/map.toml", "--out", "back.mcap")
     assert (status, err) == (0, "")
-    back = read(tmp_path / "back.mcap")
-    assert back.rig == before.rig
+    imported = read(tmp_path / "back.mcap")
+    assert imported.rig == before.rig
     for name, signals in before.signals.items():
-        np.testing.assert_array_equal(back.signals[name].values, signals.values)
+        np.testing.assert_array_equal(imported.signals[name].values, signals.values)
 
 
 def test_a_structure_is_refused_by_ancf_in_one_sentence(rig, tmp_path):
@@ -109,10 +109,10 @@ def test_a_recording_becomes_a_rig_that_imports_it(rig, tmp_path):
         {"name": f"fin_{round(1000 * s['position_m']):04d}mm_acceleration", "station": s, "quantity": "acceleration"}
         for s in stations
     ]
-    described = {"name": "fin", "bodies": [body], "contacts": [], "force_at": stations[-1], "sensors": sensors}
-    (tmp_path / "true.json").write_bytes(msgspec.json.encode(described | {"sample_rate_hz": 8192.0}))
-    driven = ("--set", "low_hz=60", "--set", "high_hz=1300", "--set", "rms_n=1")
-    assert rig("record", "true.json", "--duration", 8, *driven, "--out", "true.mcap")[0] == 0
+    description = {"name": "fin", "bodies": [body], "contacts": [], "force_at": stations[-1], "sensors": sensors}
+    (tmp_path / "true.json").write_bytes(msgspec.json.encode(description | {"sample_rate_hz": 8192.0}))
+    excitation = ("--set", "low_hz=60", "--set", "high_hz=1300", "--set", "rms_n=1")
+    assert rig("record", "true.json", "--duration", 8, *excitation, "--out", "true.mcap")[0] == 0
     assert rig("export", "true.mcap", "--format", "csv", "--out", "low.csv")[0] == 0
     status, out, err = rig("init", "measured", *options(MEASURED), "--out", "lab")
     assert (status, err) == (0, "")
@@ -120,12 +120,12 @@ def test_a_recording_becomes_a_rig_that_imports_it(rig, tmp_path):
     missed = [float(line.split("misses ")[1].split("%")[0]) for line in out.splitlines() if "a free run misses" in line]
     assert len(missed) == 3
     assert max(missed) < 1
-    (found,) = read_rig(tmp_path / "lab" / "rig.json").bodies
-    inside = [k for k, hz in enumerate(found.natural_hz) if 60 < hz < 1300]
-    own = [k for k, hz in enumerate(body.natural_hz) if 60 < hz < 1300]
-    np.testing.assert_allclose(np.take(found.natural_hz, inside), np.take(body.natural_hz, own), rtol=1e-3)
+    (fitted,) = read_rig(tmp_path / "lab" / "rig.json").bodies
+    inside = [k for k, hz in enumerate(fitted.natural_hz) if 60 < hz < 1300]
+    true_modes = [k for k, hz in enumerate(body.natural_hz) if 60 < hz < 1300]
+    np.testing.assert_allclose(np.take(fitted.natural_hz, inside), np.take(body.natural_hz, true_modes), rtol=1e-3)
     places = np.array([0.0, 0.25, 0.5])
-    of_found, of_own = (b.shapes(places, b.max_modes)[:, ks] for b, ks in ((found, inside), (body, own)))
+    of_found, of_own = (b.shapes(places, b.max_modes)[:, ks] for b, ks in ((fitted, inside), (body, true_modes)))
     np.testing.assert_allclose(of_found * np.sign(of_found[-1]), of_own * np.sign(of_own[-1]), atol=0.03)
     assert rig("import", "low.csv", "--map", "lab/map.toml", "--out", "back.mcap")[0] == 0
     np.testing.assert_array_equal(read(tmp_path / "back.mcap").force_n, read(tmp_path / "true.mcap").force_n)
@@ -158,15 +158,15 @@ def test_a_recording_that_does_not_fit_is_said_and_leaves_nothing(rig, tmp_path,
 
 
 def test_what_is_missing_is_asked_for_on_a_terminal_alone(rig, tmp_path, monkeypatch):
-    given = {k: v for k, v in MASS.items() if k != "clearance_m"}
-    status, out, err = rig("init", "mass", *options(given))
+    values = {k: v for k, v in MASS.items() if k != "clearance_m"}
+    status, out, err = rig("init", "mass", *options(values))
     assert (status, out) == (2, "")
     assert "missing: --clearance-m" in err
     assert not list(tmp_path.iterdir())
     terminal = StringIO("wide\n2e-3\n")
     terminal.isatty = lambda: True
     monkeypatch.setattr("sys.stdin", terminal)
-    status, out, _ = rig("init", "mass", *options(given))
+    status, out, _ = rig("init", "mass", *options(values))
     assert status == 0
     assert "'wide' does not fit" in out
     assert read_rig(tmp_path / "rig.json").contacts[0].law.upper_clearance_m == 2e-3

@@ -1,4 +1,4 @@
-"""What every command shares: how it fails and how it shows progress."""
+"""Conventions of all commands: failure and progress."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""What `rig doctor` finds, and what a command says that lacks an extra."""
+"""Findings of `rig doctor`, and the errors of commands that lack an extra."""
 
 import importlib
 import os
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import rig.viewer
 from rig.commands import doctor
 from rig.commands.cli import main
 
@@ -19,13 +20,13 @@ LACKING = {
 
 
 @pytest.fixture
-def alone(tmp_path, monkeypatch):
+def single_package(tmp_path, monkeypatch):
     """A folder of installed packages of which one has a name of ours."""
     for name, files in {"identify": ("identify/__init__.py",), "other": ("other/__init__.py",)}.items():
-        about = tmp_path / f"{name}-2.6.dist-info"
-        about.mkdir()
-        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 2.6\n")
-        (about / "RECORD").write_text("".join(f"{file},,\n" for file in files))
+        metadata = tmp_path / f"{name}-2.6.dist-info"
+        metadata.mkdir()
+        (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 2.6\n")
+        (metadata / "RECORD").write_text("".join(f"{file},,\n" for file in files))
         for file in files:
             (tmp_path / file).parent.mkdir()
             (tmp_path / file).touch()
@@ -33,7 +34,7 @@ def alone(tmp_path, monkeypatch):
     importlib.invalidate_caches()
 
 
-@pytest.mark.usefixtures("alone")
+@pytest.mark.usefixtures("single_package")
 def test_a_package_of_the_same_name_is_found():
     assert [sentence[:57] for sentence in doctor.taken_packages()] == [
         "the Python package identify is also that of identify (pre"
@@ -68,6 +69,7 @@ def test_extras_are_those_of_the_installation():
 def test_what_lacks_an_extra_says_which(package, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("r.mcap").touch()
+    monkeypatch.setattr(rig, "viewer", rig.viewer)  # the import below binds another module to this name
     for name in [n for n in sys.modules if n.partition(".")[0] == package or n.startswith("rig.viewer")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
@@ -92,6 +94,6 @@ def test_what_lacks_an_extra_says_which(package, tmp_path, monkeypatch, capsys):
 def test_one_command_has_both(words, status, said):
     program = [sys.executable, "-c", "from rig.commands.start import both; both()", *words]
     path = f"{SCRIPTS}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(program, capture_output=True, text=True, check=False, env=os.environ | {"PATH": path})
-    assert (done.returncode, done.stderr) == (status, "")
-    assert said in done.stdout
+    completed = subprocess.run(program, capture_output=True, text=True, check=False, env=os.environ | {"PATH": path})
+    assert (completed.returncode, completed.stderr) == (status, "")
+    assert said in completed.stdout

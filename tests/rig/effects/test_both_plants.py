@@ -8,7 +8,7 @@ from rig.simulation.motion import joined
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle, Sdof
 
-SMALL = 0.01
+AMPLITUDE = 0.01
 """Of the reference's clearance and force: with slopes so small the beams of both plants are linear."""
 OF_THE_CHANNELS = {"sensor_gain", "sensor_delay", "common_gain"}
 STRONG = {  # magnitudes that show within a fifth of a second at a hundredth of the amplitude
@@ -26,37 +26,37 @@ STRONG = {  # magnitudes that show within a fifth of a second at a hundredth of 
 }
 MACHINES = {
     "barrel_cradle": BarrelCradle(
-        clearance_1_m=SMALL * 5e-3, clearance_2_m=SMALL * 5e-3, stations=4, sensors="displacement"
+        clearance_1_m=AMPLITUDE * 5e-3, clearance_2_m=AMPLITUDE * 5e-3, stations=4, sensors="displacement"
     ).rig(),
-    "sdof": Sdof(clearance_m=SMALL * 1e-3, sensors="displacement").rig(),
+    "sdof": Sdof(clearance_m=AMPLITUDE * 1e-3, sensors="displacement").rig(),
 }
 STEP_S = 2.0**-13
 NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
 CASES = [
-    (which, name)
-    for which in MACHINES
+    (rig_name, name)
+    for rig_name in MACHINES
     for name in effects()
-    if name not in OF_THE_CHANNELS and not (which == "sdof" and name in NOT_FOR_ONE_MASS)
+    if name not in OF_THE_CHANNELS and not (rig_name == "sdof" and name in NOT_FOR_ONE_MASS)
 ]
 
 
-def moved(plant, machine):
+def motion_of(plant, machine):
     time_s = np.arange(round(0.12 / STEP_S)) * STEP_S
     lines_hz = (7, 19, 31, 55, 80)
-    force_n = SMALL * 20 * np.sum([np.sin(2 * np.pi * f * time_s + k) for k, f in enumerate(lines_hz)], axis=0)
+    force_n = AMPLITUDE * 20 * np.sum([np.sin(2 * np.pi * f * time_s + k) for k, f in enumerate(lines_hz)], axis=0)
     return joined(plant.simulate(machine, force_n * np.clip(time_s / 0.05, 0, 1), STEP_S, lambda _: None))
 
 
 @pytest.fixture(scope="module")
 def nominal():
-    return {which: moved(modal, machine).sensed for which, machine in MACHINES.items()}
+    return {rig_name: motion_of(modal, machine).sensed for rig_name, machine in MACHINES.items()}
 
 
 @pytest.mark.parametrize(("which", "name"), CASES)
-def test_both_plants_move_alike_under_every_effect(nominal, which, name):
-    machine = effect_named(f"{name}:{STRONG.get(name, '')}").applied_to(MACHINES[which])
-    modes, elements = moved(modal, machine), moved(ancf, machine)
+def test_both_plants_move_alike_under_every_effect(nominal, rig_name, name):
+    machine = effect_named(f"{name}:{STRONG.get(name, '')}").applied_to(MACHINES[rig_name])
+    modes, elements = motion_of(modal, machine), motion_of(ancf, machine)
     assert modes.contact_force_n.any()
     size = np.linalg.norm(modes.sensed)
     assert np.linalg.norm(modes.sensed - elements.sensed) < 2e-3 * size
-    assert np.linalg.norm(modes.sensed - nominal[which]) > 5e-3 * size
+    assert np.linalg.norm(modes.sensed - nominal[rig_name]) > 5e-3 * size

@@ -1,4 +1,4 @@
-"""What the effects on contacts do: at rest under a known load, in motion by the law, and by the work that they take."""
+"""Effects on contacts: equilibrium under a known load, the force law in motion, and dissipated work."""
 
 import msgspec
 import numpy as np
@@ -56,9 +56,9 @@ def test_a_stop_that_stiffens(run):
     law = MACHINE.contacts[0].law
     cubic = 1e13
     eta, force_n = resting(run, effect_named(f"nonlinear_contact:cubic_n_per_m3={cubic}").applied_to(MACHINE))
-    for found, force in zip(eta, force_n, strict=True):
+    for eta_m, force in zip(eta, force_n, strict=True):
         depth = brentq(lambda d, f=force: law.stiffness_n_per_m * d + cubic * d**3 - f, 0, 1e-3, xtol=1e-14)
-        assert found == pytest.approx(law.upper_clearance_m + depth, rel=1e-7)
+        assert eta_m == pytest.approx(law.upper_clearance_m + depth, rel=1e-7)
     assert cubic * (eta[1] - law.upper_clearance_m) ** 2 > 0.1 * law.stiffness_n_per_m
 
 
@@ -108,22 +108,22 @@ def test_contacts_elsewhere_share_a_load_otherwise(run):
 )
 def test_the_force_follows_its_law_in_motion(run, text):
     machine = effect_named(text).applied_to(MACHINE)
-    ends = [s for c in machine.contacts for s in contact_stations(c)]
-    sensors = tuple(Sensor(name=str(k), station=s, quantity="velocity") for k, s in enumerate(ends))
+    stations = [s for c in machine.contacts for s in contact_stations(c)]
+    sensors = tuple(Sensor(name=str(k), station=s, quantity="velocity") for k, s in enumerate(stations))
     machine = msgspec.structs.replace(machine, sensors=sensors)
     time_s = np.arange(round(0.3 / STEP_S)) * STEP_S
     motion = run(machine, 60 * np.sin(2 * np.pi * 12 * time_s), STEP_S)
     for j, contact in enumerate(machine.contacts):
         rate = motion.sensed[2 * j] - motion.sensed[2 * j + 1]
         expected = contact.law.force_n(motion.eta_m[j], rate, time_s)
-        without = MACHINE.contacts[j].law.force_n(motion.eta_m[j], rate)
+        nominal_n = MACHINE.contacts[j].law.force_n(motion.eta_m[j], rate)
         closed = contact.law.penetration_m(motion.eta_m[j], time_s) != 0
         assert np.count_nonzero(closed) > 100
         shows = False
-        for some in (closed, ~closed):
-            size = np.linalg.norm(expected[some])
-            assert np.linalg.norm((motion.contact_force_n[j] - expected)[some]) <= 0.01 * size
-            shows |= np.linalg.norm((expected - without)[some]) > 0.02 * size
+        for samples in (closed, ~closed):
+            size = np.linalg.norm(expected[samples])
+            assert np.linalg.norm((motion.contact_force_n[j] - expected)[samples]) <= 0.01 * size
+            shows |= np.linalg.norm((expected - nominal_n)[samples]) > 0.02 * size
         assert shows
 
 

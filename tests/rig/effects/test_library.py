@@ -38,16 +38,16 @@ def test_every_effect_says_what_it_is(name):
     parameters = parameters_of(kind)
     assert parameters
     default = kind()
-    for about in parameters:
-        assert about.low <= getattr(default, about.name) <= about.high, about.name
-        assert about.unit
+    for parameter in parameters:
+        assert parameter.low <= getattr(default, parameter.name) <= parameter.high, parameter.name
+        assert parameter.unit
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("which", RIGS)
-def test_every_effect_changes_the_rig_or_says_why_not(name, which):
-    machine, effect = RIGS[which], effects()[name]()
-    if which == "sdof" and name in NOT_FOR_ONE_MASS:
+@pytest.mark.parametrize("rig_name", RIGS)
+def test_every_effect_changes_the_rig_or_says_why_not(name, rig_name):
+    machine, effect = RIGS[rig_name], effects()[name]()
+    if rig_name == "sdof" and name in NOT_FOR_ONE_MASS:
         with pytest.raises(RigError, match=f"effect {name}: rig 'sdof' has no .*beam; choose another place"):
             effect.applied_to(machine)
         return
@@ -114,9 +114,11 @@ def test_an_effect_that_the_rig_cannot_have_is_refused(text, sentence):
 
 def test_an_effect_acts_on_the_place_that_it_names():
     machine = RIGS["barrel_cradle"]
-    one = effect_named("contact_stiffness:factor=2,contact=contact_2").applied_to(machine)
-    assert one.contact("contact_1") == machine.contact("contact_1")
-    assert one.contact("contact_2").law.stiffness_n_per_m == 2 * machine.contact("contact_2").law.stiffness_n_per_m
+    stiffened = effect_named("contact_stiffness:factor=2,contact=contact_2").applied_to(machine)
+    assert stiffened.contact("contact_1") == machine.contact("contact_1")
+    assert (
+        stiffened.contact("contact_2").law.stiffness_n_per_m == 2 * machine.contact("contact_2").law.stiffness_n_per_m
+    )
     cradle = effect_named("youngs_modulus:beam=cradle").applied_to(machine)
     assert cradle.body("barrel") == machine.body("barrel")
     assert cradle.body("cradle") != machine.body("cradle")
@@ -126,33 +128,33 @@ SCALES = {"barrel_cradle": Scale(RIGS["barrel_cradle"], 14.0, 60.0), "sdof": Sca
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("which", RIGS)
-def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, which):
-    machine, kind = RIGS[which], effects()[name]
+@pytest.mark.parametrize("rig_name", RIGS)
+def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, rig_name):
+    machine, kind = RIGS[rig_name], effects()[name]
     places = kind.placements(machine, ["cradle_1", "cradle_2"])
-    if which == "sdof" and name in NOT_FOR_ONE_MASS:
+    if rig_name == "sdof" and name in NOT_FOR_ONE_MASS:
         return
     assert places
     for place in places:
-        scale = SCALES[which].at(place)
+        scale = SCALES[rig_name].with_place(place)
         parameters, typical = kind.parameters(scale), kind.typical(scale)
         assert next(iter(parameters)).neutral is not None
         assert {field: getattr(typical, field) for field in place} == place
-        for about in parameters:
-            assert about.low < about.high
-            assert about.low <= getattr(typical, about.name) <= about.high
-            if about.neutral is not None and name != "clamp_compliance":  # a clamp cannot be quite stiff
-                assert about.low <= about.neutral <= about.high
+        for parameter in parameters:
+            assert parameter.low < parameter.high
+            assert parameter.low <= getattr(typical, parameter.name) <= parameter.high
+            if parameter.neutral is not None and name != "clamp_compliance":  # a clamp cannot be quite stiff
+                assert parameter.low <= parameter.neutral <= parameter.high
         if name == "clamp_compliance" and place["beam"] == "barrel":
             continue
         if "sensor" not in name:
             assert typical.applied_to(machine) != machine
             for sign in (0, 1):  # the ends of a range can be had
-                ends = {p.name: (p.low, p.high)[sign] for p in parameters if p.neutral is not None}
+                limits = {p.name: (p.low, p.high)[sign] for p in parameters if p.neutral is not None}
                 if name == "linear_spring":  # the least is that of the middle, beyond which a body may be softer
-                    ends["relative_position"] = 0.5
+                    limits["relative_position"] = 0.5
                 if name != "clamp_compliance":
-                    msgspec.structs.replace(typical, **ends).applied_to(machine)
+                    msgspec.structs.replace(typical, **limits).applied_to(machine)
 
 
 def test_a_larger_machine_has_larger_ranges():
@@ -228,4 +230,4 @@ def test_a_rig_without_effects_reads_as_before():
             assert contact["law"].pop(field) == 1
         del contact["law"]["reference_depth_m"]
     assert from_json(msgspec.json.encode(text), "text") == RIGS["barrel_cradle"]
-    assert np.all([about.low < about.high for kind in effects().values() for about in parameters_of(kind)])
+    assert np.all([parameter.low < parameter.high for kind in effects().values() for parameter in parameters_of(kind)])

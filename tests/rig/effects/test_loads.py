@@ -51,13 +51,13 @@ def test_a_load_on_a_free_mass_with_a_damper_moves_it_from_rest(run):
     """m v' = F - c v."""
     mass_kg, damping, force_n = 2.0, 4.0, 0.5
     body = Oscillator(name="mass", mass_kg=mass_kg, frequency_hz=0.0, damping_ratio=0.0)
-    at = Station("mass")
+    station = Station("mass")
     machine = msgspec.structs.replace(
         Sdof(sensors="displacement").rig(),
         bodies=(body,),
         contacts=(),
-        dampers=(PointDamper(station=at, damping_n_s_per_m=damping),),
-        loads=(StaticLoad(station=at, force_n=force_n),),
+        dampers=(PointDamper(station=station, damping_n_s_per_m=damping),),
+        loads=(StaticLoad(station=station, force_n=force_n),),
     )
     time_s = STEP_S * (np.arange(8000) + 0.5)  # the plants differ by a step in when it begins
     decay_s = mass_kg / damping
@@ -82,7 +82,7 @@ def test_a_load_on_a_free_beam_with_a_damper_at_its_place_moves_it_from_rest(run
 
 @pytest.mark.parametrize("at_m", [0.0, 1.0])
 def test_a_damper_elsewhere_does_not_resist_a_load(run, at_m):
-    """It would turn the beam without end."""
+    """The load would turn the beam without end."""
     machine = msgspec.structs.replace(
         MACHINE,
         contacts=(),
@@ -111,12 +111,12 @@ def test_the_base_moves_as_it_is_told():
     frequency_hz = np.fft.rfftfreq(settled.size, STEP_S)
     inside = (frequency_hz > 4.5) & (frequency_hz < 9.5)
     assert spectrum[~inside].sum() < 1e-3 * spectrum.sum()
-    again, other = (
+    same_seed, other_seed = (
         base_motion(effect_named(f"base_motion:low_hz=5,high_hz=9,seed={seed}").applied_to(MACHINE), samples, STEP_S)
         for seed in (1, 2)
     )
-    np.testing.assert_allclose(again[2] * 0.6, base[2])
-    assert np.corrcoef(again[2], other[2])[0, 1] < 0.5
+    np.testing.assert_allclose(same_seed[2] * 0.6, base[2])
+    assert np.corrcoef(same_seed[2], other_seed[2])[0, 1] < 0.5
     finer = base_motion(machine, 2 * samples, STEP_S / 2)
     np.testing.assert_allclose(finer[0][::2], base[0], atol=1e-9 * np.abs(base[0]).max())
 
@@ -144,8 +144,8 @@ def test_a_shaking_base_drives_one_mass_by_its_spring(run):
     displacement, velocity, acceleration = motion.sensed
     spring = body.stiffness_n_per_m * (displacement - base[0])
     damper = body.damping_n_s_per_m * (velocity - base[1])
-    rest = body.mass_kg * acceleration + damper + spring
-    assert np.linalg.norm(rest[2:]) < 2e-3 * np.linalg.norm(spring)
+    residual_n = body.mass_kg * acceleration + damper + spring
+    assert np.linalg.norm(residual_n[2:]) < 2e-3 * np.linalg.norm(spring)
     np.testing.assert_allclose(motion.eta_m[0], displacement - base[0], atol=1e-12)
     assert np.abs(acceleration[: round(QUIET_S / STEP_S)]).max() > 0.1 * np.abs(acceleration).max()
 
@@ -169,10 +169,10 @@ def test_a_shaking_base_moves_the_cradle_but_not_the_floating_barrel(run):
         for s, row in zip(machine.sensors, motion.sensed, strict=True)
         if s.station == Station("cradle", 1.0) and s.quantity == "displacement"
     )
-    bent = tip - base[0]
+    bending_m = tip - base[0]
     first = machine.body("cradle").frequencies_hz(1)[0]
-    assert np.abs(bent).max() < 3 * np.abs(base[2]).max() / (2 * np.pi * first) ** 2
-    assert np.abs(bent).max() > np.abs(base[2]).max() / (2 * np.pi * first) ** 2
+    assert np.abs(bending_m).max() < 3 * np.abs(base[2]).max() / (2 * np.pi * first) ** 2
+    assert np.abs(bending_m).max() > np.abs(base[2]).max() / (2 * np.pi * first) ** 2
 
 
 WIDE = msgspec.structs.replace(MACHINE.contacts[0].law, lower_clearance_m=1.0, upper_clearance_m=1.0)
@@ -186,8 +186,8 @@ def test_the_true_force_is_the_measured_one_of_a_while_ago_without_its_gain():
         machine = effect_named("force_gain:factor=1.1").applied_to(
             effect_named(f"force_shift:shift_s={lag_s}").applied_to(MACHINE)
         )
-        found = true_force(machine, force_n, STEP_S)
+        true_n = true_force(machine, force_n, STEP_S)
         before = np.clip(time_s - lag_s, 0.0, time_s[-1])  # the measured force stays at its first and last values
-        np.testing.assert_allclose(found, np.sin(2 * np.pi * 40 * before) ** 3 / 1.1, atol=1e-5)
-        parts = [true_force(machine, force_n, STEP_S, slice(k, k + 500)) for k in range(0, 4000, 500)]
-        np.testing.assert_allclose(np.concatenate(parts), found, atol=1e-12)
+        np.testing.assert_allclose(true_n, np.sin(2 * np.pi * 40 * before) ** 3 / 1.1, atol=1e-5)
+        slices = [true_force(machine, force_n, STEP_S, slice(k, k + 500)) for k in range(0, 4000, 500)]
+        np.testing.assert_allclose(np.concatenate(slices), true_n, atol=1e-12)

@@ -1,4 +1,4 @@
-"""What effects of the instruments leave in a recording, whose rig.json stays as it was believed; and the command."""
+"""Effects of the instruments in a recording whose rig.json stays nominal; and the command."""
 
 import sys
 
@@ -51,28 +51,30 @@ def nominal(recorded):
 
 
 def test_a_wrong_force_cell_leaves_the_force_and_shrinks_the_motion(recorded, nominal):
-    found = recorded("force_gain:factor=1.25")
-    np.testing.assert_array_equal(found.force_n, nominal.force_n)
+    recording = recorded("force_gain:factor=1.25")
+    np.testing.assert_array_equal(recording.force_n, nominal.force_n)
     for quantity, signals in nominal.signals.items():
         scale = 1.0 if quantity == "force" else 1 / 1.25
-        values = found.signals[quantity].values
+        values = recording.signals[quantity].values
         np.testing.assert_allclose(values, scale * signals.values, atol=1e-9 * np.abs(values).max())
 
 
 def test_a_late_force_leaves_the_force_and_delays_every_motion(recorded, nominal):
     late = 3
-    found = recorded(f"force_shift:shift_s={late / LINEAR.sample_rate_hz}")
-    np.testing.assert_array_equal(found.force_n, nominal.force_n)
+    recording = recorded(f"force_shift:shift_s={late / LINEAR.sample_rate_hz}")
+    np.testing.assert_array_equal(recording.force_n, nominal.force_n)
     for quantity in ("displacement", "acceleration"):
-        values, before = found.signals[quantity].values, nominal.signals[quantity].values
+        values, before = recording.signals[quantity].values, nominal.signals[quantity].values
         np.testing.assert_allclose(values[:, late:], before[:, :-late], atol=1e-6 * np.abs(before).max())
 
 
 @pytest.mark.parametrize("text", ["sensor_gain:factor=1.1", "sensor_delay:delay_s=0.0009765625"])
 def test_a_wrong_sensor_is_alone(recorded, text):
-    """Beside it stands a sensor like it that is right."""
-    found = recorded(text)
-    rows = dict(zip(found.signals["acceleration"].channels.names, found.signals["acceleration"].values, strict=True))
+    """An identical sensor beside it is not affected."""
+    recording = recorded(text)
+    rows = dict(
+        zip(recording.signals["acceleration"].channels.names, recording.signals["acceleration"].values, strict=True)
+    )
     wrong, right = rows[LINEAR.sensors[-1].name], rows[TWIN.name]
     if "gain" in text:
         np.testing.assert_allclose(wrong, 1.1 * right)

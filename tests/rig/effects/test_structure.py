@@ -1,4 +1,4 @@
-"""What the effects on the structure do to frequencies, damping and static deflection."""
+"""Effects on the structure: frequencies, damping and static deflection."""
 
 import exudyn as exu
 import msgspec
@@ -62,8 +62,8 @@ def test_finite_elements_agree_with_the_analytic_modes(body):
     np.testing.assert_allclose(modes.frequencies_hz(16), bare.frequencies_hz(16), rtol=2e-4, atol=1e-9)
     positions = np.linspace(0, 1, 33)
     elastic = slice(bare.rigid_modes, 16)  # rigid modes may mix
-    found, exact = (np.abs(m.shapes(positions, 16)[:, elastic]) for m in (modes, bare))
-    np.testing.assert_allclose(found, exact, atol=2e-3 * exact.max())
+    shapes, exact = (np.abs(m.shapes(positions, 16)[:, elastic]) for m in (modes, bare))
+    np.testing.assert_allclose(shapes, exact, atol=2e-3 * exact.max())
     np.testing.assert_allclose(
         np.sum(participation(MACHINE, bare, modes, 40) ** 2),
         np.sum(participation(MACHINE, bare, bare, 40) ** 2),
@@ -74,9 +74,9 @@ def test_finite_elements_agree_with_the_analytic_modes(body):
 def test_the_participations_of_all_modes_add_up_to_the_mass():
     free, clamped = MACHINE.body("barrel"), MACHINE.body("cradle")
     assert np.sum(participation(MACHINE, free, free, 16) ** 2) == pytest.approx(free.mass_kg)
-    rest = 4 / np.pi**2 / 40  # of the modes beyond: the sum of (2 / beta)^2
-    found = np.sum(participation(MACHINE, clamped, clamped, 40) ** 2)
-    assert found == pytest.approx(clamped.mass_kg * (1 - rest), rel=1e-3)
+    remainder = 4 / np.pi**2 / 40  # of the modes beyond: the sum of (2 / beta)^2
+    mass_kg = np.sum(participation(MACHINE, clamped, clamped, 40) ** 2)
+    assert mass_kg == pytest.approx(clamped.mass_kg * (1 - remainder), rel=1e-3)
     heavier = effect_named("added_mass:mass_kg=0.5").applied_to(MACHINE)
     modes = modes_of(heavier, free)
     assert np.sum(participation(heavier, free, modes, 16) ** 2) == pytest.approx(free.mass_kg + 0.5)
@@ -103,16 +103,16 @@ def test_a_clamp_that_gives_has_the_frequencies_of_its_equation(compliance):
 
 
 def test_a_soft_suspension_moves_a_free_beam_as_a_rigid_body():
-    ends = [PointSpring(station=Station("barrel", x), stiffness_n_per_m=10.0) for x in (0.0, 1.0)]
-    machine = msgspec.structs.replace(MACHINE, springs=tuple(ends))
+    springs = [PointSpring(station=Station("barrel", x), stiffness_n_per_m=10.0) for x in (0.0, 1.0)]
+    machine = msgspec.structs.replace(MACHINE, springs=tuple(springs))
     mass_kg = machine.body("barrel").mass_kg
     expected = np.sqrt(np.array([20.0, 60.0]) / mass_kg) / (2 * np.pi)  # k/m and k (l/2)^2 / (m l^2 / 12)
     np.testing.assert_allclose(frequencies_hz(machine, "barrel")[:2], expected, rtol=1e-3)
-    one = msgspec.structs.replace(
+    hinged = msgspec.structs.replace(
         MACHINE, springs=(PointSpring(station=Station("barrel", 0.5), rotational_n_m_per_rad=5.0),)
     )
     turning = np.sqrt(5.0 / (mass_kg / 12)) / (2 * np.pi)
-    np.testing.assert_allclose(frequencies_hz(one, "barrel")[:2], [0, turning], rtol=1e-2)
+    np.testing.assert_allclose(frequencies_hz(hinged, "barrel")[:2], [0, turning], rtol=1e-2)
 
 
 def test_one_mass_with_a_mass_and_a_spring():
@@ -132,8 +132,8 @@ def test_modulus_and_damping():
     np.testing.assert_allclose(ratio, np.sqrt(1.1))
     for machine in (MACHINE, SDOF):
         damped = effect_named("structural_damping:factor=2.5").applied_to(machine)
-        for body, other in zip(machine.bodies, damped.bodies, strict=True):
-            assert other.damping_ratio == pytest.approx(2.5 * body.damping_ratio)
+        for body, damped_body in zip(machine.bodies, damped.bodies, strict=True):
+            assert damped_body.damping_ratio == pytest.approx(2.5 * body.damping_ratio)
 
 
 @pytest.mark.parametrize(
@@ -159,15 +159,15 @@ def test_a_hardening_spring_at_rest(run, machine):
     body = machine.bodies[0]
     cradle = body.name == "cradle"
     stiffness = 3 * body.bending_stiffness_n_m2 / body.length_m**3 if cradle else body.stiffness_n_per_m
-    end = Station(body.name, body.length_m)
+    station = Station(body.name, body.length_m)
     hard = effect_named(f"hardening_spring:cubic_n_per_m3={1e4 * stiffness},body={body.name}").applied_to(machine)
     hard = msgspec.structs.replace(
         hard,
         contacts=(),
-        loads=(StaticLoad(station=end, force_n=0.01 * stiffness),),
-        sensors=tuple(s for s in hard.sensors if s.station == end and s.quantity == "displacement"),
+        loads=(StaticLoad(station=station, force_n=0.01 * stiffness),),
+        sensors=tuple(s for s in hard.sensors if s.station == station and s.quantity == "displacement"),
     )
-    found = run(hard, np.zeros(9), 2.0**-13).sensed[0]
+    displacement_m = run(hard, np.zeros(9), 2.0**-13).sensed[0]
     expected = brentq(lambda w: w + 1e4 * w**3 - 0.01, 0, 0.01)
     assert expected < 0.007
-    np.testing.assert_allclose(found, expected, rtol=2e-4)
+    np.testing.assert_allclose(displacement_m, expected, rtol=2e-4)

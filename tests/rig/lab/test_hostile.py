@@ -27,8 +27,8 @@ from rig.simulation.reference import Sdof
 RIG = Sdof(sensors="acceleration").rig()
 RATE_HZ = RIG.sample_rate_hz
 (A,) = (sensor.name for sensor in RIG.sensors)
-FEW, MANY = 400, 250_000_000
-FORCE, ACC = np.random.default_rng(1).standard_normal((2, FEW))
+SAMPLES, HUGE = 400, 250_000_000
+FORCE, ACC = np.random.default_rng(1).standard_normal((2, SAMPLES))
 MAP = f"""sample_rate_hz = {RATE_HZ}
 force = {{ column = "force", unit = "N" }}
 [sensors]
@@ -115,10 +115,10 @@ def said(folder, name):
 
 @pytest.fixture
 def measured(worker, folder):
-    """What is said of a file in a process of its own; the seconds and bytes that it takes are below their bounds."""
+    """Import a file in a worker process, check its time and memory, and return its sentence."""
 
     def measure(name):
-        words = [str(folder / part) for part in (name, "map.toml", "r.mcap")]
+        words = [str(folder / file_name) for file_name in (name, "map.toml", "r.mcap")]
         worker.stdin.write(json.dumps(words) + "\n")
         worker.stdin.flush()
         assert select([worker.stdout], [], [], 60)[0], "it does not end"
@@ -132,13 +132,13 @@ def measured(worker, folder):
 
 
 def external_storage(place):
-    return lambda file: file.create_dataset("acc", (1, FEW), "f8", external=[(place, 0, 8 * FEW)])
+    return lambda file: file.create_dataset("acc", (1, SAMPLES), "f8", external=[(place, 0, 8 * SAMPLES)])
 
 
 def virtual(source):
     def write(file):
-        layout = h5py.VirtualLayout((1, FEW), "f8")
-        layout[:] = h5py.VirtualSource(source, "acc", (1, FEW))
+        layout = h5py.VirtualLayout((1, SAMPLES), "f8")
+        layout[:] = h5py.VirtualSource(source, "acc", (1, SAMPLES))
         file.create_virtual_dataset("acc", layout)
 
     return write
@@ -149,7 +149,7 @@ def external_link(file):
 
 
 def partly(file):
-    dataset = file.create_dataset("acc", (1, FEW), "f8", chunks=(1, 100))
+    dataset = file.create_dataset("acc", (1, SAMPLES), "f8", chunks=(1, 100))
     dataset[0, :100] = ACC[:100]
     dataset[0, 300:] = ACC[300:]
 
@@ -168,7 +168,7 @@ def partly(file):
         (external_link, "'acc' is a link to another file, which is not opened"),
         (partly, "'acc' has 200 of 400 samples that were never written"),
         (
-            lambda file: file.create_dataset("acc", (1, FEW), "f8"),
+            lambda file: file.create_dataset("acc", (1, SAMPLES), "f8"),
             "'acc' has 400 of 400 samples that were never written",
         ),
     ],
@@ -179,12 +179,12 @@ def test_what_a_file_does_not_hold_is_not_read(folder, suffix, write, sentence):
 
 
 def test_a_virtual_dataset_is_not_even_asked_for_its_size(folder, measured):
-    """Of one without an end that opens the source, which may be a pipe."""
+    """An unlimited virtual dataset would open its source, which may be a pipe."""
     os.mkfifo(folder / "pipe")
 
     def write(file):
-        layout = h5py.VirtualLayout((FEW,), "f8", maxshape=(None,))
-        source = h5py.VirtualSource(str(folder / "pipe"), "acc", (FEW,), maxshape=(None,))
+        layout = h5py.VirtualLayout((SAMPLES,), "f8", maxshape=(None,))
+        source = h5py.VirtualSource(str(folder / "pipe"), "acc", (SAMPLES,), maxshape=(None,))
         layout[: h5py.h5s.UNLIMITED] = source[: h5py.h5s.UNLIMITED]
         file.create_virtual_dataset("acc", layout)
 
@@ -196,8 +196,8 @@ def test_what_is_not_asked_for_is_not_read(folder, measured):
     def write(file):
         file["acc"] = ACC[None]
         file["elsewhere"] = h5py.ExternalLink("secret.h5", "acc")
-        file.create_dataset("large", (1, MANY), "u1")
-        file.create_dataset("raw", (1, FEW), "f8", external=[("/etc/passwd", 0, 8 * FEW)])
+        file.create_dataset("large", (1, HUGE), "u1")
+        file.create_dataset("raw", (1, SAMPLES), "f8", external=[("/etc/passwd", 0, 8 * SAMPLES)])
 
     for suffix, writer in WRITERS.items():
         writer(folder / f"lab{suffix}", write)
@@ -214,7 +214,7 @@ def zeros():
 
 def deflated(file):
     """A chunk that is larger than the file says, by a million times."""
-    dataset = file.create_dataset("acc", (1, FEW), "u1", chunks=(1, FEW), compression="gzip")
+    dataset = file.create_dataset("acc", (1, SAMPLES), "u1", chunks=(1, SAMPLES), compression="gzip")
     dataset.id.write_direct_chunk((0, 0), zeros())
 
 
@@ -223,7 +223,7 @@ def deflated(file):
     ("write", "sentence"),
     [
         (
-            lambda file: file.create_dataset("acc", (1, MANY), "u1"),
+            lambda file: file.create_dataset("acc", (1, HUGE), "u1"),
             "column 'acc' would take 4162 MB of memory",
         ),
         (
@@ -243,9 +243,9 @@ def element(kind, data):
     return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
 
 
-def array(kind, shape, name, inner):
+def array(kind, shape, name, content):
     head = element(6, struct.pack("<II", kind, 0)) + element(5, struct.pack(f"<{len(shape)}i", *shape))
-    return element(14, head + element(1, name) + inner)
+    return element(14, head + element(1, name) + content)
 
 
 def version_5(path, *elements):
@@ -255,15 +255,15 @@ def version_5(path, *elements):
 def packed(head, zeros):
     """A compressed element: what stands at its beginning, and so many zeros."""
     packer = zlib.compressobj()
-    parts = [packer.compress(head), *(packer.compress(bytes(10**7)) for _ in range(zeros // 10**7)), packer.flush()]
-    return struct.pack("<II", 15, sum(map(len, parts))) + b"".join(parts)
+    pieces = [packer.compress(head), *(packer.compress(bytes(10**7)) for _ in range(zeros // 10**7)), packer.flush()]
+    return struct.pack("<II", 15, sum(map(len, pieces))) + b"".join(pieces)
 
 
 def declared(length, head):
     return struct.pack("<II", 14, length) + head
 
 
-HEAD_OF_ACC = array(9, (1, MANY), b"acc", b"")[8:] + struct.pack("<II", 2, MANY)
+HEAD_OF_ACC = array(9, (1, HUGE), b"acc", b"")[8:] + struct.pack("<II", 2, HUGE)
 HEAD_OF_STRUCT = array(2, (1, 1), b"run", b"")[8:] + element(5, struct.pack("<i", 4)) + element(1, b"acc\0")
 
 
@@ -275,10 +275,10 @@ def force(path):
 @pytest.mark.parametrize(
     ("elements", "sentence"),
     [
-        ([packed(declared(len(HEAD_OF_ACC) + MANY, HEAD_OF_ACC), MANY)], "column 'acc' with 1 more would take 4"),
+        ([packed(declared(len(HEAD_OF_ACC) + HUGE, HEAD_OF_ACC), HUGE)], "column 'acc' with 1 more would take 4"),
         ([packed(declared(10**9, HEAD_OF_STRUCT), 10**8)], "its variable 'run' would take 1130 MB of memory"),
         (
-            [packed(array(9, (1, FEW), b"acc", element(9, ACC.tobytes())), 10**8)],
+            [packed(array(9, (1, SAMPLES), b"acc", element(9, ACC.tobytes())), 10**8)],
             "cannot be read as .mat (its compressed data are cut off, or swell beyond what they declare)",
         ),
         (
@@ -294,7 +294,7 @@ def test_what_swells_in_version_5_is_refused(folder, elements, sentence, measure
 
 
 def test_cells_within_cells_end(folder, measured):
-    nested = array(9, (1, FEW), b"", element(9, ACC.tobytes()))
+    nested = array(9, (1, SAMPLES), b"", element(9, ACC.tobytes()))
     for _ in range(2000):
         nested = array(1, (1, 1), b"", nested)
     version_5(folder / "lab.mat", force(folder / "lab.mat"), nested)
@@ -369,14 +369,14 @@ def test_names_with_dots_are_no_deep_keys(folder):
     assert len(tolerances_named(str(folder / "t.toml")).sensors) == 200
 
 
-def csv_map(folder, csv="", time='time = { column = "t", unit = "s" }', more=""):
-    told = MAP.replace(f"sample_rate_hz = {RATE_HZ}", f"{time}\n{csv}\n{more}")
-    (folder / "map.toml").write_text(told)
+def csv_map(folder, csv="", time='time = { column = "t", unit = "s" }', extra_lines=""):
+    map_text = MAP.replace(f"sample_rate_hz = {RATE_HZ}", f"{time}\n{csv}\n{extra_lines}")
+    (folder / "map.toml").write_text(map_text)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1e-300, 1 / 3000])
 def test_a_record_far_above_the_rigs_rate_is_not_resampled(folder, scale):
-    csv_map(folder, time=f'time = {{ column = "t", scale = {scale} }}', more="resample = true")
+    csv_map(folder, time=f'time = {{ column = "t", scale = {scale} }}', extra_lines="resample = true")
     lines = [f"{k / RATE_HZ!r},{f!r},{a!r}" for k, (f, a) in enumerate(zip(FORCE.tolist(), ACC.tolist(), strict=True))]
     (folder / "lab.csv").write_text("\n".join(["t,force,acc", *lines]))
     rate = f"{RATE_HZ / scale:.6g}"
@@ -387,7 +387,7 @@ def test_a_record_far_above_the_rigs_rate_is_not_resampled(folder, scale):
 
 def test_a_rate_just_below_that_is_resampled(folder):
     rate_hz = 999 * RATE_HZ
-    csv_map(folder, time=f"sample_rate_hz = {rate_hz}", more="resample = true")
+    csv_map(folder, time=f"sample_rate_hz = {rate_hz}", extra_lines="resample = true")
     time_s = np.arange(20_000) / rate_hz
     rows = [f"{f!r},1.5" for f in np.sin(2 * np.pi * 20.0 * time_s).tolist()]
     (folder / "lab.csv").write_text("\n".join(["force,acc", *rows]))
@@ -401,7 +401,7 @@ def test_a_rate_just_below_that_is_resampled(folder):
 
 @pytest.mark.parametrize("last", ["1e308", "1e-310"])
 def test_stamps_at_the_ends_of_the_numbers_are_refused(folder, last):
-    csv_map(folder, more="resample = true")
+    csv_map(folder, extra_lines="resample = true")
     (folder / "lab.csv").write_text(f"t,force,acc\n-{last},1,2\n0,1,2\n{last},1,2\n")
     assert said(folder, "lab.csv").startswith("lab.csv: it is sampled at ")
 
@@ -470,7 +470,7 @@ def uff(folder, count=2):
             "abscissa_spacing": 1,
             "ordinate_axis_units_lab": "NONE",
             "orddenom_spec_data_type": 0,
-            "x": np.arange(FEW) / RATE_HZ,
+            "x": np.arange(SAMPLES) / RATE_HZ,
             "data": row,
         }
         for name, row in zip(("force", "acc", "more"), (FORCE, ACC, ACC), strict=True)
@@ -480,12 +480,19 @@ def uff(folder, count=2):
 
 
 def test_a_uff_file_that_is_cut_anywhere_is_refused(folder):
-    """Also within a dataset that is not asked for: what stands before it would pass for the whole."""
+    """The cut may be within a dataset that is not requested: the part before it would pass for the whole."""
     path = uff(folder, 3)
     content = path.read_bytes()
-    ends = [k + 7 for k in range(len(content)) if content[k : k + 14] == b"    -1\n    -1\n"]
-    assert len(ends) == 2
-    for size in (ends[1] + 3, ends[1] + 7, ends[1] + 20, ends[1] + 500, len(content) - 7, len(content) - 500):
+    boundaries = [k + 7 for k in range(len(content)) if content[k : k + 14] == b"    -1\n    -1\n"]
+    assert len(boundaries) == 2
+    for size in (
+        boundaries[1] + 3,
+        boundaries[1] + 7,
+        boundaries[1] + 20,
+        boundaries[1] + 500,
+        len(content) - 7,
+        len(content) - 500,
+    ):
         path.write_bytes(content[:size])
         assert "cut off" in said(folder, "lab.uff"), size
 
@@ -493,7 +500,7 @@ def test_a_uff_file_that_is_cut_anywhere_is_refused(folder):
 @pytest.mark.parametrize("points", [0, 399, 401, 999_999_999])
 def test_a_uff_file_that_declares_other_samples_is_refused(folder, points, measured):
     path = uff(folder)
-    path.write_bytes(path.read_bytes().replace(f"{4:10d}{FEW:10d}".encode(), f"{4:10d}{points:10d}".encode()))
+    path.write_bytes(path.read_bytes().replace(f"{4:10d}{SAMPLES:10d}".encode(), f"{4:10d}{points:10d}".encode()))
     assert f"of {points} samples" in measured("lab.uff")
 
 

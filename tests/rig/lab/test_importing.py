@@ -32,21 +32,21 @@ TIME_S = np.arange(SAMPLES) / RATE_HZ
 
 def mapped(**changes):
     """The map of the CSV that `csv_text` writes, as a dictionary; a value None takes an entry out."""
-    told = {
+    entries = {
         "rig": "rig.json",
         "time": {"column": "t", "unit": "s"},
         "force": {"column": "F", "unit": "kN"},
         "sensors": {X: {"column": "x", "unit": "mm"}, A: {"column": "a", "unit": "g"}},
         **changes,
     }
-    return {key: value for key, value in told.items() if value is not None}
+    return {key: value for key, value in entries.items() if value is not None}
 
 
-def toml(told):
+def toml(content):
     """A TOML inline table holds what a JSON object does."""
-    if isinstance(told, dict):
-        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(value)}" for key, value in told.items()) + " }"
-    return json.dumps(told)
+    if isinstance(content, dict):
+        return "{ " + ", ".join(f"{json.dumps(key)} = {toml(value)}" for key, value in content.items()) + " }"
+    return json.dumps(content)
 
 
 def csv_text(time_s=TIME_S, values=VALUES, names="t,F,x,a"):
@@ -60,25 +60,25 @@ def folder(tmp_path):
     return tmp_path
 
 
-def imported(folder, told, name="lab.csv", text=None):
-    """What `rig import` makes of a file in the folder, which is written first if a text is given."""
+def imported(folder, mapping, name="lab.csv", text=None):
+    """Recording that `rig import` makes of a file in the folder, which is first written if a text is given."""
     if text is not None:
         (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
-    (folder / "map.toml").write_text("\n".join(f"{key} = {toml(value)}" for key, value in told.items()))
+    (folder / "map.toml").write_text("\n".join(f"{key} = {toml(value)}" for key, value in mapping.items()))
     import_file(folder / name, folder / "map.toml", folder / "r.mcap")
     return read(folder / "r.mcap")
 
 
 def check(recording, values=VALUES, si=SI):
     """Every channel is the value times the unit, to the last bit."""
-    got = {
+    rows = {
         name: row
         for signals in recording.signals.values()
         for name, row in zip(signals.channels.names, signals.values, strict=True)
     }
-    assert set(got) == set(values)
+    assert set(rows) == set(values)
     for name, row in values.items():
-        np.testing.assert_array_equal(got[name], si[name] * row)
+        np.testing.assert_array_equal(rows[name], si[name] * row)
 
 
 def test_csv_in_the_units_of_a_laboratory(folder):
@@ -92,11 +92,11 @@ def test_csv_in_the_units_of_a_laboratory(folder):
 
 def test_the_map_of_the_readme_works(folder):
     readme = (Path(__file__).parents[3] / "rig" / "lab" / "README.md").read_text(encoding="utf-8")
-    told = msgspec.toml.decode(readme.split("```toml\n")[1].split("```")[0])
+    mapping = msgspec.toml.decode(readme.split("```toml\n")[1].split("```")[0])
     rig = Sdof(sensors="acceleration").rig()
     (folder / "rig.json").write_bytes(to_json(rig))
     values = {"force": VALUES["force"], A: VALUES[A]}
-    check(imported(folder, told, text=csv_text(values=values, names="time_s,load cell,acc 1")), values)
+    check(imported(folder, mapping, text=csv_text(values=values, names="time_s,load cell,acc 1")), values)
 
 
 def test_a_free_decay_has_no_force(folder):
@@ -114,30 +114,30 @@ def test_several_forces_are_columns_of_their_own_units(folder):
     (folder / "lab.csv").write_text(csv_text(values=VALUES | {"G": second}, names="t,F,x,a,G"))
     import_file(folder / "lab.csv", folder / "map.toml", folder / "r.mcap")
     np.testing.assert_array_equal(read(folder / "r.mcap").forces_n, [1e3 * VALUES["force"], -2.0 * second])
-    for count, given in ((1, entries[0]), (0, "force = []")):
-        (folder / "map.toml").write_text("\n".join([*lines, given]))
+    for count, force_text in ((1, entries[0]), (0, "force = []")):
+        (folder / "map.toml").write_text("\n".join([*lines, force_text]))
         with pytest.raises(RigError, match=rf"force has {count} columns, and its rig\.json 2 forces"):
             import_file(folder / "lab.csv", folder / "map.toml", folder / "other.mcap")
 
 
 def test_csv_from_another_country(folder):
     text = "Messung Müller; 20 °C\n" + csv_text(names="Zeit,Kraft,Weg,Beschl.").replace(",", ";").replace(".", ",")
-    told = mapped(
+    mapping = mapped(
         time={"column": "Zeit"},
         force={"column": 2, "unit": "kN", "scale": -1.0},
         sensors={X: {"column": "Weg", "unit": "mm"}, A: {"column": "Beschl,", "unit": "m/s²"}},
         csv={"encoding": "latin-1", "delimiter": ";", "decimal": ",", "lines_before_names": 1},
     )
-    check(imported(folder, told, text=text.encode("latin-1")), si=SI | {"force": -1e3, A: 1.0})
+    check(imported(folder, mapping, text=text.encode("latin-1")), si=SI | {"force": -1e3, A: 1.0})
 
 
 def test_csv_without_names(folder):
-    told = mapped(
+    mapping = mapped(
         time={"column": 1},
         force={"column": 2, "unit": "kN"},
         sensors={X: {"column": 3, "unit": "mm"}, A: {"column": "column 4", "unit": "g"}},
     )
-    check(imported(folder, told, text=csv_text().split("\n", 1)[1]))
+    check(imported(folder, mapping, text=csv_text().split("\n", 1)[1]))
 
 
 @pytest.mark.parametrize("binary", [0, 1])
@@ -162,13 +162,13 @@ def test_uff(folder, binary, spacing):
         for name, unit in UNITS.items()
     ]
     pyuff.UFF(str(folder / "lab.uff")).write_sets(datasets, "add")
-    told = mapped(
+    mapping = mapped(
         time={"column": "force time"} if spacing == 0 and binary else None,
         sample_rate_hz=None if binary else RATE_HZ,  # the text form's time has six digits
         force={"column": "force"},
         sensors={X: {"column": X}, A: {"column": A, "unit": "g"}},
     )
-    recording = imported(folder, told, "lab.uff")
+    recording = imported(folder, mapping, "lab.uff")
     for name, rows in (("force", recording.signals["force"]), (X, recording.signals["displacement"])):
         error = 0 if binary else 1e-11 * SI[name]  # the text form has twelve digits
         np.testing.assert_allclose(rows.values[0], SI[name] * VALUES[name], rtol=error, atol=error)
@@ -177,18 +177,18 @@ def test_uff(folder, binary, spacing):
 def test_matlab(folder):
     matrix = np.stack([VALUES[X], VALUES[A]], axis=1)
     savemat(folder / "lab.mat", {"F": VALUES["force"], "data": matrix, "t": TIME_S[:, None], "note": "by hand"})
-    told = mapped(sensors={X: {"column": "data[1]", "unit": "mm"}, A: {"column": "data[2]", "unit": "g"}})
-    check(imported(folder, told, "lab.mat"))
+    mapping = mapped(sensors={X: {"column": "data[1]", "unit": "mm"}, A: {"column": "data[2]", "unit": "g"}})
+    check(imported(folder, mapping, "lab.mat"))
 
 
 def test_matlab_structs(folder):
     savemat(folder / "lab.mat", {"run": {"F": VALUES["force"], "data": {"x": VALUES[X], "a": VALUES[A]}, "t": TIME_S}})
-    told = mapped(
+    mapping = mapped(
         time={"column": "run.t"},
         force={"column": "run.F", "unit": "kN"},
         sensors={X: {"column": "run.data.x", "unit": "mm"}, A: {"column": "run.data.a", "unit": "g"}},
     )
-    check(imported(folder, told, "lab.mat"))
+    check(imported(folder, mapping, "lab.mat"))
 
 
 def test_matlab_4_is_read_too(folder):
@@ -208,9 +208,9 @@ def test_a_matlab_file_that_is_cut_or_of_an_unknown_type_is_refused(folder, comp
     with pytest.raises(RigError, match=r"lab\.mat: .*its header is damaged"):
         imported(folder, mapped(), "lab.mat", b"W" + content[1:])
     if not compressed:
-        at = content.rindex(struct.pack("<II", 9, 8 * SAMPLES))
+        offset = content.rindex(struct.pack("<II", 9, 8 * SAMPLES))
         with pytest.raises(RigError, match="is of the unknown type 8"):
-            imported(folder, mapped(), "lab.mat", content[:at] + b"\x08" + content[at + 1 :])
+            imported(folder, mapped(), "lab.mat", content[:offset] + b"\x08" + content[offset + 1 :])
 
 
 def write_tdms(path, rates=(RATE_HZ,) * 3):
@@ -225,25 +225,25 @@ def write_tdms(path, rates=(RATE_HZ,) * 3):
 
 def test_tdms(folder):
     write_tdms(folder / "lab.tdms")
-    told = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
-    check(imported(folder, told, "lab.tdms"))
+    mapping = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
+    check(imported(folder, mapping, "lab.tdms"))
     write_tdms(folder / "lab.tdms", (RATE_HZ, RATE_HZ, 2 * RATE_HZ))
     with pytest.raises(RigError, match="it has columns at 1024 and at 512 Hz"):
-        imported(folder, told, "lab.tdms")
+        imported(folder, mapping, "lab.tdms")
     write_tdms(folder / "lab.tdms")
-    told["sensors"][X]["unit"] = "m"
+    mapping["sensors"][X]["unit"] = "m"
     with pytest.raises(RigError, match=f"column 'run/{X}' is in 'mm' by the file, 'm' by the map"):
-        imported(folder, told, "lab.tdms")
+        imported(folder, mapping, "lab.tdms")
 
 
 def test_a_tdms_file_that_is_cut_is_refused(folder, capfd):
     write_tdms(folder / "lab.tdms")
     content = (folder / "lab.tdms").read_bytes()
-    told = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
-    check(imported(folder, told, "lab.tdms", content))
+    mapping = mapped(time=None, force={"column": "run/force"}, sensors={n: {"column": f"run/{n}"} for n in (X, A)})
+    check(imported(folder, mapping, "lab.tdms", content))
     for text in (content[:-8], content[: len(content) // 2], content + content[:40], content[:20]):
         with pytest.raises(RigError, match=r"is cut off|has no whole segment"):
-            imported(folder, told, "lab.tdms", text)
+            imported(folder, mapping, "lab.tdms", text)
     assert capfd.readouterr() == ("", "")  # its library warns by itself
 
 
@@ -261,7 +261,7 @@ def stamps(**changes):
 
 
 @pytest.mark.parametrize(
-    ("told", "text", "sentence"),
+    ("mapping", "text", "sentence"),
     [
         (mapped(force={"column": "F", "unit": "mm"}), csv_text(), "map.toml: 'mm' is no unit of force; give one of N"),
         (mapped(force={"column": "F"}), csv_text(), "map.toml: column 'F' has no unit"),
@@ -297,9 +297,9 @@ def stamps(**changes):
         (mapped(), csv_text(np.where(TIME_S == 1.0, np.nan, TIME_S)), "its time, column 't', does not hold 2000"),
     ],
 )
-def test_what_cannot_be_imported_is_refused_in_one_sentence(folder, told, text, sentence):
+def test_what_cannot_be_imported_is_refused_in_one_sentence(folder, mapping, text, sentence):
     with pytest.raises(RigError) as caught:
-        imported(folder, told, text=text)
+        imported(folder, mapping, text=text)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not list(folder.glob("r.mcap*"))
@@ -326,8 +326,8 @@ def test_another_rate_is_reached_by_a_filter_that_keeps_the_passband_and_nothing
     time_s = np.arange(5 * SAMPLES) / rate_hz
     low, high = 0.3 * RATE_HZ, 0.7 * RATE_HZ  # the latter would fold to the former
     values = dict.fromkeys(UNITS, np.sin(2 * np.pi * low * time_s)) | {A: np.sin(2 * np.pi * high * time_s)}
-    told = mapped(time=None, sample_rate_hz=rate_hz, resample=True)
-    recording = imported(folder, told, text=csv_text(time_s, values))
+    mapping = mapped(time=None, sample_rate_hz=rate_hz, resample=True)
+    recording = imported(folder, mapping, text=csv_text(time_s, values))
     inside = slice(100, -100)
     expected = SI["force"] * np.sin(2 * np.pi * low * recording.signals["force"].time_s)
     np.testing.assert_allclose(recording.force_n[inside], expected[inside], atol=1e-3 * SI["force"])
@@ -342,7 +342,7 @@ def test_the_commands(folder, monkeypatch, capsys):
             main()
         return stopped.value.code, *capsys.readouterr()
 
-    path, out_csv, told = folder / "r.mcap", folder / "out" / "out.csv", folder / "out" / "map.toml"
+    path, out_csv, map_path = folder / "r.mcap", folder / "out" / "out.csv", folder / "out" / "map.toml"
     out_csv.parent.mkdir()
     imported(folder, mapped(), text=csv_text())
     words = ("import", folder / "lab.csv", "--map", folder / "map.toml", "--out", path)
@@ -352,9 +352,9 @@ def test_the_commands(folder, monkeypatch, capsys):
     status, out, err = rig(*words, "--force", "--json")
     assert (status, err) == (0, "")
     assert json.loads(out)["history"][0] == f"{SAMPLES} samples of 3 columns read from lab.csv"
-    assert rig("export", path, "--format", "csv", "--out", out_csv, "--map", told)[0] == 0
-    assert msgspec.toml.decode(told.read_bytes())["rig"] == "rig.json"
-    status, out, err = rig("import", out_csv, "--map", told, "--out", folder / "back.mcap")
+    assert rig("export", path, "--format", "csv", "--out", out_csv, "--map", map_path)[0] == 0
+    assert msgspec.toml.decode(map_path.read_bytes())["rig"] == "rig.json"
+    status, out, err = rig("import", out_csv, "--map", map_path, "--out", folder / "back.mcap")
     assert (status, err) == (0, "")
     check(read(folder / "back.mcap"))
     assert rig("export", path, "--format", "csv", "--out", out_csv)[0] == 1

@@ -24,7 +24,7 @@ NESTED = {
 
 
 def write_5(path, compressed=False):
-    """As MATLAB's save -v7."""
+    """Write a file like MATLAB's save -v7."""
     runs, cells = np.empty((1, 2), dtype=[("x", object)]), np.empty((1, 3), dtype=object)
     runs["x"][0] = FIRST, SECOND
     cells[0] = FIRST, "by hand", SECOND
@@ -33,10 +33,10 @@ def write_5(path, compressed=False):
 
 
 def write_73(path):
-    """As MATLAB's save -v7.3: transposed, in groups, with references for the elements of struct and cell arrays."""
+    """Write a file like MATLAB's save -v7.3: transposed, in groups, with references for struct and cell arrays."""
     with h5py.File(path, "w", userblock_size=512) as file:
 
-        def put(place, values, kind="double"):
+        def put_array(place, values, kind="double"):
             place = file.create_dataset(place, data=np.asarray(values).T)
             place.attrs["MATLAB_class"] = np.bytes_(kind)
             return place.ref
@@ -47,16 +47,16 @@ def write_73(path):
             if kind:
                 dataset.attrs["MATLAB_class"] = np.bytes_(kind)
 
-        put("fs", [[512.0]])
-        put("run/F", FORCE)
-        put("run/note", np.array([[98, 121]], dtype="u2"), "char")
-        put("run/sensors/acc", ACC)
-        put("run/sensors/phase", np.zeros((7, 3), dtype=[("real", "f8"), ("imag", "f8")]))
-        put("run/sensors/none", np.zeros((2, 1), dtype="u8"))
+        put_array("fs", [[512.0]])
+        put_array("run/F", FORCE)
+        put_array("run/note", np.array([[98, 121]], dtype="u2"), "char")
+        put_array("run/sensors/acc", ACC)
+        put_array("run/sensors/phase", np.zeros((7, 3), dtype=[("real", "f8"), ("imag", "f8")]))
+        put_array("run/sensors/none", np.zeros((2, 1), dtype="u8"))
         file["run/sensors/none"].attrs["MATLAB_empty"] = 1
-        put_references("runs/x", [put("#refs#/a", FIRST), put("#refs#/b", SECOND)])
-        text = put("#refs#/d", np.array([[98, 121]], dtype="u2"), "char")
-        put_references("cells", [put("#refs#/c", FIRST), text, put("#refs#/e", SECOND)], "cell")
+        put_references("runs/x", [put_array("#refs#/a", FIRST), put_array("#refs#/b", SECOND)])
+        text = put_array("#refs#/d", np.array([[98, 121]], dtype="u2"), "char")
+        put_references("cells", [put_array("#refs#/c", FIRST), text, put_array("#refs#/e", SECOND)], "cell")
     head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
     with path.open("rb+") as stream:
         stream.write(head)
@@ -70,28 +70,28 @@ def columns(path):
 def test_matlab_arrays_of_every_kind(tmp_path, compressed):
     kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8")
     arrays = {f"as_{kind}": np.arange(12.0).reshape(3, 4).astype(kind) for kind in kinds}
-    others = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "empty": {}}
-    savemat(tmp_path / "lab.mat", others | arrays, do_compression=compressed)
-    found = columns(tmp_path / "lab.mat")
-    assert set(found) == {f"{name}[{k}]" for name in arrays for k in (1, 2, 3)}
+    not_real = {"z": np.ones((2, 2)) * 1j, "text": "by hand", "empty": {}}
+    savemat(tmp_path / "lab.mat", not_real | arrays, do_compression=compressed)
+    rows = columns(tmp_path / "lab.mat")
+    assert set(rows) == {f"{name}[{k}]" for name in arrays for k in (1, 2, 3)}
     for name, array in arrays.items():
         for k, row in enumerate(array, start=1):
-            np.testing.assert_array_equal(found[f"{name}[{k}]"], row)
+            np.testing.assert_array_equal(rows[f"{name}[{k}]"], row)
 
 
 @pytest.mark.parametrize("write", [write_5, lambda path: write_5(path, True), write_73], ids=["5", "7", "7.3"])
 def test_arrays_in_structs_and_cells_have_matlabs_names(tmp_path, write):
     path = tmp_path / "lab.mat"
     write(path)
-    found = columns(path)
+    rows = columns(path)
     expected = {
         name if array.shape[1] == 1 else f"{name}[{k}]": array[:, k - 1]
         for name, array in NESTED.items()
         for k in range(1, array.shape[1] + 1)
     }
-    assert set(found) == set(expected)
+    assert set(rows) == set(expected)
     for name, row in expected.items():
-        np.testing.assert_array_equal(found[name], row)
+        np.testing.assert_array_equal(rows[name], row)
 
 
 @pytest.mark.parametrize("write", [write_5, write_73])

@@ -33,29 +33,29 @@ def exported(tmp_path):
     return written
 
 
-def check_modes(found, modes, places_m, count):
+def check_modes(structure, modes, places_m, count):
     """Frequencies, damping ratios and, up to its sign, each shape."""
-    assert found.max_modes == count
-    assert found.frequencies_hz(count) == pytest.approx(modes.frequencies_hz(count), rel=DIGITS)
+    assert structure.max_modes == count
+    assert structure.frequencies_hz(count) == pytest.approx(modes.frequencies_hz(count), rel=DIGITS)
     ratios = np.where(modes.frequencies_hz(count) > 0, modes.damping_ratios(count), 0.0)
-    assert found.damping_ratios(count) == pytest.approx(ratios, rel=DIGITS)
-    shapes, expected = found.shapes(places_m, count), modes.shapes(places_m, count)
+    assert structure.damping_ratios(count) == pytest.approx(ratios, rel=DIGITS)
+    shapes, expected = structure.shapes(places_m, count), modes.shapes(places_m, count)
     signs = np.sign(np.sum(shapes * expected, axis=0))
     np.testing.assert_allclose(shapes * signs, expected, atol=DIGITS * np.abs(expected).max())
 
 
 @pytest.mark.parametrize("mass_kg", [0.0, 0.3])
 def test_each_body_of_two_beams_comes_back_by_its_nodes(exported, mass_kg):
-    """With a mass at the cradle's end, the modes are those with it."""
+    """The modes include those of a mass at the cradle's end."""
     rig = BarrelCradle(stations=4).rig()
     if mass_kg:
         rig = replace(rig, masses=(PointMass(station=Station("cradle", 1.0), mass_kg=mass_kg),))
     path, nodes = exported(rig), nodes_of(rig)
     for body in rig.bodies:
-        own = {s.position_m: n for s, n in nodes.items() if s.body == body.name}
-        structure, _, _ = structure_from_uff(path, Choice(nodes=tuple(own.values())))
+        node_at = {s.position_m: n for s, n in nodes.items() if s.body == body.name}
+        structure, _, _ = structure_from_uff(path, Choice(nodes=tuple(node_at.values())))
         assert structure.length_m == pytest.approx(body.length_m)
-        check_modes(structure, modes_of(rig, body), np.array([*own]), MODES)
+        check_modes(structure, modes_of(rig, body), np.array([*node_at]), MODES)
 
 
 def test_a_modal_basis_comes_back_at_its_places(exported):
@@ -64,8 +64,8 @@ def test_a_modal_basis_comes_back_at_its_places(exported):
     places = np.unique([0.0, *(s.position_m for s in nodes_of(rig) if s.body == "barrel"), 1.0])
     basis = structure_of("barrel", 1.0, barrel.frequencies_hz(6), np.full(6, 0.01), places, barrel.shapes(places, 6))
     rig = replace(rig, bodies=(cradle, basis))
-    own = tuple(n for s, n in nodes_of(rig).items() if s.body == "barrel")
-    structure, _, _ = structure_from_uff(exported(rig), Choice(nodes=own))
+    node_numbers = tuple(n for s, n in nodes_of(rig).items() if s.body == "barrel")
+    structure, _, _ = structure_from_uff(exported(rig), Choice(nodes=node_numbers))
     check_modes(structure, basis, places, 6)
 
 

@@ -24,7 +24,7 @@ def columns(tmp_path, content, **form):
 
 
 @pytest.mark.parametrize(
-    ("names", "rest"),
+    ("names", "line_end"),
     [
         ("", ","),
         ("V1,V2,", ","),
@@ -38,13 +38,13 @@ def columns(tmp_path, content, **form):
         ("V1,V2,", ",by hand"),
     ],
 )
-def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, names, rest):
-    content = "\n".join([*([names] if names else []), f"0.5,1.0{rest}", f"0.25,2.0{rest}", ""])
-    found = columns(tmp_path, content)
-    assert list(found) == (["V1", "V2"] if names else ["column 1", "column 2"])
-    assert list(found.values()) == [[0.5, 0.25], [1.0, 2.0]]
-    others = content.replace(",", ";").replace(".", ",")
-    assert list(columns(tmp_path, others, delimiter=";", decimal=",").values()) == [[0.5, 0.25], [1.0, 2.0]]
+def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, names, line_end):
+    content = "\n".join([*([names] if names else []), f"0.5,1.0{line_end}", f"0.25,2.0{line_end}", ""])
+    by_name = columns(tmp_path, content)
+    assert list(by_name) == (["V1", "V2"] if names else ["column 1", "column 2"])
+    assert list(by_name.values()) == [[0.5, 0.25], [1.0, 2.0]]
+    with_commas = content.replace(",", ";").replace(".", ",")
+    assert list(columns(tmp_path, with_commas, delimiter=";", decimal=",").values()) == [[0.5, 0.25], [1.0, 2.0]]
 
 
 @pytest.mark.parametrize(

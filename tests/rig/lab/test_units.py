@@ -7,7 +7,7 @@ from rig.lab.units import FACTORS, si_factor
 
 
 @pytest.mark.parametrize(
-    ("quantity", "unit", "other", "ratio"),
+    ("quantity", "unit", "reference", "ratio"),
     [
         ("acceleration", "g", "m/s^2", 9.80665),
         ("acceleration", "m/s²", "mm / s**2", 1e3),
@@ -20,12 +20,12 @@ from rig.lab.units import FACTORS, si_factor
         ("strain", "µm/m", "mm/m", 1e-3),
     ],
 )
-def test_units_are_what_they_are_defined_to_be(quantity, unit, other, ratio):
-    assert si_factor(quantity, unit) / si_factor(quantity, other) == pytest.approx(ratio, rel=1e-15)
+def test_units_are_what_they_are_defined_to_be(quantity, unit, reference, ratio):
+    assert si_factor(quantity, unit) / si_factor(quantity, reference) == pytest.approx(ratio, rel=1e-15)
 
 
 def test_every_unit_of_another_quantity_is_refused():
     for quantity, units in FACTORS.items():
-        for other in {u for q, known in FACTORS.items() if q != quantity for u in known} - set(units):
+        for foreign_unit in {u for q, factors in FACTORS.items() if q != quantity for u in factors} - set(units):
             with pytest.raises(RigError, match=f"is no unit of {quantity}"):
-                si_factor(quantity, other)
+                si_factor(quantity, foreign_unit)

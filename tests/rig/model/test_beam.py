@@ -8,13 +8,13 @@ from rig.errors import RigError
 from rig.model.beam import MAX_MODES, Beam
 
 
-def beam(ends, **changes):
-    return Beam(**{"name": "b", "ends": ends, "length_m": 1.3, "width_m": 0.05, "thickness_m": 0.01} | changes)
+def beam(end_condition, **changes):
+    return Beam(**{"name": "b", "ends": end_condition, "length_m": 1.3, "width_m": 0.05, "thickness_m": 0.01} | changes)
 
 
-@pytest.mark.parametrize(("ends", "sign"), [("clamped-free", 1), ("free-free", -1)])
-def test_wavenumbers_solve_the_characteristic_equation(ends, sign):
-    b = beam(ends)
+@pytest.mark.parametrize(("end_condition", "sign"), [("clamped-free", 1), ("free-free", -1)])
+def test_wavenumbers_solve_the_characteristic_equation(end_condition, sign):
+    b = beam(end_condition)
     omega = 2 * np.pi * b.frequencies_hz(MAX_MODES)[b.rigid_modes :]
     wavenumber = np.sqrt(omega * np.sqrt(b.mass_per_length_kg_per_m / b.bending_stiffness_n_m2)) * b.length_m
     residual = np.cos(wavenumber) + sign / np.cosh(wavenumber)  # cos cosh = -1 clamped-free, +1 free-free
@@ -32,9 +32,9 @@ def test_first_frequencies_are_those_of_the_textbook():
     np.testing.assert_allclose(free, np.array([0, 0, 4.7300, 7.8532]) ** 2 * unit_hz, rtol=1e-4)
 
 
-@pytest.mark.parametrize("ends", ["clamped-free", "free-free"])
-def test_modes_are_orthonormal_in_mass_and_diagonal_in_stiffness(ends):
-    b = beam(ends)
+@pytest.mark.parametrize("end_condition", ["clamped-free", "free-free"])
+def test_modes_are_orthonormal_in_mass_and_diagonal_in_stiffness(end_condition):
+    b = beam(end_condition)
     nodes, weights = leggauss(200)
     x, w = (nodes + 1) / 2 * b.length_m, weights / 2 * b.length_m
     shapes = b.shapes(x, MAX_MODES)
@@ -47,26 +47,26 @@ def test_modes_are_orthonormal_in_mass_and_diagonal_in_stiffness(ends):
     np.testing.assert_allclose(stiffness / np.outer(scale, scale), np.diag((omega / scale) ** 2), atol=1e-9)
 
 
-@pytest.mark.parametrize("ends", ["clamped-free", "free-free"])
+@pytest.mark.parametrize("end_condition", ["clamped-free", "free-free"])
 @pytest.mark.parametrize("mode", [3, 10, MAX_MODES])
-def test_ends_obey_their_conditions(ends, mode):
-    b = beam(ends)
+def test_ends_obey_their_conditions(end_condition, mode):
+    b = beam(end_condition)
     beta = (
         np.sqrt(2 * np.pi * b.frequencies_hz(mode)[-1])
         * (b.mass_per_length_kg_per_m / b.bending_stiffness_n_m2) ** 0.25
     )
     h = 0.01 / beta
     # one-sided differences of the end's neighbourhood, in units of the wavelength
-    left = b.shapes(h * np.arange(5), mode)[:, -1] * np.sqrt(b.mass_kg)
-    right = b.shapes(b.length_m - h * np.arange(5), mode)[:, -1] * np.sqrt(b.mass_kg)
+    left_shape = b.shapes(h * np.arange(5), mode)[:, -1] * np.sqrt(b.mass_kg)
+    right_shape = b.shapes(b.length_m - h * np.arange(5), mode)[:, -1] * np.sqrt(b.mass_kg)
     second, third = np.array([35, -104, 114, -56, 11]) / 12, np.array([-5, 18, -24, 14, -3]) / 2
-    for end in [right] if ends == "clamped-free" else [left, right]:
-        assert abs(second @ end) / 0.01**2 < 1e-2  # no moment
-        assert abs(third @ end) / 0.01**3 < 2e-2  # no shear force
-        assert abs(end[0]) == pytest.approx(2, rel=1e-6)  # every elastic shape ends at twice 1/sqrt(mass)
-    if ends == "clamped-free":
-        assert abs(left[0]) < 1e-12
-        assert abs(np.array([-25, 48, -36, 16, -3]) / 12 @ left) / 0.01 < 1e-6  # no slope
+    for shape in [right_shape] if end_condition == "clamped-free" else [left_shape, right_shape]:
+        assert abs(second @ shape) / 0.01**2 < 1e-2  # no moment
+        assert abs(third @ shape) / 0.01**3 < 2e-2  # no shear force
+        assert abs(shape[0]) == pytest.approx(2, rel=1e-6)  # every elastic shape ends at twice 1/sqrt(mass)
+    if end_condition == "clamped-free":
+        assert abs(left_shape[0]) < 1e-12
+        assert abs(np.array([-25, 48, -36, 16, -3]) / 12 @ left_shape) / 0.01 < 1e-6  # no slope
 
 
 def test_free_beam_moves_rigidly_in_its_first_two_modes():
@@ -84,8 +84,8 @@ def test_static_deflection_is_the_sum_of_the_modes():
     tip = b.shapes(np.array([b.length_m]), MAX_MODES)[0]
     deflection = np.sum(tip**2 / (2 * np.pi * b.frequencies_hz(MAX_MODES)) ** 2)
     expected = b.length_m**3 / (3 * b.bending_stiffness_n_m2)
-    rest = 12 / (3 * np.pi**4 * MAX_MODES**3)  # the terms fall as 12 / beta^4 with beta = (n - 1/2) pi
-    assert 1 - deflection / expected == pytest.approx(rest, rel=0.01)
+    remainder = 12 / (3 * np.pi**4 * MAX_MODES**3)  # the terms fall as 12 / beta^4 with beta = (n - 1/2) pi
+    assert 1 - deflection / expected == pytest.approx(remainder, rel=0.01)
 
 
 @pytest.mark.parametrize(

@@ -47,8 +47,8 @@ def test_outside_spring_and_damper_act(law, depth, rate):
 
 
 @given(laws, displacements, displacements)
-def test_elastic_force_is_continuous_and_never_falls(law, one, other):
-    low, high = min(one, other), max(one, other)
+def test_elastic_force_is_continuous_and_never_falls(law, eta_a, eta_b):
+    low, high = min(eta_a, eta_b), max(eta_a, eta_b)
     rise = force(law, high, 0.0) - force(law, low, 0.0)
     slack = 1e-12 * law.stiffness_n_per_m
     assert -slack <= rise <= law.stiffness_n_per_m * (high - low) + slack
@@ -121,10 +121,10 @@ def test_nothing_is_steeper_at_a_stop_than_a_law_says(law):
     powerless = {"exponent": 1.0, "cubic_n_per_m3": 0.0}
     linear = replace(law, **{field: powerless[field] for field in powerless if field in law.__struct_fields__})
     depth_m = getattr(law, "reference_depth_m", 5e-4)
-    at = np.array([-1e-3 - depth_m, 2e-3 + depth_m])
+    eta = np.array([-1e-3 - depth_m, 2e-3 + depth_m])
     stiffness, damping = linear.steepest
-    assert max(linear.by_eta_n_per_m(at)) == pytest.approx(stiffness)
-    assert max(linear.by_rate_n_s_per_m(at, np.zeros(2))) == pytest.approx(damping)
+    assert max(linear.by_eta_n_per_m(eta)) == pytest.approx(stiffness)
+    assert max(linear.by_rate_n_s_per_m(eta, np.zeros(2))) == pytest.approx(damping)
 
 
 def test_the_reference_depth_is_where_stiffness_and_damping_are_those_given():

@@ -183,12 +183,12 @@ def test_a_body_and_a_contact_are_found_by_name():
 
 
 def test_several_forces_come_back_from_json_and_one_stands_there_as_ever():
-    one = small_rig()
-    assert (one.forces, one.force_names) == ((Station("mass"),), ("force",))
-    assert b'"force_at": {\n' in to_json(one)
-    two = small_rig(force_at=(Station("beam", 2.0), Station("mass")))
-    assert (two.forces, two.force_names) == (two.force_at, ("force_1", "force_2"))
-    assert from_json(to_json(two), "rig.json of x") == two
+    single_force = small_rig()
+    assert (single_force.forces, single_force.force_names) == ((Station("mass"),), ("force",))
+    assert b'"force_at": {\n' in to_json(single_force)
+    two_forces = small_rig(force_at=(Station("beam", 2.0), Station("mass")))
+    assert (two_forces.forces, two_forces.force_names) == (two_forces.force_at, ("force_1", "force_2"))
+    assert from_json(to_json(two_forces), "rig.json of x") == two_forces
 
 
 def test_a_rig_cannot_be_changed():

@@ -32,10 +32,10 @@ def rig_with(*sensors, bodies=(BEAM,), **more):
 
 
 @pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("ends", ["clamped-free", "free-free"])
+@pytest.mark.parametrize("end_condition", ["clamped-free", "free-free"])
 @pytest.mark.parametrize("mass_kg", [0.0, 0.3])
-def test_slopes_and_curvatures_are_the_derivatives_of_the_shapes(ends, mass_kg, order):
-    beam = msgspec.structs.replace(BEAM, ends=ends)
+def test_slopes_and_curvatures_are_the_derivatives_of_the_shapes(end_condition, mass_kg, order):
+    beam = msgspec.structs.replace(BEAM, ends=end_condition)
     masses = (PointMass(station=Station("beam", 0.7), mass_kg=mass_kg),) if mass_kg else ()
     modes = modes_of(rig_with(bodies=(beam,), masses=masses), beam)
     x, step = np.array([0.106, 0.456, 0.906]), 1e-5  # none of them at a node, where the curvature may jump

@@ -115,13 +115,13 @@ def test_what_is_not_finite_is_refused(bad):
 
 def test_what_is_measured_must_stand_where_shapes_are_given():
     sensor = Sensor(name="s", station=Station("barrel", 0.3333), quantity="acceleration")
-    for changes, what in (
+    for changes, label in (
         ({"sensors": (sensor,)}, "sensor 's'"),
         ({"force_at": sensor.station}, "the force"),
         ({"contacts": (msgspec.structs.replace(MACHINE.contacts[0], at=sensor.station),)}, "contact 'contact_1'"),
     ):
         machine = as_data(msgspec.structs.replace(MACHINE, **changes))
-        with pytest.raises(RigError, match=f"rig.json: {what} stands at 0.3333 m of 'barrel', where its modal basis"):
+        with pytest.raises(RigError, match=f"rig.json: {label} stands at 0.3333 m of 'barrel', where its modal basis"):
             check_given(machine, "rig.json")
     check_given(as_data(MACHINE), "rig.json")
 
@@ -142,8 +142,8 @@ def test_beyond_the_given_places_a_shape_goes_straight_on():
     free = MACHINE.body("barrel")
     basis = basis_of(free, modes=2, positions_m=np.linspace(0.2, 0.7, 6))  # a rigid body's shapes are straight
     np.testing.assert_allclose(basis.shapes(np.array([0.0, 1.0]), 2), free.shapes(np.array([0.0, 1.0]), 2))
-    alone = basis_of(free, modes=2, positions_m=np.array([0.5]))
-    np.testing.assert_allclose(alone.shapes(np.array([0.1, 0.9]), 2), free.shapes(np.array([0.5, 0.5]), 2))
+    single = basis_of(free, modes=2, positions_m=np.array([0.5]))
+    np.testing.assert_allclose(single.shapes(np.array([0.1, 0.9]), 2), free.shapes(np.array([0.5, 0.5]), 2))
 
 
 def test_attachments_change_the_modes_as_they_change_those_of_the_beam():
@@ -160,8 +160,8 @@ def test_attachments_change_the_modes_as_they_change_those_of_the_beam():
     # a rotational spring bends a truncated basis slowly: its moment makes the series of the slopes converge as 1/n
     np.testing.assert_allclose(basis.frequencies_hz(8), beam.frequencies_hz(8), rtol=2e-3)
     np.testing.assert_array_equal(basis.damping_ratios(8), beam.damping_ratios(8))
-    found, exact = (np.abs(m.shapes(np.linspace(0, 1, 21), 5)) for m in (basis, beam))
-    np.testing.assert_allclose(found, exact, atol=0.01 * exact.max())
+    shapes, exact = (np.abs(m.shapes(np.linspace(0, 1, 21), 5)) for m in (basis, beam))
+    np.testing.assert_allclose(shapes, exact, atol=0.01 * exact.max())
 
 
 def test_a_mass_leaves_a_free_structure_free():
@@ -181,10 +181,10 @@ def test_the_base_carries_a_free_structure_and_no_other():
     expected = participation(MACHINE, beam, beam, 24)
     np.testing.assert_allclose(participation(MACHINE, free, free, 24), expected, atol=1e-9)
     moving = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=10.0)
-    one = msgspec.structs.replace(MACHINE, bodies=(MACHINE.body("cradle"), free), base_motion=moving)
-    assert one.base_motion == moving
+    machine = msgspec.structs.replace(MACHINE, bodies=(MACHINE.body("cradle"), free), base_motion=moving)
+    assert machine.base_motion == moving
     with pytest.raises(RigError, match="structure 'cradle': its modal basis does not say how its mass follows"):
-        as_data(one)
+        as_data(machine)
 
 
 @pytest.mark.parametrize("name", ["youngs_modulus", "clamp_compliance", "contact_position"])
@@ -198,20 +198,20 @@ def test_effects_on_a_beam_are_refused(name):
     ["", "added_mass:mass_kg=0.2", "hardening_spring:body=cradle", "preload:body=cradle", "structural_damping"],
 )
 def test_the_plant_moves_a_basis_as_the_beam(text):
-    """With an attachment both are approximate: 80 elements, and what 24 modes of the bare beam make of it."""
+    """Both are approximate with an attachment: 80 elements, and 24 modes of the bare beam."""
     machine = effect_named(text).applied_to(MACHINE) if text else MACHINE
-    same = effect_named(text).applied_to(as_data(MACHINE)) if text else as_data(MACHINE)
+    basis_machine = effect_named(text).applied_to(as_data(MACHINE)) if text else as_data(MACHINE)
     force_n = np.concatenate([[0.0], np.random.default_rng(1).standard_normal(600)])
-    beam, basis = (joined(modal.simulate(m, force_n, 2.0**-14, lambda _: None)) for m in (machine, same))
+    beam, basis = (joined(modal.simulate(m, force_n, 2.0**-14, lambda _: None)) for m in (machine, basis_machine))
     scale = np.abs(beam.displacement_m).max()
     rough = 5e-3 if text.startswith("added_mass") else 1e-9
     np.testing.assert_allclose(basis.displacement_m, beam.displacement_m, atol=rough * scale)
 
 
 def test_the_plant_takes_no_more_modes_than_there_are():
-    few = as_data(MACHINE, modes=6)
-    same = [joined(modal.simulate(few, np.ones(50), 2.0**-14, lambda _: None, modes=m)).sensed for m in (6, 16)]
-    np.testing.assert_array_equal(*same)
+    machine = as_data(MACHINE, modes=6)
+    signals = [joined(modal.simulate(machine, np.ones(50), 2.0**-14, lambda _: None, modes=m)).sensed for m in (6, 16)]
+    np.testing.assert_array_equal(*signals)
 
 
 def test_finite_elements_cannot_mesh_a_basis():

@@ -1,4 +1,4 @@
-"""What a description says of how exactly it is believed."""
+"""Tolerances of a rig's description."""
 
 import msgspec
 import pytest
@@ -12,14 +12,14 @@ from rig.simulation.reference import Sdof
 def test_a_file_states_what_differs_from_a_laboratory(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text('damping = 0.1\n[modes."barrel 3"]\nfrequency = 1e-4\n[sensors.tip]\ngain = 0.01\n')
-    found = tolerances_named(str(path))
-    assert found.damping == 0.1
-    assert found.position_m == LABORATORY.position_m
-    assert found.of_mode("barrel", 3).frequency == 1e-4
-    assert found.of_mode("barrel", 3).damping == 0.1
-    assert found.of_mode("barrel", 4) == found
-    assert found.of_sensor("tip").gain == 0.01
-    assert found.of_sensor("another") == found
+    tolerances = tolerances_named(str(path))
+    assert tolerances.damping == 0.1
+    assert tolerances.position_m == LABORATORY.position_m
+    assert tolerances.of_mode("barrel", 3).frequency == 1e-4
+    assert tolerances.of_mode("barrel", 3).damping == 0.1
+    assert tolerances.of_mode("barrel", 4) == tolerances
+    assert tolerances.of_sensor("tip").gain == 0.01
+    assert tolerances.of_sensor("another") == tolerances
 
 
 def test_names_stand_for_tolerances():
@@ -52,7 +52,9 @@ def test_a_file_that_is_not_there_is_refused_with_what_there_is():
 
 
 def test_a_rig_carries_its_tolerances():
-    own = Tolerances(gain=0.05, modes={"mass 1": ModeTolerance(damping=0.5)}, sensors={"a": SensorTolerance(gain=0.1)})
-    rig = msgspec.structs.replace(Sdof().rig(), tolerances=own)
+    tolerances = Tolerances(
+        gain=0.05, modes={"mass 1": ModeTolerance(damping=0.5)}, sensors={"a": SensorTolerance(gain=0.1)}
+    )
+    rig = msgspec.structs.replace(Sdof().rig(), tolerances=tolerances)
     assert from_json(to_json(rig), "rig.json") == rig
     assert from_json(to_json(Sdof().rig()), "rig.json").tolerances is None

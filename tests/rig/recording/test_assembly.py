@@ -27,10 +27,10 @@ def assembly(first=0, room=0):
 
 @given(st.permutations(range(9)), st.sampled_from([0, 5, 60, 100]), st.sampled_from([0, 1000]))
 def test_blocks_in_any_order_and_room_make_the_same_samples(order, room, first):
-    found, held = blocks(first=first), assembly(first, room)
+    pieces, held = blocks(first=first), assembly(first, room)
     for k in order:
-        memory = found[k].values.copy()
-        held.add(Block(found[k].time_ns, found[k].first_sample, 10.0, memory))
+        memory = pieces[k].values.copy()
+        held.add(Block(pieces[k].time_ns, pieces[k].first_sample, 10.0, memory))
         memory[:] = np.nan  # the file's next record is read into the same memory
     start_s, values = held.finished()
     assert start_s == pytest.approx(first / 10.0)

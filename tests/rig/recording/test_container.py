@@ -125,8 +125,8 @@ def test_what_compresses_well_within_reason_is_read(tmp_path):
     data = struct.pack("<BQ", 0x80, 10**7) + bytes(10**7)
     with_record_in_front(path, 3 * chunk("zstd", zstandard.compress(data), len(data), zlib.crc32(data)))
     content = path.read_bytes()
-    end = content.index(struct.pack("<BQ", Opcode.DATA_END, 4))
-    path.write_bytes(content[: end + 9] + bytes(4) + content[end + 13 :])  # without the checksum of all data
+    offset = content.index(struct.pack("<BQ", Opcode.DATA_END, 4))
+    path.write_bytes(content[: offset + 9] + bytes(4) + content[offset + 13 :])  # without the checksum of all data
     assert read(path).samples == 3000
 
 
@@ -136,8 +136,8 @@ def test_a_flip_in_what_mcap_does_not_check_is_found(tmp_path):
     write(path)
     content = path.read_bytes()
     for text in (b'"frequency_hz": 5.0', b"a test"):
-        at = content.index(text) + len(text) - 1
-        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        offset = content.index(text) + len(text) - 1
+        path.write_bytes(content[:offset] + bytes([content[offset] ^ 1]) + content[offset + 1 :])
         with pytest.raises(RigError, match="the checksum of"):
             read(path)
 
@@ -152,19 +152,19 @@ def test_what_other_writers_make_is_read(tmp_path, compression, chunked):
         writer.add_attachment(0, 0, "photo.jpg", "image/jpeg", b"x" * 1000)
         writer.add_attachment(0, 0, RIG_NAME, "application/json", to_json(RIG))
         schema = writer.register_schema(BLOCK_NAME, "protobuf", BLOCK_SCHEMA)
-        for group, about in GROUPS.items():
-            (place,) = about.stations
+        for group, channels in GROUPS.items():
+            (place,) = channels.stations
             metadata = {
-                "quantity": about.quantity,
-                "unit": about.unit,
-                "sample_rate_hz": json.dumps(about.sample_rate_hz),
-                "names": json.dumps(about.names),
+                "quantity": channels.quantity,
+                "unit": channels.unit,
+                "sample_rate_hz": json.dumps(channels.sample_rate_hz),
+                "names": json.dumps(channels.names),
                 "stations": json.dumps([{"body": place.body, "position_m": place.position_m}]),
             }
             channel = writer.register_channel(f"/rig/{group}/block", "protobuf", schema, metadata)
             for first in range(0, 3000, 500):
-                time_ns = round(first / about.sample_rate_hz * 1e9)
-                block = encode_block(time_ns, first, about.sample_rate_hz, values[:, first : first + 500])
+                time_ns = round(first / channels.sample_rate_hz * 1e9)
+                block = encode_block(time_ns, first, channels.sample_rate_hz, values[:, first : first + 500])
                 writer.add_message(channel, 0, block, 0)
         writer.finish()
     for signals in read(path).signals.values():

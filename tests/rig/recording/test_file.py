@@ -15,7 +15,7 @@ from rig.errors import RigError
 from rig.model.description import UNITS, Station, to_json
 from rig.recording import RECORDED, channel_groups, read, read_truth, truth_groups, truth_path, writing
 from rig.recording.messages import decode_block
-from rig.recording.writer import AT_ONCE, BLOCK, CHUNK_S, began_ns
+from rig.recording.writer import BLOCK_SAMPLES, CHUNK_S, SAMPLES_AT_ONCE, start_date_ns
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.blocks import encode_block
 
@@ -66,37 +66,37 @@ def rewrite(path, *, message=lambda _, data: data, channel=lambda _, metadata: m
 def test_a_recording_survives_exactly_however_it_is_appended(tmp_path, total, cuts):
     values = samples_of(RIG, total)
     path = tmp_path / "r.mcap"
-    ends = sorted({min(c, total) for c in cuts} | {0, total})
+    edges = sorted({min(c, total) for c in cuts} | {0, total})
     with writing(path, RIG, channel_groups(RIG), PROVENANCE) as recording:
-        for first, last in pairwise(ends):
+        for first, last in pairwise(edges):
             for group, rows in values.items():
                 recording.append(group, rows[:, first:last])
-    back = read(path)
-    assert back.rig == RIG
-    assert back.provenance == PROVENANCE
-    assert {name: s.channels for name, s in back.signals.items()} == channel_groups(RIG)
+    stored = read(path)
+    assert stored.rig == RIG
+    assert stored.provenance == PROVENANCE
+    assert {name: s.channels for name, s in stored.signals.items()} == channel_groups(RIG)
     for group, rows in values.items():
-        np.testing.assert_array_equal(back.signals[group].values, rows)
-        np.testing.assert_allclose(back.signals[group].time_s, np.arange(total) / RIG.sample_rate_hz)
-    np.testing.assert_array_equal(back.force_n, values["force"][0])
-    assert back.samples == total
-    assert back.duration_s == total / RIG.sample_rate_hz
+        np.testing.assert_array_equal(stored.signals[group].values, rows)
+        np.testing.assert_allclose(stored.signals[group].time_s, np.arange(total) / RIG.sample_rate_hz)
+    np.testing.assert_array_equal(stored.force_n, values["force"][0])
+    assert stored.samples == total
+    assert stored.duration_s == total / RIG.sample_rate_hz
     assert [p.name for p in tmp_path.iterdir()] == ["r.mcap"]
 
 
 def test_a_recording_has_as_many_force_channels_as_its_rig_has_forces(tmp_path):
     rig = BarrelCradle(stations=4).rig()
-    several = msgspec.structs.replace(rig, force_at=(rig.force_at, Station("cradle", 0.6)))
-    values = samples_of(several, 1500)
-    write(tmp_path / "r.mcap", values, several)
-    back = read(tmp_path / "r.mcap")
-    assert back.signals["force"].channels.names == ("force_1", "force_2")
-    assert back.signals["force"].channels.stations == several.force_at
-    np.testing.assert_array_equal(back.forces_n, values["force"])
-    assert back.samples == 1500
+    two_forces = msgspec.structs.replace(rig, force_at=(rig.force_at, Station("cradle", 0.6)))
+    values = samples_of(two_forces, 1500)
+    write(tmp_path / "r.mcap", values, two_forces)
+    recording = read(tmp_path / "r.mcap")
+    assert recording.signals["force"].channels.names == ("force_1", "force_2")
+    assert recording.signals["force"].channels.stations == two_forces.force_at
+    np.testing.assert_array_equal(recording.forces_n, values["force"])
+    assert recording.samples == 1500
     with pytest.raises(RigError, match="2 forces at once"):
-        _ = back.force_n
-    for believed in (rig, msgspec.structs.replace(several, force_at=several.force_at[::-1])):
+        _ = recording.force_n
+    for believed in (rig, msgspec.structs.replace(two_forces, force_at=two_forces.force_at[::-1])):
         rewrite(tmp_path / "r.mcap", attachment=lambda _, believed=believed: to_json(believed))
         with pytest.raises(RigError, match="group force has the channels"):
             read(tmp_path / "r.mcap")
@@ -108,9 +108,9 @@ def test_the_truth_survives_beside_the_recording(tmp_path):
     assert path.name == "r.truth.mcap"
     values = samples_of(rig, 1500, truth_groups)
     write(path, values, rig, truth_groups)
-    back = read_truth(path)
+    truth = read_truth(path)
     for group, rows in values.items():
-        np.testing.assert_array_equal(back.signals[group].values, rows)
+        np.testing.assert_array_equal(truth.signals[group].values, rows)
 
 
 def test_channels_say_unit_and_place(tmp_path):
@@ -136,28 +136,28 @@ def test_a_preview_is_the_least_and_largest_of_a_fiftieth_of_a_second_at_its_dat
     with writing(tmp_path / "r.mcap", rig, channel_groups(rig), {RECORDED: "2026-03-01T12:00:00Z"}) as recording:
         recording.append_all(values)
     with (tmp_path / "r.mcap").open("rb") as content:
-        every = [*make_reader(content).iter_messages()]
-    topics = {channel.topic for _, channel, _ in every}
+        stored = [*make_reader(content).iter_messages()]
+    topics = {channel.topic for _, channel, _ in stored}
     names = {t.rsplit("/", 1)[1] for t in topics if "/preview/" in t}
     assert names == {"force", *(s.name for s in rig.sensors)}
     began = 1772366400 * 10**9
-    shown = [
+    previews = [
         (m.log_time - began, *np.frombuffer(m.data[-16:], "<f8"))
-        for _, channel, m in every
+        for _, channel, m in stored
         if channel.topic == "/rig/force/preview/force"
     ]
-    times_ns, least, largest = zip(*shown, strict=True)
+    times_ns, least, largest = zip(*previews, strict=True)
     assert list(times_ns) == [round(k * 20e6) for k in range(52)]
-    parts = values["force"][0, :1020].reshape(51, 20)
-    np.testing.assert_array_equal(least[:51], parts.min(axis=1))
-    np.testing.assert_array_equal(largest[:51], parts.max(axis=1))
-    assert min(m.log_time for _, _, m in every) == began
+    blocks = values["force"][0, :1020].reshape(51, 20)
+    np.testing.assert_array_equal(least[:51], blocks.min(axis=1))
+    np.testing.assert_array_equal(largest[:51], blocks.max(axis=1))
+    assert min(m.log_time for _, _, m in stored) == began
     assert read(tmp_path / "r.mcap").signals["force"].start_s == 0
 
 
 @pytest.mark.parametrize("date", ["", "yesterday", "0001-01-01", "2026-13-40"])
 def test_a_date_that_is_none_is_that_of_no_recording(date):
-    assert began_ns({RECORDED: date}) == 0
+    assert start_date_ns({RECORDED: date}) == 0
 
 
 @pytest.mark.parametrize(("rate_hz", "at_once"), [(512.0, 1500), (65536.0, 1500), (512.0, 100_000)])
@@ -171,7 +171,10 @@ def test_a_chunk_is_small_so_that_a_kill_loses_little(tmp_path, rate_hz, at_once
     with (tmp_path / "r.mcap").open("rb") as stream:
         chunks = make_reader(stream).get_summary().chunk_indexes
     assert max(c.chunk_length for c in chunks) <= 2**20
-    assert max(c.message_end_time - c.message_start_time for c in chunks) * 1e-9 < CHUNK_S + (BLOCK + at_once) / rate_hz
+    assert (
+        max(c.message_end_time - c.message_start_time for c in chunks) * 1e-9
+        < CHUNK_S + (BLOCK_SAMPLES + at_once) / rate_hz
+    )
     assert len(chunks) > 2
 
 
@@ -182,9 +185,9 @@ def test_groups_appended_together_lie_side_by_side(tmp_path):
     with (tmp_path / "r.mcap").open("rb") as stream:
         read_in_order = make_reader(stream).iter_messages(log_time_order=False)
         times_s = np.array([m.log_time * 1e-9 for _, channel, m in read_in_order if channel.topic.endswith("block")])
-    assert (times_s - np.maximum.accumulate(times_s)).min() >= -AT_ONCE / RIG.sample_rate_hz
-    back = read(tmp_path / "r.mcap")
-    assert all(np.array_equal(back.signals[group].values, rows) for group, rows in values.items())
+    assert (times_s - np.maximum.accumulate(times_s)).min() >= -SAMPLES_AT_ONCE / RIG.sample_rate_hz
+    stored = read(tmp_path / "r.mcap")
+    assert all(np.array_equal(stored.signals[group].values, rows) for group, rows in values.items())
 
 
 def test_an_interrupted_recording_keeps_what_was_recorded(tmp_path):
@@ -264,12 +267,12 @@ def no_block(topic, data):
     return data[:-3] if topic == "/rig/force/block" else data
 
 
-def without(topic):
-    return lambda other, metadata: None if other == topic else metadata
+def without_topic(topic):
+    return lambda name, metadata: None if name == topic else metadata
 
 
-def described(topic, **changes):
-    return lambda other, metadata: metadata | changes if other == topic else metadata
+def with_metadata(topic, **changes):
+    return lambda name, metadata: metadata | changes if name == topic else metadata
 
 
 def believing(**changes):
@@ -292,23 +295,26 @@ MORE = msgspec.structs.replace(RIG.sensors[0], name="more")
         ({"message": a_second_later}, "group acceleration: sample 0 is stamped 1 s where 0 s follows"),
         ({"message": no_block}, "is damaged"),
         ({"message": lambda *_: None}, "group force holds no samples"),
-        ({"channel": without(FORCE)}, "has no channel /rig/force/block"),
-        ({"channel": without(ACCELERATION)}, "sensor 'mass_0000mm_acceleration' of rig.json has no channel"),
-        ({"channel": described(FORCE, names="[")}, "the metadata of channel /rig/force/block cannot be read"),
-        ({"channel": described(FORCE, names='["a", "b"]')}, "2 names (2 different), 1 stations"),
-        ({"channel": described(FORCE, names="[]", stations="[]")}, "0 names (0 different), 0 stations"),
-        ({"channel": described(FORCE, sample_rate_hz="-1")}, "-1 Hz"),
-        ({"channel": described(FORCE, sample_rate_hz="Infinity")}, "inf Hz"),
-        ({"channel": described(FORCE, sample_rate_hz="9" * 400)}, "cannot be read: give names"),
-        ({"channel": described(FORCE, names="[" * 100_000)}, "cannot be read: give names"),
-        ({"channel": described(FORCE, unit="kN")}, "group force holds 'force' in 'kN'; write force in N"),
-        ({"channel": described(ACCELERATION, unit="g")}, "write acceleration in m/s^2"),
-        ({"channel": described(ACCELERATION, quantity="velocity")}, "group acceleration holds 'velocity' in 'm/s^2'"),
+        ({"channel": without_topic(FORCE)}, "has no channel /rig/force/block"),
+        ({"channel": without_topic(ACCELERATION)}, "sensor 'mass_0000mm_acceleration' of rig.json has no channel"),
+        ({"channel": with_metadata(FORCE, names="[")}, "the metadata of channel /rig/force/block cannot be read"),
+        ({"channel": with_metadata(FORCE, names='["a", "b"]')}, "2 names (2 different), 1 stations"),
+        ({"channel": with_metadata(FORCE, names="[]", stations="[]")}, "0 names (0 different), 0 stations"),
+        ({"channel": with_metadata(FORCE, sample_rate_hz="-1")}, "-1 Hz"),
+        ({"channel": with_metadata(FORCE, sample_rate_hz="Infinity")}, "inf Hz"),
+        ({"channel": with_metadata(FORCE, sample_rate_hz="9" * 400)}, "cannot be read: give names"),
+        ({"channel": with_metadata(FORCE, names="[" * 100_000)}, "cannot be read: give names"),
+        ({"channel": with_metadata(FORCE, unit="kN")}, "group force holds 'force' in 'kN'; write force in N"),
+        ({"channel": with_metadata(ACCELERATION, unit="g")}, "write acceleration in m/s^2"),
         (
-            {"channel": described(FORCE, stations='[{"body": "nose", "position_m": 1}]')},
+            {"channel": with_metadata(ACCELERATION, quantity="velocity")},
+            "group acceleration holds 'velocity' in 'm/s^2'",
+        ),
+        (
+            {"channel": with_metadata(FORCE, stations='[{"body": "nose", "position_m": 1}]')},
             "group force has the channels ('force',) at (Station(body='nose'",
         ),
-        ({"channel": described(FORCE, stations=TWICE_A_BODY)}, "the key 'body' is given twice in one object"),
+        ({"channel": with_metadata(FORCE, stations=TWICE_A_BODY)}, "the key 'body' is given twice in one object"),
         ({"attachment": twice_a_key}, "rig.json: the key 'frequency_hz' is given twice in one object; give it once"),
         ({"attachment": lambda _: None}, "has no attachment rig.json"),
         ({"attachment": lambda text: text[1:]}, "rig.json: not a rig description"),
@@ -366,12 +372,12 @@ def test_a_flipped_byte_never_comes_back_as_data(tmp_path, fraction, change):
     content[int(fraction * len(content))] ^= change
     path.write_bytes(content)
     try:
-        back = read(path)
+        recording = read(path)
     except RigError:
         return
-    assert back.rig == RIG  # the byte was in what reading does not need
+    assert recording.rig == RIG  # the byte was in what reading does not need
     for group, rows in values.items():
-        np.testing.assert_array_equal(back.signals[group].values, rows)
+        np.testing.assert_array_equal(recording.signals[group].values, rows)
 
 
 def test_a_missing_file_is_refused(tmp_path):

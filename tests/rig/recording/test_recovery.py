@@ -74,67 +74,67 @@ def recorder():
 
 
 @pytest.fixture(scope="module")
-def whole(recorder, tmp_path_factory):
+def complete(recorder, tmp_path_factory):
     path = tmp_path_factory.mktemp("whole") / "whole.mcap"
     recorder(path, limit="whole")
     return path.stat().st_size, read(path), read_truth(truth_path(path))
 
 
 def stored_samples(path):
-    """What another reader finds in the complete chunks: samples by topic."""
-    found = {}
+    """Samples by topic that another reader finds in the complete chunks."""
+    counts = {}
     with path.open("rb") as content:
         try:
             for _, channel, message in NonSeekingReader(content, validate_crcs=True).iter_messages(
                 log_time_order=False
             ):
                 if channel.topic.endswith("/block"):
-                    found[channel.topic] = found.get(channel.topic, 0) + decode_block(message.data).values.shape[1]
+                    counts[channel.topic] = counts.get(channel.topic, 0) + decode_block(message.data).values.shape[1]
         except (McapError, struct.error):
             pass
-    return found
+    return counts
 
 
-def check_prefix(recovered, whole):
+def check_prefix(recovered, complete):
     """Every group of the one is the beginning of the other."""
-    assert recovered.rig == whole.rig
-    assert set(recovered.signals) == set(whole.signals)
-    for group, signals in whole.signals.items():
+    assert recovered.rig == complete.rig
+    assert set(recovered.signals) == set(complete.signals)
+    for group, signals in complete.signals.items():
         np.testing.assert_array_equal(
             recovered.signals[group].values, signals.values[:, : recovered.samples], strict=True
         )
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_killed_recording_keeps_every_complete_chunk(recorder, whole, tmp_path, seed):
+def test_a_killed_recording_keeps_every_complete_chunk(recorder, complete, tmp_path, seed):
     rng = np.random.default_rng(seed)
     path, saved = tmp_path / "r.mcap", tmp_path / "saved.mcap"
-    part = tmp_path / "r.mcap.part"
+    part_path = tmp_path / "r.mcap.part"
     process = recorder(path, pause_s=0.02)
-    size, undisturbed, undisturbed_truth = whole
+    size, undisturbed, undisturbed_truth = complete
     reached = rng.uniform(0.1, 0.9) * size
     deadline = time.monotonic() + 30
-    while not part.exists() or part.stat().st_size < reached:
+    while not part_path.exists() or part_path.stat().st_size < reached:
         assert time.monotonic() < deadline
         time.sleep(0.002)
     time.sleep(rng.uniform(0, 0.03))
     os.kill(process, signal.SIGKILL)
     assert not path.exists()
-    losses = recover(part, saved)
-    stored, back = stored_samples(part), read(saved)
-    check_prefix(back, undisturbed)
-    assert back.samples == min(stored.values()) > 0
+    losses = recover(part_path, saved)
+    stored, recovered = stored_samples(part_path), read(saved)
+    check_prefix(recovered, undisturbed)
+    assert recovered.samples == min(stored.values()) > 0
     for loss in losses:
         assert loss.found == stored[f"/rig/{loss.group}/block"]
-        assert loss.kept == back.samples
+        assert loss.kept == recovered.samples
         assert loss.asked == DURATION_S * RIG.sample_rate_hz
     if seed == 0:
         recover(truth_path(path).with_name(truth_path(path).name + ".part"), tmp_path / "saved.truth.mcap")
         check_prefix(read_truth(tmp_path / "saved.truth.mcap"), undisturbed_truth)
 
 
-def test_a_full_disk_keeps_every_complete_chunk(recorder, whole, tmp_path):
-    path, (size, undisturbed, _) = tmp_path / "r.mcap", whole
+def test_a_full_disk_keeps_every_complete_chunk(recorder, complete, tmp_path):
+    path, (size, undisturbed, _) = tmp_path / "r.mcap", complete
     recorder(path, limit=size // 2)
     said = tmp_path / "r.mcap.said"
     recorder(tmp_path / "other.mcap", limit=1)  # answers when the one before has ended
@@ -160,68 +160,68 @@ def small(tmp_path_factory):
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
 @given(st.floats(0, 1), st.floats(0, 1, exclude_max=True), st.integers(0, 255))
-def test_what_is_recovered_of_a_cut_and_flipped_file_is_true(small, tmp_path, end, place, change):
-    path, whole = small
+def test_what_is_recovered_of_a_cut_and_flipped_file_is_true(small, tmp_path, fraction, place, change):
+    path, complete = small
     content = bytearray(path.read_bytes())
     content[int(place * len(content))] ^= change
     bad, saved = tmp_path / "bad.mcap", tmp_path / "saved.mcap"
-    bad.write_bytes(content[: int(end * len(content))])
+    bad.write_bytes(content[: int(fraction * len(content))])
     try:
         recover(bad, saved)
     except RigError:
         return
-    check_prefix(read(saved), whole)
+    check_prefix(read(saved), complete)
 
 
 def test_a_sound_file_comes_back_whole_and_says_so(small, tmp_path):
-    path, whole = small
+    path, complete = small
     losses = recover(path, tmp_path / "saved.mcap")
-    back = read(tmp_path / "saved.mcap")
-    check_prefix(back, whole)
-    assert back.samples == whole.samples
-    assert all(loss.kept == loss.found == whole.samples for loss in losses)
-    assert back.provenance["made_by"] == "a test"
-    assert "recovered from r.mcap; force: 12000 samples kept (23.4375 s), 0 lost" in back.provenance["history 1"]
+    recovered = read(tmp_path / "saved.mcap")
+    check_prefix(recovered, complete)
+    assert recovered.samples == complete.samples
+    assert all(loss.kept == loss.found == complete.samples for loss in losses)
+    assert recovered.provenance["made_by"] == "a test"
+    assert "recovered from r.mcap; force: 12000 samples kept (23.4375 s), 0 lost" in recovered.provenance["history 1"]
 
 
 def chunk_places(content):
-    """Where each chunk (opcode 6) of a file begins and ends."""
-    at, places = 8, []
-    while at < len(content) - 8:
-        end = at + 9 + int.from_bytes(content[at + 1 : at + 9], "little")
-        if content[at] == 6:
-            places.append((at, end))
-        at = end
+    """Start and stop of each chunk (opcode 6) of a file."""
+    offset, places = 8, []
+    while offset < len(content) - 8:
+        stop = offset + 9 + int.from_bytes(content[offset + 1 : offset + 9], "little")
+        if content[offset] == 6:
+            places.append((offset, stop))
+        offset = stop
     return places
 
 
 @pytest.mark.parametrize("checksum", ["wrong", "none"])
 def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_as_lost(small, tmp_path, checksum):
-    path, whole = small
+    path, complete = small
     content = bytearray(path.read_bytes())
-    (begin, end), *_ = chunk_places(content)[2:]
-    content[end - 100] ^= 1
+    (start, stop), *_ = chunk_places(content)[2:]
+    content[stop - 100] ^= 1
     if checksum == "none":  # as the format allows
-        content[begin + 33 : begin + 37] = bytes(4)
+        content[start + 33 : start + 37] = bytes(4)
     (tmp_path / "bad.mcap").write_bytes(content)
     losses = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
-    check_prefix(read(tmp_path / "saved.mcap"), whole)
-    assert all(0 < loss.kept < loss.found < whole.samples for loss in losses)
+    check_prefix(read(tmp_path / "saved.mcap"), complete)
+    assert all(0 < loss.kept < loss.found < complete.samples for loss in losses)
 
 
 def test_blocks_that_claim_the_same_place_with_other_values_end_what_is_recovered(small, tmp_path):
-    path, whole = small
+    path, complete = small
     content = path.read_bytes()
-    (begin, end), *_ = chunk_places(content)
-    chunk = bytearray(content[begin + 9 : end])
+    (start, stop), *_ = chunk_places(content)
+    chunk = bytearray(content[start + 9 : stop])
     third = chunk.index(bytes(message_head(2048)))  # its number and its time become 0, which are the first block's
     assert chunk[third - 2 : third] == b"\x08\x04"  # seconds
     chunk[third - 1 : third + 3] = b"\x00\x10\x80\x00"
     chunk[24:28] = struct.pack("<I", zlib.crc32(chunk[40:]))
-    (tmp_path / "bad.mcap").write_bytes(content[: begin + 9] + chunk + content[end : len(content) // 2])
+    (tmp_path / "bad.mcap").write_bytes(content[: start + 9] + chunk + content[stop : len(content) // 2])
     with pytest.raises(RigError, match="there is nothing to recover"):
         recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
-    assert whole.samples == 12_000
+    assert complete.samples == 12_000
 
 
 def message_head(first_sample):
@@ -230,12 +230,12 @@ def message_head(first_sample):
 
 
 def test_a_channel_that_a_flip_gave_another_number_is_not_believed(small, tmp_path):
-    """In front of the chunks nothing guards the channels; within the first they are said again."""
+    """No checksum guards the channels in front of the chunks; the first chunk repeats them."""
     path, _ = small
     content = bytearray(path.read_bytes())
     for record in range(2, 6, 2):  # the displacement's channel and the acceleration's get the force's number
-        at = [m.start() for m in re.finditer(rb"/rig/\w+/block", content)][record // 2] - 8
-        content[at : at + 2] = struct.pack("<H", 1)
+        offset = [m.start() for m in re.finditer(rb"/rig/\w+/block", content)][record // 2] - 8
+        content[offset : offset + 2] = struct.pack("<H", 1)
     (tmp_path / "bad.mcap").write_bytes(content[: len(content) // 2])
     with pytest.raises(RigError, match="channel 1 is described in two ways"):
         recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
@@ -259,11 +259,11 @@ def test_what_cannot_be_recovered_is_refused(small, tmp_path):
 
 
 def test_the_file_being_saved_is_never_written_over(small, tmp_path):
-    part = tmp_path / "r.mcap.part"
-    part.write_bytes(small[0].read_bytes())
+    part_path = tmp_path / "r.mcap.part"
+    part_path.write_bytes(small[0].read_bytes())
     with pytest.raises(RigError, match="would be written over"):
-        recover(part, tmp_path / "r.mcap")
-    assert part.read_bytes() == small[0].read_bytes()
+        recover(part_path, tmp_path / "r.mcap")
+    assert part_path.read_bytes() == small[0].read_bytes()
 
 
 def test_the_command(small, tmp_path, monkeypatch, capsys):

@@ -28,19 +28,19 @@ def path(tmp_path_factory):
 
 @pytest.mark.parametrize(("length_s", "overlap_s"), [(20.0, 0.0), (20.0, 5.0), (31.7, 12.0), (1e4, 1.0)])
 def test_the_segments_are_what_is_in_the_file(path, length_s, overlap_s):
-    whole = read(path)
-    begin, parts = 0, list(segments(path, length_s, overlap_s))
-    for part in parts:
-        assert part.rig == whole.rig
-        assert part.start_s == begin / RATE_HZ
-        for name, signals in part.signals.items():
-            there = whole.signals[name].values[:, begin : begin + part.samples]
-            np.testing.assert_array_equal(signals.values, there)
-        begin += part.samples - round(overlap_s * RATE_HZ)
-    assert parts[-1].end_s == whole.duration_s
-    assert {p.samples for p in parts[:-1]} <= {round(length_s * RATE_HZ)}
-    if len(parts) > 1:
-        assert length_s / 2 < parts[-1].duration_s < 1.5 * length_s
+    recording = read(path)
+    start, pieces = 0, list(segments(path, length_s, overlap_s))
+    for piece in pieces:
+        assert piece.rig == recording.rig
+        assert piece.start_s == start / RATE_HZ
+        for name, signals in piece.signals.items():
+            expected = recording.signals[name].values[:, start : start + piece.samples]
+            np.testing.assert_array_equal(signals.values, expected)
+        start += piece.samples - round(overlap_s * RATE_HZ)
+    assert pieces[-1].end_s == recording.duration_s
+    assert {p.samples for p in pieces[:-1]} <= {round(length_s * RATE_HZ)}
+    if len(pieces) > 1:
+        assert length_s / 2 < pieces[-1].duration_s < 1.5 * length_s
 
 
 def test_no_more_is_held_than_a_segment(path, monkeypatch):
@@ -56,9 +56,9 @@ def test_no_more_is_held_than_a_segment(path, monkeypatch):
 def test_a_file_that_is_cut_off_says_so_where_it_ends(path, tmp_path):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    found = []
+    pieces = []
     with pytest.raises(RigError, match=f"{cut}: is cut off or damaged"):
-        found.extend(segments(cut, 20.0, 0.0))
+        pieces.extend(segments(cut, 20.0, 0.0))
 
 
 def test_a_file_without_a_force_is_refused(tmp_path):

@@ -68,9 +68,9 @@ def test_the_same_force_at_any_step(kind):
 
 @pytest.mark.parametrize("kind", ["gaussian", "burst", "multisine"])
 def test_the_seed_decides(kind):
-    one, again, other = (history(kind, seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    assert abs(np.corrcoef(one, other)[0, 1]) < 0.1  # sqrt(1 / 2 B T) is 0.016
+    first, repeated, other_seed = (history(kind, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, repeated)
+    assert abs(np.corrcoef(first, other_seed)[0, 1]) < 0.1  # sqrt(1 / 2 B T) is 0.016
 
 
 def test_bursts_pause():
@@ -126,19 +126,19 @@ def long_force(duration_s=1100.0, step_s=STEP_S, **changes):
 
 def test_a_long_force_is_the_same_however_it_is_sliced_and_stepped():
     force = long_force()
-    whole = force[:]
-    assert whole.size == len(force) == round(1100 / STEP_S)
+    full = force[:]
+    assert full.size == len(force) == round(1100 / STEP_S)
     pieces = [force[first : first + 77777] for first in range(0, len(force), 77777)]
-    np.testing.assert_array_equal(np.concatenate(pieces), whole)
-    np.testing.assert_allclose(long_force(step_s=STEP_S / 2)[:][::2], whole, atol=1e-10)
+    np.testing.assert_array_equal(np.concatenate(pieces), full)
+    np.testing.assert_allclose(long_force(step_s=STEP_S / 2)[:][::2], full, atol=1e-10)
 
 
 def test_a_long_force_has_its_level_and_its_band_everywhere():
-    whole = long_force()[:]
-    assert not whole[: round(QUIET_S / STEP_S)].any()
-    levels = [part.std() for part in np.array_split(whole[round(QUIET_S / STEP_S) :], 10)]
+    full = long_force()[:]
+    assert not full[: round(QUIET_S / STEP_S)].any()
+    levels = [piece.std() for piece in np.array_split(full[round(QUIET_S / STEP_S) :], 10)]
     np.testing.assert_allclose(levels, 3.0, rtol=0.05)
-    frequency_hz, density = periodogram(whole, 1 / STEP_S, window="hann")
+    frequency_hz, density = periodogram(full, 1 / STEP_S, window="hann")
     assert density[(frequency_hz < 19) | (frequency_hz > 81)].sum() < 1e-4 * density.sum()
 
 

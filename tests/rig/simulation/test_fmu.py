@@ -31,10 +31,10 @@ def written(tmp_path, monkeypatch):
 
 def test_its_variables_are_the_force_the_sensors_and_the_contacts(written):
     rig, path = written
-    told = read_model_description(path)
-    assert told.fmiVersion == "3.0"
-    assert [v.name for v in told.modelVariables if v.causality == "input"] == ["force"]
-    outputs = {v.name: v.description for v in told.modelVariables if v.causality == "output"}
+    description = read_model_description(path)
+    assert description.fmiVersion == "3.0"
+    assert [v.name for v in description.modelVariables if v.causality == "input"] == ["force"]
+    outputs = {v.name: v.description for v in description.modelVariables if v.causality == "output"}
     assert outputs == {
         "sensors.mass_0000mm_displacement": "displacement, m",
         "sensors.mass_0000mm_acceleration": "acceleration, m/s^2",
@@ -48,15 +48,17 @@ def test_it_moves_as_the_plant_over_a_fifth_of_a_second_of_contact(written):
     rig, path = written
     force_n = force_history(Sdof(rms_n=2.0).force(), 8.0, STEP_S)
     force_n[0] = 0.0
-    whole = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
-    closed = np.cumsum(np.abs(whole.contact_force_n[0]) > 0) * STEP_S
+    motion = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
+    closed = np.cumsum(np.abs(motion.contact_force_n[0]) > 0) * STEP_S
     until = int(np.argmax(closed > 0.2))
     assert until
-    given = np.array([*zip(np.arange(until) * STEP_S, force_n, strict=False)], [("time", float), ("force", float)])
+    force_table = np.array(
+        [*zip(np.arange(until) * STEP_S, force_n, strict=False)], [("time", float), ("force", float)]
+    )
     clock = {"stop_time": until * STEP_S, "step_size": STEP_S, "output_interval": STEP_S}
-    ran = simulate_fmu(path, input=given, output=["contacts.stop.eta"], **clock)
-    found, known = ran["contacts.stop.eta"][1 : until + 1], whole.eta_m[0, :until]
-    assert np.abs(found - known).max() < 1e-4 * np.abs(known).max()
+    ran = simulate_fmu(path, input=force_table, output=["contacts.stop.eta"], **clock)
+    eta_m, expected_m = ran["contacts.stop.eta"][1 : until + 1], motion.eta_m[0, :until]
+    assert np.abs(eta_m - expected_m).max() < 1e-4 * np.abs(expected_m).max()
 
 
 def test_a_rig_on_a_shaking_base_is_refused(tmp_path):

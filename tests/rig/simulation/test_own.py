@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.model.contact_laws.dead_zone import equal_sides
-from rig.simulation.own import PLAYS, own_rig, plant_for, rattling_n
+from rig.simulation.own import RMS_TO_CLEARANCE, own_rig, plant_for, rattling_n
 from rig.simulation.reference import BarrelCradle, Sdof
 
 
@@ -16,7 +16,7 @@ def test_white_noise_moves_a_mass_as_theory_says():
     (mass,) = start.rig().bodies
     force_n = rattling_n(start.rig(), 0.0, 100.0)
     eta_m = force_n * np.sqrt(np.pi * mass.frequency_hz / (4 * mass.damping_ratio * 100.0)) / mass.stiffness_n_per_m
-    assert eta_m == pytest.approx(PLAYS * start.clearance_m, rel=0.2)  # to one significant digit
+    assert eta_m == pytest.approx(RMS_TO_CLEARANCE * start.clearance_m, rel=0.2)  # to one significant digit
 
 
 @pytest.mark.parametrize("start", [Sdof(), BarrelCradle()])
@@ -27,8 +27,10 @@ def test_the_papers_forces_are_near(start):
 def test_two_equal_forces_at_one_place_may_be_weaker_by_root_two():
     rig = Sdof().rig()
     rig = replace(rig, contacts=tuple(replace(c, law=equal_sides(1e-3, 1e4)) for c in rig.contacts))
-    one, two = (rattling_n(replace(rig, force_at=at), 0.5, 15.0) for at in (rig.force_at, (rig.force_at,) * 2))
-    assert two == pytest.approx(one / np.sqrt(2), rel=0.15)  # to one significant digit
+    single_n, each_of_two_n = (
+        rattling_n(replace(rig, force_at=stations), 0.5, 15.0) for stations in (rig.force_at, (rig.force_at,) * 2)
+    )
+    assert each_of_two_n == pytest.approx(single_n / np.sqrt(2), rel=0.15)  # to one significant digit
 
 
 def test_a_force_where_no_contact_has_a_clearance():
@@ -40,12 +42,12 @@ def test_a_force_where_no_contact_has_a_clearance():
 
 def test_settings_follow_from_the_rig_unless_they_are_given():
     rig = Sdof(sample_rate_hz=1000.0).rig()
-    own = own_rig(rig, {})
-    assert own.step_s == 1 / 17_000
-    assert own.force().high_hz == 25.0
-    given = own_rig(rig, {"rms_n": "2", "step_s": "1e-4", "high_hz": "40", "seed": "3", "duration_s": "5"})
-    assert (given.force().rms_n, given.force().high_hz, given.force().seed) == (2.0, 40.0, 3)
-    assert (given.step_s, given.duration_s) == (1e-4, 5.0)
+    default = own_rig(rig, {})
+    assert default.step_s == 1 / 17_000
+    assert default.force().high_hz == 25.0
+    chosen = own_rig(rig, {"rms_n": "2", "step_s": "1e-4", "high_hz": "40", "seed": "3", "duration_s": "5"})
+    assert (chosen.force().rms_n, chosen.force().high_hz, chosen.force().seed) == (2.0, 40.0, 3)
+    assert (chosen.step_s, chosen.duration_s) == (1e-4, 5.0)
     assert plant_for(rig) == "ancf"
     for wrong in ({"mass_kg": "2"}, {"rms_n": "much"}):
         with pytest.raises(RigError, match=next(iter(wrong))):

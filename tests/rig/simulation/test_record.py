@@ -44,9 +44,9 @@ def test_a_plant_needs_no_package_of_another(tmp_path, monkeypatch):
         return "1.0"
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    told = recorded(tmp_path / "r.mcap")[0].provenance
-    assert told["version of numpy"] == "1.0"
-    assert "version of exudyn" not in told
+    provenance = recorded(tmp_path / "r.mcap")[0].provenance
+    assert provenance["version of numpy"] == "1.0"
+    assert "version of exudyn" not in provenance
 
 
 def test_nothing_moves_in_the_quiet_second(pair):
@@ -60,10 +60,10 @@ def test_nothing_moves_in_the_quiet_second(pair):
 def test_relative_displacement_and_contact_force_obey_the_law(pair):
     _, truth = pair
     displacement = truth.signals["displacement"]
-    at = dict(zip(displacement.channels.stations, displacement.values, strict=True))
+    displacement_at = dict(zip(displacement.channels.stations, displacement.values, strict=True))
     eta = truth.signals["relative_displacement"].values
     for contact, gap, force in zip(RIG.contacts, eta, truth.signals["contact_force"].values, strict=True):
-        np.testing.assert_allclose(gap, at[contact.at] - at[contact.against], atol=1e-12)
+        np.testing.assert_allclose(gap, displacement_at[contact.at] - displacement_at[contact.against], atol=1e-12)
         depth = contact.law.penetration_m(gap)
         assert not force[depth == 0].any()
         rate = np.gradient(gap, 1 / RIG.sample_rate_hz)
@@ -73,10 +73,14 @@ def test_relative_displacement_and_contact_force_obey_the_law(pair):
 
 def test_a_perfect_displacement_sensor_shows_the_truth(pair):
     recording, truth = pair
-    shown = recording.signals["displacement"]
-    at = dict(zip(truth.signals["displacement"].channels.stations, truth.signals["displacement"].values, strict=True))
-    for station, values in zip(shown.channels.stations, shown.values, strict=True):
-        assert np.std(values - at[station]) < 1e-4 * np.std(at[station])  # but for what lies above the passband
+    sensed = recording.signals["displacement"]
+    displacement_at = dict(
+        zip(truth.signals["displacement"].channels.stations, truth.signals["displacement"].values, strict=True)
+    )
+    for station, values in zip(sensed.channels.stations, sensed.values, strict=True):
+        assert np.std(values - displacement_at[station]) < 1e-4 * np.std(
+            displacement_at[station]
+        )  # but for what lies above the passband
 
 
 def test_accelerations_are_the_second_derivative_of_the_displacements(pair):
@@ -97,27 +101,27 @@ def test_the_seed_decides_the_whole_recording(tmp_path):
     rig = Sdof(noise_density=1e-3).rig()
     force = BandLimitedGaussian(rms_n=1.0, low_hz=0.0, high_hz=15.0, seed=5)
     other_force = msgspec.structs.replace(force, seed=6)
-    one, again, other = (
+    first, repeated, other_seed = (
         recorded(tmp_path / f"{i}.mcap", rig, f, step_s=2.0**-11)[0] for i, f in enumerate([force, force, other_force])
     )
-    for name, signals in one.signals.items():
-        np.testing.assert_array_equal(signals.values, again.signals[name].values)
-        assert not np.array_equal(signals.values, other.signals[name].values)
+    for name, signals in first.signals.items():
+        np.testing.assert_array_equal(signals.values, repeated.signals[name].values)
+        assert not np.array_equal(signals.values, other_seed.signals[name].values)
     quiet = slice(0, round(0.9 * rig.sample_rate_hz))
-    noise = one.signals["acceleration"].values[0, quiet]
+    noise = first.signals["acceleration"].values[0, quiet]
     assert np.std(noise) == pytest.approx(1e-3 * np.sqrt(rig.sample_rate_hz / 2), rel=4 / np.sqrt(2 * noise.size))
 
 
 def test_several_forces_are_alike_and_independent(tmp_path):
     rig = msgspec.structs.replace(RIG, force_at=(RIG.force_at, Station("cradle", 0.6)))
     recording, truth = recorded(tmp_path / "r.mcap", rig, duration_s=9.0)
-    one, _ = recorded(tmp_path / "one.mcap", duration_s=9.0)
+    single_force, _ = recorded(tmp_path / "one.mcap", duration_s=9.0)
     np.testing.assert_array_equal(truth.forces_n, recording.forces_n)
-    np.testing.assert_array_equal(recording.forces_n[0], one.force_n)
-    begun = recording.forces_n[:, round(QUIET_S * rig.sample_rate_hz) :]
-    np.testing.assert_allclose(begun.std(axis=1), FORCE.rms_n, rtol=0.01)
-    assert abs(np.corrcoef(begun)[0, 1]) < 4 / np.sqrt(2 * 100.0 * 8.0)  # of 2 B T independent values
-    assert not np.allclose(recording.signals["acceleration"].values, one.signals["acceleration"].values)
+    np.testing.assert_array_equal(recording.forces_n[0], single_force.force_n)
+    excited = recording.forces_n[:, round(QUIET_S * rig.sample_rate_hz) :]
+    np.testing.assert_allclose(excited.std(axis=1), FORCE.rms_n, rtol=0.01)
+    assert abs(np.corrcoef(excited)[0, 1]) < 4 / np.sqrt(2 * 100.0 * 8.0)  # of 2 B T independent values
+    assert not np.allclose(recording.signals["acceleration"].values, single_force.signals["acceleration"].values)
 
 
 @pytest.mark.parametrize("duration_s", [1.5, 1.7301])
@@ -139,9 +143,9 @@ def test_an_interruption_leaves_both_files_readable(tmp_path):
     path = tmp_path / "r.mcap"
     with pytest.raises(KeyboardInterrupt):
         recorded(path, duration_s=8.0, progress=interrupt)
-    kept = read(path).samples
-    assert 0.25 < kept / (8.0 * RIG.sample_rate_hz) < 0.75
-    assert read_truth(truth_path(path)).samples == kept
+    samples = read(path).samples
+    assert 0.25 < samples / (8.0 * RIG.sample_rate_hz) < 0.75
+    assert read_truth(truth_path(path)).samples == samples
 
 
 def test_a_failing_simulation_leaves_no_file(tmp_path):

@@ -53,11 +53,11 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
     force_n = force_history(SETTINGS.force(), needed_duration_s(rig, duration_s), STEP_S)
     motion = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
     assert motion.contact_force_n.any()
-    parts = list(digitised(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
+    segments = list(digitised(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
     for quantity in ("displacement", "acceleration"):
-        found = np.concatenate([p.sensed[quantity] for p in parts], axis=1)[:, : round(duration_s * RATE_HZ)]
+        delivered = np.concatenate([p.sensed[quantity] for p in segments], axis=1)[:, : round(duration_s * RATE_HZ)]
         rows = [k for k, s in enumerate(rig.sensors) if s.quantity == quantity]
-        for k, row in zip(rows, found, strict=True):
+        for k, row in zip(rows, delivered, strict=True):
             sensor = rig.sensors[k]
             expected = sensor.gain * sampled(motion.sensed[k], sensor.delay_s, STEP_S, row.size)
             np.testing.assert_allclose(row, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
@@ -68,9 +68,9 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
             np.testing.assert_allclose(at_station, row, rtol=0, atol=1e-12 * np.abs(row).max())
     truth = {"displacement": motion.displacement_m, "relative_displacement": motion.eta_m}
     for name, rows in {**truth, "contact_force": motion.contact_force_n}.items():
-        found = np.concatenate([p.truth[name] for p in parts], axis=1)
-        expected = rows[:, ::FACTOR][:, : found.shape[1]]
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        delivered = np.concatenate([p.truth[name] for p in segments], axis=1)
+        expected = rows[:, ::FACTOR][:, : delivered.shape[1]]
+        np.testing.assert_allclose(delivered, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
 def test_a_replay_holds_what_the_sensors_make_of_the_plant_under_that_force():
@@ -96,8 +96,8 @@ class NotAsked:
     def __len__(self):
         return 1
 
-    def __getitem__(self, at):
-        raise AssertionError(f"rows that nobody needs were computed: {at}")
+    def __getitem__(self, index):
+        raise AssertionError(f"rows that nobody needs were computed: {index}")
 
 
 def test_a_replay_asks_for_no_truth():
@@ -129,14 +129,16 @@ def replayed(_folder, plant):
 @pytest.mark.parametrize("made", [recorded, replayed])
 def test_products_of_small_matrices_keep_to_one_thread(made, tmp_path):
     """More threads do not make them faster, and spend their time waiting."""
-    seen = []
+    thread_counts = []
 
     def plant(*given):
         for block in modal.simulate(*given):
-            seen.append({library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"})
+            thread_counts.append(
+                {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+            )
             yield block
 
     with threadpool_limits(2):
         made(tmp_path, plant)
-    assert seen
-    assert all(threads == {1} for threads in seen)
+    assert thread_counts
+    assert all(threads == {1} for threads in thread_counts)

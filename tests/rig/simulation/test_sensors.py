@@ -1,4 +1,4 @@
-"""The instruments: what a channel delivers of a known motion."""
+"""The instruments: what a channel delivers of a known motion, and the decimating filter against a convolution."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.signal import welch
+from scipy.signal import upfirdn, welch
 
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
@@ -15,7 +15,7 @@ from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND
 from rig.simulation.motion import Motion
-from rig.simulation.sensors import digitised, needed_duration_s
+from rig.simulation.sensors import decimated, decimator, digitised, needed_duration_s
 
 RATE_HZ = 1000.0
 FACTOR = 4
@@ -38,8 +38,8 @@ def rig_with(*sensors):
 
 def motion_of(signal, rows, step_s=STEP_S):
     """A motion whose every row, force and truth included, is the same signal."""
-    one = signal[None, :]
-    return Motion(0.0, step_s, one, np.repeat(one, rows, axis=0), one, one, one)
+    row = signal[None, :]
+    return Motion(0.0, step_s, row, np.repeat(row, rows, axis=0), row, row, row)
 
 
 def deliver(signal, *sensors, seed=1):
@@ -111,9 +111,9 @@ def test_noise_has_its_density_at_every_frequency():
 def test_sensors_are_noisy_independently_and_by_the_seed():
     noisy = [msgspec.structs.replace(PERFECT, name=name, noise_density=1e-3) for name in "ab"]
     silence = np.zeros(round(20 / STEP_S))
-    one, again, other = (deliver(silence, *noisy, seed=seed) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(one, again)
-    for a, b in ((one[0], one[1]), (one[0], other[0])):
+    first, repeated, other_seed = (deliver(silence, *noisy, seed=seed) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, repeated)
+    for a, b in ((first[0], first[1]), (first[0], other_seed[0])):
         assert abs(np.corrcoef(a, b)[0, 1]) < 5 / np.sqrt(a.size)
 
 
@@ -142,19 +142,22 @@ def test_blocks_do_not_show(sizes, factor):
     sensors = (msgspec.structs.replace(PERFECT, noise_density=0.1), late)
     rig = rig_with(*sensors)
     signal = np.random.default_rng(sum(sizes)).standard_normal(sum(sizes))
-    whole = motion_of(signal, 2, step_s=1 / (RATE_HZ * factor))
-    ends = np.cumsum(sizes)
+    single_block = motion_of(signal, 2, step_s=1 / (RATE_HZ * factor))
+    stops = np.cumsum(sizes)
     pieces = [
-        replace(motion_of(signal[end - size : end], 2, step_s=whole.step_s), start_s=float((end - size) * whole.step_s))
-        for size, end in zip(sizes, ends, strict=True)
+        replace(
+            motion_of(signal[stop - size : stop], 2, step_s=single_block.step_s),
+            start_s=float((stop - size) * single_block.step_s),
+        )
+        for size, stop in zip(sizes, stops, strict=True)
     ]
     results = []
-    for blocks in ([whole], pieces):
-        parts = list(digitised(rig, iter(blocks), np.random.default_rng(1)))
-        results.append([np.concatenate([p.sensed["displacement"] for p in parts], axis=1)] if parts else [])
-        results[-1] += [np.concatenate([p.truth["displacement"] for p in parts], axis=1)] if parts else []
-    for one, other in zip(*results, strict=True):
-        np.testing.assert_allclose(one, other, atol=1e-12)
+    for blocks in ([single_block], pieces):
+        segments = list(digitised(rig, iter(blocks), np.random.default_rng(1)))
+        results.append([np.concatenate([p.sensed["displacement"] for p in segments], axis=1)] if segments else [])
+        results[-1] += [np.concatenate([p.truth["displacement"] for p in segments], axis=1)] if segments else []
+    for expected, delivered in zip(*results, strict=True):
+        np.testing.assert_allclose(expected, delivered, atol=1e-12)
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.01, -0.003])
@@ -170,3 +173,41 @@ def test_a_step_that_does_not_divide_the_sampling_interval_is_refused(step_s):
     blocks = iter([motion_of(np.zeros(1000), 1, step_s=step_s)])
     with pytest.raises(RigError, match=r"sample_rate_hz is 1000\.0 .* must be a whole multiple"):
         list(digitised(rig_with(PERFECT), blocks, np.random.default_rng(1)))
+
+
+def by_convolution(taps, signals, factor, samples):
+    """Convolved at the full rate where all taps meet a sample, then every factor-th."""
+    return np.array([upfirdn(taps, row)[taps.size - 1 :: factor][:samples] for row in signals])
+
+
+@given(
+    st.integers(1, 9),
+    st.integers(1, 300),
+    st.integers(0, 40),
+    st.integers(0, 40),
+    st.integers(1, 100),
+    st.integers(0, 1000),
+)
+def test_it_is_a_convolution_decimated(factor, used, before, behind, samples, seed):
+    rng = np.random.default_rng(seed)
+    taps = np.concatenate([np.zeros(before), rng.standard_normal(used), np.zeros(behind)])
+    needed = (samples - 1) * factor + taps.size
+    signals = rng.standard_normal((3, needed))
+    filter_ = decimator(taps, factor)
+    room = np.pad(signals, ((0, 0), (0, max(0, filter_.reach(samples) - needed))))
+    filtered = decimated(filter_, room, samples)
+    expected = by_convolution(taps, signals, factor, samples)
+    np.testing.assert_allclose(filtered, expected, rtol=0, atol=1e-13 * np.abs(taps).sum())
+
+
+@pytest.mark.parametrize("late", [0, 5, 4000])
+def test_taps_of_zero_cost_nothing(late):
+    """A filter that is centred late is as small as one that is not."""
+    taps = np.zeros(8001)
+    taps[late : late + 129] = 1.0
+    assert decimator(taps, 4).pieces.size == decimator(np.ones(129), 4).pieces.size
+
+
+def test_no_taps_give_nothing():
+    filter_ = decimator(np.zeros(33), 4)
+    assert not decimated(filter_, np.ones((2, filter_.reach(20))), 20).any()

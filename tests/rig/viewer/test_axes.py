@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from rig.viewer.axes import HEIGHT, MOST_FIGURES, WIDTH, Axes, decades, figures
-from rig.viewer.blueprint import figured
+from rig.viewer.axes import HEIGHT, MAX_FIGURES, WIDTH, Axes, decades, figures
+from rig.viewer.blueprint import axis_reach
 
 
 @pytest.mark.parametrize(
@@ -13,7 +13,7 @@ from rig.viewer.blueprint import figured
 def test_figures_are_few_round_and_within(low, high):
     values = figures(low, high)
     step = np.diff(values)
-    assert 3 <= values.size <= MOST_FIGURES
+    assert 3 <= values.size <= MAX_FIGURES
     np.testing.assert_allclose(step, step[0])
     assert round(step[0] / 10 ** np.floor(np.log10(step[0]) + 1e-9), 6) in {1, 2, 5}
     np.testing.assert_allclose(values / step[0], np.round(values / step[0]), atol=1e-6)
@@ -38,6 +38,6 @@ def test_places_go_up_and_are_kept_within_the_frame():
     )
 
 
-@pytest.mark.parametrize(("reach", "end"), [(3.0, 3.0), (8.5, 10.5), (10.2, 10.2), (0.5, 1.05), (10.0, 10.5)])
-def test_a_displacement_axis_ends_where_there_are_figures(reach, end):
-    assert figured(reach) == pytest.approx(end)
+@pytest.mark.parametrize(("reach", "expected"), [(3.0, 3.0), (8.5, 10.5), (10.2, 10.2), (0.5, 1.05), (10.0, 10.5)])
+def test_a_displacement_axis_ends_where_there_are_figures(reach, expected):
+    assert axis_reach(reach) == pytest.approx(expected)

@@ -32,12 +32,12 @@ def drawn(rig, tmp_path):
 
 
 def texts(root):
-    return [(one.text, float(one.get("x")), float(one.get("y"))) for one in root.iter(f"{SVG}text")]
+    return [(node.text, float(node.get("x")), float(node.get("y"))) for node in root.iter(f"{SVG}text")]
 
 
 def corners(root, kind, colour):
-    shapes = (one for one in root.iter(SVG + kind) if one.get("stroke") == colour)
-    return [np.array([p.split(",") for p in one.get("points").split()], dtype=float) for one in shapes]
+    shapes = (node for node in root.iter(SVG + kind) if node.get("stroke") == colour)
+    return [np.array([p.split(",") for p in node.get("points").split()], dtype=float) for node in shapes]
 
 
 def attached(body, low_m, high_m):
@@ -64,10 +64,10 @@ def test_everything_is_named_with_its_numbers(tmp_path, kind):
     if kind == "beams":
         rig = replace(rig, clamps=(Clamp(body="cradle", rotational_n_m_per_rad=5432.0),))
     words = [text for text, _, _ in texts(drawn(rig, tmp_path))]
-    wanted = ["<a> & b", "force F", "base motion 0.11 m/s\u00b2 rms, 1.5 to 29 Hz", *SAID]
-    wanted += [c.name for c in rig.contacts] + ["5432 N m/rad"] * len(rig.clamps)
-    wanted += [f"+{1e3 * c.law.upper_clearance_m:g} mm" for c in rig.contacts]
-    assert set(wanted) <= set(words)
+    expected = ["<a> & b", "force F", "base motion 0.11 m/s\u00b2 rms, 1.5 to 29 Hz", *SAID]
+    expected += [c.name for c in rig.contacts] + ["5432 N m/rad"] * len(rig.clamps)
+    expected += [f"+{1e3 * c.law.upper_clearance_m:g} mm" for c in rig.contacts]
+    assert set(expected) <= set(words)
     assert all(any(text.startswith(f"{body.name}: ") for text in words) for body in rig.bodies)
 
 
@@ -76,10 +76,10 @@ def test_along_the_bodies_it_is_to_scale(tmp_path, kind):
     rig = BarrelCradle(overlap_start_m=0.4).rig() if kind == "beams" else structure_rig(tmp_path).rig()
     root = drawn(rig, tmp_path)
     scale = 800.0 / (1.4 if kind == "beams" else 0.5)
-    left = {"cradle": 0.0, "barrel": 0.4, "fin": 0.0}
+    left_m = {"cradle": 0.0, "barrel": 0.4, "fin": 0.0}
 
     def x_of(stations):
-        return sorted({round(scale * (left[s.body] + s.position_m), 1) for s in stations})
+        return sorted({round(scale * (left_m[s.body] + s.position_m), 1) for s in stations})
 
     marks = corners(root, "polygon", SENSOR)
     assert len(marks) == len({s.station for s in rig.sensors})
@@ -89,8 +89,8 @@ def test_along_the_bodies_it_is_to_scale(tmp_path, kind):
     assert force - 10 == pytest.approx(x_of([rig.force_at])[0], abs=0.1)
     if kind == "beams":
         links = [line for line in corners(root, "polyline", MOVING) if len(line) == 4]
-        ends = sorted({float(x) for line in links for x in line[[0, -1], 0]})
-        np.testing.assert_allclose(ends, x_of(s for c in rig.contacts for s in contact_stations(c)), atol=0.11)
+        link_ends = sorted({float(x) for line in links for x in line[[0, -1], 0]})
+        np.testing.assert_allclose(link_ends, x_of(s for c in rig.contacts for s in contact_stations(c)), atol=0.11)
 
 
 @pytest.mark.parametrize("make", [lambda: Sdof().rig(), lambda: BarrelCradle().rig()])

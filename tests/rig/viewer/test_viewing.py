@@ -75,9 +75,9 @@ def series(path, place):
     return times, np.array(values).T
 
 
-@pytest.mark.parametrize("which", ["beams", "mass"])
-def test_the_series_are_those_of_the_recording_and_its_truth(which, request, tmp_path):
-    recording, truth = request.getfixturevalue(which)
+@pytest.mark.parametrize("fixture", ["beams", "mass"])
+def test_the_series_are_those_of_the_recording_and_its_truth(fixture, request, tmp_path):
+    recording, truth = request.getfixturevalue(fixture)
     write_rrd(recording, truth, tmp_path / "r.rrd")
     time_s = recording.signals["force"].time_s
     for row, contact in enumerate(recording.rig.contacts):
@@ -130,16 +130,16 @@ def test_accelerometers_alone_give_the_motion_above_one_hertz(beams, tmp_path):
     recording, truth = beams
     poor = only_accelerometers(recording)
     write_rrd(poor, None, tmp_path / "r.rrd")
-    motion, known = deflection(poor, None), deflection(recording, truth)
+    motion, true_motion = deflection(poor, None), deflection(recording, truth)
     assert motion.approximate
-    assert not known.approximate
+    assert not true_motion.approximate
     station = recording.rig.contacts[0].against
-    inner = slice(recording.samples // 3, 2 * recording.samples // 3)
-    error = (motion.at(station) - known.at(station))[inner]
-    slow = np.fft.rfft(known.at(station))
+    middle = slice(recording.samples // 3, 2 * recording.samples // 3)
+    error = (motion.displacement_at(station) - true_motion.displacement_at(station))[middle]
+    slow = np.fft.rfft(true_motion.displacement_at(station))
     slow[np.fft.rfftfreq(recording.samples, 1 / recording.rig.sample_rate_hz) >= 2.0] = 0
-    lacking = np.fft.irfft(slow, recording.samples)[inner]
-    assert np.std(error) < 2 * np.std(lacking) + 0.02 * np.std(known.at(station)[inner])
+    lacking = np.fft.irfft(slow, recording.samples)[middle]
+    assert np.std(error) < 2 * np.std(lacking) + 0.02 * np.std(true_motion.displacement_at(station)[middle])
 
 
 def test_the_beams_pass_through_their_stations_and_between_them_follow_the_modes(beams):
@@ -147,27 +147,27 @@ def test_the_beams_pass_through_their_stations_and_between_them_follow_the_modes
     machine = recording.rig
     body, rows = machine.bodies[1], [i for i, s in enumerate(machine.sensors) if s.station.body == "barrel"]
     places = np.unique([machine.sensors[i].station.position_m for i in rows])
-    wanted = np.array([[1e-3, -2e-3, 5e-4, 3e-4]])  # modal coordinates, as many as there are stations
+    coordinates = np.array([[1e-3, -2e-3, 5e-4, 3e-4]])  # modal coordinates, as many as there are stations
     motion = deflection(recording, None)
-    shown = replace(
+    deformed = replace(
         motion,
         stations=tuple(type(machine.force_at)("barrel", float(x)) for x in places),
-        displacement_m=(wanted @ body.shapes(places, 4).T).T,
+        displacement_m=(coordinates @ body.shapes(places, 4).T).T,
     )
     x = np.linspace(0, body.length_m, 23)
-    np.testing.assert_allclose(shown.of_body(body, x)[:, 0], (wanted @ body.shapes(x, 4).T)[0], atol=1e-12)
+    np.testing.assert_allclose(deformed.of_body(body, x)[:, 0], (coordinates @ body.shapes(x, 4).T)[0], atol=1e-12)
 
 
 def test_the_bodies_lie_over_each_other_at_their_contacts_and_move_magnified(beams, tmp_path):
     recording, truth = beams
     scene = stage(deflection(recording, truth), recording.rig.sample_rate_hz, 3.0)
     for contact in recording.rig.contacts:
-        at, against = scene.point(contact.at), scene.point(contact.against)
-        np.testing.assert_allclose(at[:, 0], against[:, 0])
+        station, against = scene.point(contact.at), scene.point(contact.against)
+        np.testing.assert_allclose(station[:, 0], against[:, 0])
         eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frames]
-        np.testing.assert_allclose(at[:, 2] - against[:, 2], 3.0 * eta, atol=1e-12)
+        np.testing.assert_allclose(station[:, 2] - against[:, 2], 3.0 * eta, atol=1e-12)
         jaws = scene.fork(contact, contact.law)[..., 2]
-        outside = (at[:, 2] > jaws[:, 0]) | (at[:, 2] < jaws[:, 3])
+        outside = (station[:, 2] > jaws[:, 0]) | (station[:, 2] < jaws[:, 3])
         np.testing.assert_array_equal(outside, contact.law.penetration_m(eta) != 0)
     write_rrd(recording, truth, tmp_path / "r.rrd", magnification=3.0)
     _, strips = column(tmp_path / "r.rrd", entity("model", "barrel"), "LineStrips3D:strips")
@@ -195,13 +195,13 @@ def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, m
     times, force = series(tmp_path / "r.rrd", "exciting_force")
     np.testing.assert_array_equal(force[0], recording.force_n[::8])
     times, values = series(tmp_path / "r.rrd", entity("contact_force", "stop"))
-    kept, known = np.round(times * rate).astype(int), truth.signals["contact_force"].values[0]
-    np.testing.assert_array_equal(values[0], known[kept])
+    samples, true_force_n = np.round(times * rate).astype(int), truth.signals["contact_force"].values[0]
+    np.testing.assert_array_equal(values[0], true_force_n[samples])
     closed = np.flatnonzero(recording.rig.contacts[0].law.penetration_m(relative(truth)))
     assert closed.size
-    assert set(closed) <= set(kept)
-    assert set(range(0, recording.samples, 8)) <= set(kept)
-    assert kept.size < recording.samples
+    assert set(closed) <= set(samples)
+    assert set(range(0, recording.samples, 8)) <= set(samples)
+    assert samples.size < recording.samples
 
 
 def relative(truth):
@@ -240,18 +240,18 @@ def test_the_phase_plot_grows_over_the_truth(mass, tmp_path):
     last = round(times[-1] * recording.rig.sample_rate_hz)
     closed = depth[:last] != 0
     reach_m = 1.2 * np.abs(relative(truth)).max()
-    wanted = WIDTH * (relative(truth)[:last][closed] / reach_m + 1) / 2
-    next_one = np.clip(np.searchsorted(across, wanted), 1, across.size - 1)
-    off = np.minimum(np.abs(across[next_one] - wanted), np.abs(across[next_one - 1] - wanted))
-    assert off.max() < 1e-6
+    expected = WIDTH * (relative(truth)[:last][closed] / reach_m + 1) / 2
+    next_one = np.clip(np.searchsorted(across, expected), 1, across.size - 1)
+    distance = np.minimum(np.abs(across[next_one] - expected), np.abs(across[next_one - 1] - expected))
+    assert distance.max() < 1e-6
 
 
 def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
     recording, truth = mass
     file = tmp_path / "contact.json"
     value = {"value": 1.2e-3, "standard_error": 1e-6}
-    found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
-    file.write_text(json.dumps({"rig": "sdof", "contacts": [found]}))
+    contact = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
+    file.write_text(json.dumps({"rig": "sdof", "contacts": [contact]}))
     write_rrd(recording, truth, tmp_path / "r.rrd", identified=read_identified(file, recording.rig, 8.0))
     _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
     np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
@@ -265,13 +265,17 @@ def with_clearances(machine, factor):
 
 @pytest.mark.parametrize("scale", [1.0, 0.01])
 def test_the_figures_of_every_wall_stand_beyond_it_in_a_column_of_their_own(mass, tmp_path, scale):
-    """So they neither cross nor stand at another wall, however small the play is in the view."""
+    """The figures neither cross nor label another wall, however small the play is in the view."""
     recording, truth = mass
-    told = replace(truth, rig=with_clearances(truth.rig, scale))
+    true_recording = replace(truth, rig=with_clearances(truth.rig, scale))
     recording = replace(recording, rig=with_clearances(recording.rig, 1.3 * scale))
-    found = with_clearances(recording.rig, 1.1).contacts[0].law
-    write_rrd(recording, told, tmp_path / "r.rrd", identified=Identified({"stop": found}))
-    laws = {"true": told.rig.contacts[0].law, "identified": found, "believed": recording.rig.contacts[0].law}
+    identified_law = with_clearances(recording.rig, 1.1).contacts[0].law
+    write_rrd(recording, true_recording, tmp_path / "r.rrd", identified=Identified({"stop": identified_law}))
+    laws = {
+        "true": true_recording.rig.contacts[0].law,
+        "identified": identified_law,
+        "believed": recording.rig.contacts[0].law,
+    }
     columns = []
     for name, law in laws.items():
         for side, level, out in (("upper", -law.upper_clearance_m, -1), ("lower", law.lower_clearance_m, 1)):
@@ -288,13 +292,13 @@ def test_the_bars_of_the_histogram_span_their_bins_and_leave_the_quiet_second_ou
     recording, truth = mass
     write_rrd(recording, truth, tmp_path / "r.rrd")
     drawn = [static(tmp_path / "r.rrd", entity("histogram", "stop"), f"BarChart:{n}") for n in ("abscissa", "values")]
-    left, share = (np.array(one[0]["buffer"]) for one in drawn)
+    left_mm, share = (np.array(batch[0]["buffer"]) for batch in drawn)
     width = np.array(static(tmp_path / "r.rrd", entity("histogram", "stop"), "BarChart:widths"))
-    np.testing.assert_allclose(left[1:], (left + width)[:-1], atol=1e-6)
+    np.testing.assert_allclose(left_mm[1:], (left_mm + width)[:-1], atol=1e-6)
     eta_mm = 1e3 * relative(truth)[round(truth.rig.sample_rate_hz) :]
     assert share.sum() == pytest.approx(100)
     for k in np.flatnonzero(share):
-        least, most = ((eta_mm > left[k] - e) & (eta_mm < left[k] + width[k] + e) for e in (-1e-6, 1e-6))
+        least, most = ((eta_mm > left_mm[k] - e) & (eta_mm < left_mm[k] + width[k] + e) for e in (-1e-6, 1e-6))
         assert 100 * least.mean() - 1 <= share[k] <= 100 * most.mean() + 1  # the first motion is slow
 
 
@@ -309,22 +313,24 @@ def test_without_truth_the_identified_curves_are_shown_as_long_as_they_go(mass, 
     eta, force = (truth.signals[name].values[0] for name in ("relative_displacement", "contact_force"))
     table = np.stack([rows / rate, eta[rows], force[rows]], axis=1)
     value = {"value": 0.9e-3}
-    found = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": value}
-    (tmp_path / "contact.json").write_text(json.dumps({"contacts": [found]}))
+    contact = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": value}
+    (tmp_path / "contact.json").write_text(json.dumps({"contacts": [contact]}))
     np.savetxt(tmp_path / "motion.csv", table, delimiter=",", header=CURVES.strip(), comments="")
     write_rrd(poor, None, tmp_path / "r.rrd", identified=read_identified(tmp_path, poor.rig, 8.0))
-    for origin, wanted, scale in (
+    for origin, expected, scale in (
         (entity("relative_displacement", "stop", "value"), eta, 1e3),
         (entity("contact_force", "stop"), force, 1.0),
     ):
         times, values = series(tmp_path / "r.rrd", origin)
         assert times.min() >= 2.0
         assert times.max() <= rows[-1] / rate
-        at = np.isin(np.round(times * rate).astype(int), rows)
-        np.testing.assert_allclose(values[0, at], scale * wanted[np.round(times[at] * rate).astype(int)], atol=1e-12)
+        exported = np.isin(np.round(times * rate).astype(int), rows)
+        np.testing.assert_allclose(
+            values[0, exported], scale * expected[np.round(times[exported] * rate).astype(int)], atol=1e-12
+        )
     times, words = column(tmp_path / "r.rrd", entity("events", "stop"), "TextLog:text")
-    inner = np.abs(eta[2 * rate : rows[-1]]) > 0.9e-3
-    assert abs(len(words) - np.count_nonzero(np.diff(inner.astype(int)))) <= 2  # splines may miss a graze
+    closed = np.abs(eta[2 * rate : rows[-1]]) > 0.9e-3
+    assert abs(len(words) - np.count_nonzero(np.diff(closed.astype(int)))) <= 2  # splines may miss a graze
 
 
 @pytest.mark.parametrize(
@@ -384,11 +390,11 @@ def test_walls_are_the_true_ones_and_what_was_believed_is_drawn_too(mass, tmp_pa
     recording, truth = mass
     (contact,) = recording.rig.contacts
     law = replace_struct(contact.law, upper_clearance_m=2 * contact.law.upper_clearance_m)
-    other = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
-    write_rrd(replace(recording, rig=other), truth, tmp_path / "r.rrd")
-    for name, wanted in (("walls", contact.law), ("believed", law)):
+    wider = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
+    write_rrd(replace(recording, rig=wider), truth, tmp_path / "r.rrd")
+    for name, expected in (("walls", contact.law), ("believed", law)):
         _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", name))
-        np.testing.assert_allclose(walls[:, 0], [1e3 * wanted.upper_clearance_m, -1e3 * wanted.lower_clearance_m])
+        np.testing.assert_allclose(walls[:, 0], [1e3 * expected.upper_clearance_m, -1e3 * expected.lower_clearance_m])
 
 
 def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, mass, tmp_path):

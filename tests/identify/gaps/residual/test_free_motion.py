@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from identify.gaps.residual.extent import RELEASED_S
+from identify.gaps.residual.extent import RELEASE_S
 from identify.gaps.residual.likelihood import reference_of
-from identify.gaps.residual.nuisance import counted
+from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
@@ -29,7 +29,7 @@ def record(tmp_path_factory):
 
 def test_each_column_is_the_free_motion_of_a_mode(record):
     model = linearized(record, record.rig).model
-    assert record.time_s[0] == pytest.approx(RELEASED_S, abs=0.01)
+    assert record.time_s[0] == pytest.approx(RELEASE_S, abs=0.01)
     assert len(model.free) > 5
     for motion in model.free:
         dynamics = model.responses[motion.body].dynamics
@@ -38,13 +38,15 @@ def test_each_column_is_the_free_motion_of_a_mode(record):
             continue
         rows = [free_motion(hz, zeta, first, record.sample_times_s)[0] for first in (0, 1)]
         sampled = np.array([record.spectrum(row) * (1j * record.omega) ** 2 for row in rows])
-        left = np.linalg.norm(record.sample_rate_hz * motion.units - sampled, axis=1)
-        assert np.all(left < 0.02 * np.linalg.norm(sampled, axis=1))
+        error = np.linalg.norm(record.sample_rate_hz * motion.units - sampled, axis=1)
+        assert np.all(error < 0.02 * np.linalg.norm(sampled, axis=1))
 
 
 def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_alone(record):
     softer = effect_named("youngs_modulus:factor=0.95").applied_to(record.rig)
-    levels = [np.mean(counted(record, linearized(record, rig).model.residual) ** 2) for rig in (record.rig, softer)]
+    levels = [
+        np.mean(residual_in_time(record, linearized(record, rig).model.residual) ** 2) for rig in (record.rig, softer)
+    ]
     assert levels[0] < 3
     assert levels[1] > 100 * levels[0]
 
@@ -58,12 +60,12 @@ def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_a
     ],
 )
 def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_path):
-    """Of a rig as a laboratory builds it."""
+    """Estimate on the decay of a rig that differs within the tolerances."""
     record = decay(tmp_path, f"{effect.split(':')[0]}:{strength}={true}", jitter=1)
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
-    (candidate,) = [one for one in known if one.name == effect]
-    linearization, at = fit_nuisance(record, record.rig, rounds=1)
-    begun = Search(reference_of(linearized(record, record.rig)), linearization, at, (candidate,))
-    found = fit_effects(begun, (candidate,), candidate.default, at).hypothesis
-    deviation = np.sqrt(found.covariance[0, 0])
-    assert abs(found.values[0] - true) < 3 * deviation < 0.2 * true
+    every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    (candidate,) = [c for c in every_candidate if c.name == effect]
+    linearization, residual = fit_nuisance(record, record.rig, rounds=1)
+    search = Search(reference_of(linearized(record, record.rig)), linearization, residual, (candidate,))
+    estimate = fit_effects(search, (candidate,), candidate.default, residual).hypothesis
+    deviation = np.sqrt(estimate.covariance[0, 0])
+    assert abs(estimate.values[0] - true) < 3 * deviation < 0.2 * true

@@ -6,10 +6,17 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from identify.gaps.decision.comparison import closed, closed_interval, probabilities, removed, size
-from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value, phase_randomized
+from identify.gaps.decision.comparison import (
+    explained_share,
+    explained_share_interval,
+    mismatch_size,
+    probabilities,
+    removed_share,
+)
+from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value
+from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.likelihood import Misfit, Reference
-from identify.gaps.residual.lines import cost_of_lines, sharpest, standing_out, without_lines
+from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
 from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
@@ -19,100 +26,105 @@ from rig.simulation.replay import modal
 
 SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
 ONES = np.ones((BANDS, SENSORS))
-REFERENCE = Reference(usual=ONES, noise=0.5 * ONES, power=1e4 * ONES, lines=np.full(BANDS, 50.0), seen=())
+REFERENCE = Reference(
+    expected_variance=ONES, noise=0.5 * ONES, power=1e4 * ONES, lines=np.full(BANDS, 50.0), observations=()
+)
 
 
-def left(level: float, contact_n: float = 0.0, pulls: float = 0.0) -> Misfit:
+def misfit_of_level(level: float, contact_n: float = 0.0, pulls: float = 0.0) -> Misfit:
     """A linear residual of this level everywhere, a contact residual of so many newtons beside a force of 10 N."""
     contacts = np.ones((SECONDS, CONTACTS))
     return Misfit(
         reference=REFERENCE,
-        left=np.full((SECONDS, BANDS, SENSORS), level),
-        measured=ONES,
-        contact_left=contacts * (1 + contact_n**2),
+        variance_by_second=np.full((SECONDS, BANDS, SENSORS), level),
+        variance_correction=ONES,
+        contact_level_by_second=contacts * (1 + contact_n**2),
         contact_n2=contacts * contact_n**2,
         force_n2=contacts * 100.0,
         pulls=np.full(4, pulls),
         drift=0.0,
         freedom=0.0,
-        sharp=0.0,
+        line_cost=0.0,
         samples=80.0,
     )
 
 
 def test_a_residual_of_noise_costs_nothing_and_a_larger_one_its_logarithm():
-    assert left(1.0).minus_two_log == pytest.approx(0.0)
-    assert left(199.0).linear == pytest.approx(80.0 * SENSORS * np.log(100.0))
-    assert left(1.0, pulls=2.0).minus_two_log == pytest.approx(16.0)
+    assert misfit_of_level(1.0).minus_two_log == pytest.approx(0.0)
+    assert misfit_of_level(199.0).linear == pytest.approx(80.0 * SENSORS * np.log(100.0))
+    assert misfit_of_level(1.0, pulls=2.0).minus_two_log == pytest.approx(16.0)
 
 
 def test_an_unknown_scale_makes_a_lasting_error_cost_no_more_than_its_logarithm():
     known = 80.0 * SENSORS * 99.0  # what a Gaussian of known variance would ask for
-    assert left(100.0).minus_two_log < 0.05 * known
+    assert misfit_of_level(100.0).minus_two_log < 0.05 * known
 
 
 def test_shares_are_beyond_noise_and_relative_to_the_motion():
-    assert left(0.5).share == 0.0
-    assert left(1.5).share == pytest.approx(np.sqrt(1.0 / 1e4))
-    np.testing.assert_allclose(left(1.5).shares, 0.01)
-    np.testing.assert_allclose(left(1.0, contact_n=0.5).contact_shares, 0.05)
+    assert misfit_of_level(0.5).share == 0.0
+    assert misfit_of_level(1.5).share == pytest.approx(np.sqrt(1.0 / 1e4))
+    np.testing.assert_allclose(misfit_of_level(1.5).shares, 0.01)
+    np.testing.assert_allclose(misfit_of_level(1.0, contact_n=0.5).contact_shares, 0.05)
 
 
 def test_the_size_of_a_gap_counts_in_what_matters():
     matters = Matters(motion=0.01, contact=0.05)
-    assert size(left(1.5), matters) == pytest.approx(1.0)
-    assert size(left(1.5, contact_n=0.5), matters) == pytest.approx(np.sqrt(3.0))
+    assert mismatch_size(misfit_of_level(1.5), matters) == pytest.approx(1.0)
+    assert mismatch_size(misfit_of_level(1.5, contact_n=0.5), matters) == pytest.approx(np.sqrt(3.0))
 
 
 def test_what_is_closed_is_one_where_nothing_is_left():
     matters = Matters()
-    assert closed(left(100.0), left(0.5), matters) == 1.0
-    assert closed(left(4.5), left(1.5), matters) == pytest.approx(0.5)
-    low, high = closed_interval(left(4.5), left(1.5), matters)
+    assert explained_share(misfit_of_level(100.0), misfit_of_level(0.5), matters) == 1.0
+    assert explained_share(misfit_of_level(4.5), misfit_of_level(1.5), matters) == pytest.approx(0.5)
+    low, high = explained_share_interval(misfit_of_level(4.5), misfit_of_level(1.5), matters)
     assert low == pytest.approx(0.5)
     assert high == pytest.approx(0.5)
 
 
 def test_where_noise_hides_a_gap_what_is_removed_is_the_strain_of_the_tolerances():
-    strained, eased = left(0.5, pulls=4.0), left(0.5, pulls=2.0)
-    assert removed(strained, eased, eased, Matters()) == pytest.approx(1 - 2.0**2 / 4.0**2)
-    assert removed(left(0.5), left(0.5), left(0.5), Matters()) == 0.0
-    assert removed(strained, left(4.5), left(1.5), Matters()) == pytest.approx(0.5)
+    strained, eased = misfit_of_level(0.5, pulls=4.0), misfit_of_level(0.5, pulls=2.0)
+    assert removed_share(strained, eased, eased, Matters()) == pytest.approx(1 - 2.0**2 / 4.0**2)
+    assert removed_share(misfit_of_level(0.5), misfit_of_level(0.5), misfit_of_level(0.5), Matters()) == 0.0
+    assert removed_share(strained, misfit_of_level(4.5), misfit_of_level(1.5), Matters()) == pytest.approx(0.5)
 
 
 def test_the_interval_of_a_closure_holds_it_where_seconds_scatter():
     rng = np.random.default_rng(2)
-    after = replace(left(1.5), left=1.5 * rng.chisquare(3, (SECONDS, 1, 1)) / 3 * np.ones((1, BANDS, SENSORS)))
-    low, high = closed_interval(left(40.0), after, Matters())
-    assert low < closed(left(40.0), after, Matters()) < high
+    after = replace(
+        misfit_of_level(1.5),
+        variance_by_second=1.5 * rng.chisquare(3, (SECONDS, 1, 1)) / 3 * np.ones((1, BANDS, SENSORS)),
+    )
+    low, high = explained_share_interval(misfit_of_level(40.0), after, Matters())
+    assert low < explained_share(misfit_of_level(40.0), after, Matters()) < high
     assert high - low > 1e-3
 
 
 def test_probabilities_sum_to_one_and_follow_the_odds():
-    found = probabilities(np.array([0.0, np.log(3.0), -1e9]))
-    assert found.sum() == pytest.approx(1.0)
-    assert found[1] / found[0] == pytest.approx(3.0)
+    chances = probabilities(np.array([0.0, np.log(3.0), -1e9]))
+    assert chances.sum() == pytest.approx(1.0)
+    assert chances[1] / chances[0] == pytest.approx(3.0)
 
 
-def leaving(rest: float, law: float, peak: float = 1.0) -> Misfit:
+def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit:
     """-2 ln p of the contacts, of the rest, and the part of the worst band."""
-    bare = left(1.0)
-    found = replace(bare, freedom=rest - (bare.minus_two_log - bare.law))
-    vars(found).update(law=law, peak=peak)
-    return found
+    bare = misfit_of_level(1.0)
+    misfit = replace(bare, freedom=other_costs - (bare.minus_two_log - bare.law))
+    vars(misfit).update(law=law, peak=peak)
+    return misfit
 
 
-def null(rest: float, law: float = -60.0, peak: float = 1.0) -> NullSimulation:
-    return NullSimulation(rest + law, law, peak, (0.0,), 0.0, (), {"rms": 1 + peak})
+def null(other_costs: float, law: float = -60.0, peak: float = 1.0) -> NullSimulation:
+    return NullSimulation(other_costs + law, law, peak, (0.0,), 0.0, (), {"rms": 1 + peak})
 
 
 def test_p_values_of_nulls_are_uniform():
     rng = np.random.default_rng(3)
     values = []
     for _ in range(400):
-        rest, law, peak = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13), rng.normal(4.0, 2.0, 13)
-        null_reference = NullReference("key", tuple(map(null, rest, law, peak))[:12])
-        values.append(p_value(null_reference, leaving(float(rest[12]), float(law[12]), float(peak[12]))))
+        other_costs, law, peak = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13), rng.normal(4.0, 2.0, 13)
+        null_reference = NullReference("key", tuple(map(null, other_costs, law, peak))[:12])
+        values.append(p_value(null_reference, misfit_of_costs(float(other_costs[12]), float(law[12]), float(peak[12]))))
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
     assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
 
@@ -121,7 +133,7 @@ def test_figures_of_nulls_lie_within_what_chance_makes():
     rng, within = np.random.default_rng(4), []
     for _ in range(400):
         *peaks, last = rng.normal(4.0, 2.0, 13)
-        reach = NullReference("key", tuple(null(50.0, peak=peak) for peak in peaks)).by_chance("rms")
+        reach = NullReference("key", tuple(null(50.0, peak=peak) for peak in peaks)).half_width_95("rms")
         within.append(abs(last - np.mean(peaks)) < reach)
     assert np.mean(within) == pytest.approx(0.95, abs=0.03)
 
@@ -129,9 +141,9 @@ def test_figures_of_nulls_lie_within_what_chance_makes():
 def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
     rng = np.random.default_rng(5)
     null_reference = NullReference("key", tuple(null(r) for r in rng.normal(50.0, 90.0, 12)))
-    assert p_value(null_reference, leaving(50.0, 0.0)) < 1e-4
-    assert p_value(null_reference, leaving(50.0, -60.0, 20.0)) < 1e-4
-    assert p_value(null_reference, leaving(50.0, -60.0)) > 0.4
+    assert p_value(null_reference, misfit_of_costs(50.0, 0.0)) < 1e-4
+    assert p_value(null_reference, misfit_of_costs(50.0, -60.0, 20.0)) < 1e-4
+    assert p_value(null_reference, misfit_of_costs(50.0, -60.0)) > 0.4
 
 
 def test_a_line_is_no_error_of_a_model():
@@ -143,8 +155,8 @@ def test_a_line_is_no_error_of_a_model():
     assert cost_of_lines(noise + resonance / resonance.std(), 10) < 5.0
     toned = noise + np.cos(2 * np.pi * 42.263 * time)
     assert cost_of_lines(toned, 10) > 20.0
-    assert np.linalg.norm(without_lines(toned, standing_out(toned)) - noise) < 0.03 * np.linalg.norm(noise)
-    assert not standing_out(noise)
+    assert np.linalg.norm(without_lines(toned, outstanding_frequencies(toned)) - noise) < 0.03 * np.linalg.norm(noise)
+    assert not outstanding_frequencies(noise)
 
 
 def test_the_lines_of_a_force_that_repeats_are_no_tones():
@@ -152,14 +164,14 @@ def test_the_lines_of_a_force_that_repeats_are_no_tones():
     rng = np.random.default_rng(7)
     repeated = np.tile(rng.standard_normal((3, 200)), 20) + 0.01 * rng.standard_normal((3, 4000))
     repeats = 1 / 200
-    assert standing_out(repeated)
+    assert outstanding_frequencies(repeated)
     assert cost_of_lines(repeated, 3) > 1000
-    assert not standing_out(repeated, repeats)
+    assert not outstanding_frequencies(repeated, repeats)
     assert cost_of_lines(repeated, 3, repeats) == 0.0
     tone = 20.5 * repeats
     toned = repeated + np.sin(2 * np.pi * tone * np.arange(4000))
-    np.testing.assert_allclose(standing_out(toned, repeats), [tone], rtol=1e-4)
-    np.testing.assert_allclose(sharpest(toned, 1, 0.05, repeats), [tone], rtol=1e-4)
+    np.testing.assert_allclose(outstanding_frequencies(toned, repeats), [tone], rtol=1e-4)
+    np.testing.assert_allclose(sharpest_frequencies(toned, 1, 0.05, repeats), [tone], rtol=1e-4)
 
 
 def test_a_phase_randomized_force_keeps_its_spectrum_and_its_silence():
@@ -178,17 +190,17 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     record = record_of(modal(rig, rig, force_n, 1))
     prior = prior_scales(record)
     true_share = 4e-3
-    wanted = np.sqrt(
+    deviation_ratio = np.sqrt(
         (record.noise + true_share**2 * record.power) / (record.noise + prior.discrepancy**2 * record.power)
     )
-    times = record.taken.stop - record.taken.start
+    times = record.counted_samples.stop - record.counted_samples.start
     rng = np.random.default_rng(5)
-    lines = rng.standard_normal((2, *wanted.shape))
-    spectra = wanted * (lines[0] + 1j * lines[1]) / np.sqrt(2)
+    lines = rng.standard_normal((2, *deviation_ratio.shape))
+    spectra = deviation_ratio * (lines[0] + 1j * lines[1]) / np.sqrt(2)
     residual = np.fft.irfft(spectra, record.length // record.factor)[:, :times]
     residual *= np.sqrt(record.length // record.factor)
-    found = estimated_scales(record, prior, residual, (0.2, 3.0))
-    middle = found.discrepancy[:, record.omega.size // 4 : record.omega.size // 2]
+    scales = estimated_scales(record, prior, residual, (0.2, 3.0))
+    middle = scales.discrepancy[:, record.omega.size // 4 : record.omega.size // 2]
     assert np.median(middle) == pytest.approx(true_share, rel=0.2)
-    assert found.contacts == (float(posterior_level(np.array(0.2))), 2.0)
+    assert scales.contacts == (float(posterior_level(np.array(0.2))), 2.0)
     assert band_levels(record, residual).min() > 0

@@ -1,4 +1,4 @@
-"""What a laboratory never knows exactly, put into the rig of one mass."""
+"""Nuisance parameters applied to rigs, and their columns."""
 
 from dataclasses import replace as replace_fields
 
@@ -27,19 +27,19 @@ def linearization():
 
 def test_nuisance_parameters_of_a_single_mass_and_its_sensor_are_put_into_the_rig(linearization):
     values = np.arange(1.0, 1.0 + len(linearization.columns.parameters))
-    found, put = apply_nuisance(RIG, linearization.columns.parameters, values, LABORATORY)
+    rig, applied = apply_nuisance(RIG, linearization.columns.parameters, values, LABORATORY)
     by_name = {p.name: v for p, v in zip(linearization.columns.parameters, values, strict=True)}
-    taken = [p.kind in ("frequency", "damping", "gain") for p in linearization.columns.parameters]
-    np.testing.assert_array_equal(put, np.where(taken, values, 0.0))
+    is_applied = [p.kind in ("frequency", "damping", "gain") for p in linearization.columns.parameters]
+    np.testing.assert_array_equal(applied, np.where(is_applied, values, 0.0))
     (body,), (sensor,) = RIG.bodies, RIG.sensors
-    assert found.bodies == (
+    assert rig.bodies == (
         replace(
             body,
             frequency_hz=body.frequency_hz * (1 + LABORATORY.frequency * by_name[f"frequency of {body.name}"]),
             damping_ratio=body.damping_ratio * (1 + LABORATORY.damping * by_name[f"damping of {body.name}"]),
         ),
     )
-    assert found.sensors == (
+    assert rig.sensors == (
         replace(sensor, gain=sensor.gain * (1 + LABORATORY.gain * by_name[f"gain of {sensor.name}"])),
     )
 
@@ -55,7 +55,10 @@ def test_columns_are_what_another_rig_leaves_through_a_sensor_that_reads_wrong()
     for body in rig.bodies:
         modulus = body.youngs_modulus_pa * (1 + small * LABORATORY.frequency) ** 2
         bodies = tuple(replace(b, youngs_modulus_pa=modulus) if b == body else b for b in rig.bodies)
-        change = residual_of(linearization, rig).bare - residual_of(linearization, replace(rig, bodies=bodies)).bare
+        change = (
+            residual_of(linearization, rig).linear_before_nuisance
+            - residual_of(linearization, replace(rig, bodies=bodies)).linear_before_nuisance
+        )
         names = [p.name for p in linearization.columns.parameters]
         expected = small * linearization.columns.residual[names.index(f"frequency of {body.name}")]
         assert np.linalg.norm(change - expected) < 0.02 * np.linalg.norm(change)
@@ -85,15 +88,15 @@ def test_the_share_of_a_channel_that_the_one_beside_it_shows_is_found():
     signals = recording.signals["acceleration"]
     values = signals.values.copy()
     values[4] += share * signals.values[5]
-    shown = replace_fields(
+    mixed_recording = replace_fields(
         recording, signals=recording.signals | {"acceleration": replace_fields(signals, values=values)}
     )
-    linearization, residual = fit_nuisance(record_of(shown), rig)
+    linearization, residual = fit_nuisance(record_of(mixed_recording), rig)
     pulls = dict(zip((p.name for p in linearization.columns.parameters), residual.nuisance.tolist(), strict=True))
     mixed = f"crosstalk of {rig.sensors[5].name} in {rig.sensors[4].name}"
-    found = LABORATORY.crosstalk * pulls.pop(mixed)
-    assert 0.5 * share < found < share  # gain and place of the sensor take the rest, as their priors weigh as much
-    assert max(map(abs, pulls.values())) < 0.5 * found / LABORATORY.crosstalk
+    estimate = LABORATORY.crosstalk * pulls.pop(mixed)
+    assert 0.5 * share < estimate < share  # gain and place of the sensor take the rest, as their priors weigh as much
+    assert max(map(abs, pulls.values())) < 0.5 * estimate / LABORATORY.crosstalk
 
 
 def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_parameters():
@@ -107,9 +110,11 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
         for p in linearization.columns.parameters
     ]
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
-    at, believed = residual_of(linearization, rig, values), residual_of(linearization, rig)
-    there = residual_of(linearized(record, at.corrected_rig), at.corrected_rig)
-    assert np.linalg.norm(there.linear - at.linear) < 0.05 * np.linalg.norm(believed.linear - at.linear)
+    with_nuisance, nominal = residual_of(linearization, rig, values), residual_of(linearization, rig)
+    fitted = residual_of(linearized(record, with_nuisance.corrected_rig), with_nuisance.corrected_rig)
+    assert np.linalg.norm(fitted.linear - with_nuisance.linear) < 0.05 * np.linalg.norm(
+        nominal.linear - with_nuisance.linear
+    )
 
 
 def test_a_rig_whose_modes_leave_the_band_has_the_same_nuisance_parameters():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from identify.gaps.residual.extent import FADED, LEFT_OUT_S
+from identify.gaps.residual.extent import OMITTED_FADES, OMITTED_S
 from identify.gaps.residual.likelihood import reference_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -40,8 +40,8 @@ def recording_of(rig, force_n, position_m):
     return Recording(rig, {name: Signals(c, 0.0, rows[name]) for name, c in channel_groups(rig).items()}, {})
 
 
-def moved(friction_n: float, load_n: float, seed: int = 401) -> Recording:
-    """By inverse dynamics: to and fro at constant speeds for seconds, with a little Gaussian motion on top."""
+def simulated(friction_n: float, load_n: float, seed: int = 401) -> Recording:
+    """Recording by inverse dynamics: constant speeds to and fro for seconds, plus a little Gaussian motion."""
     rng, time_s = np.random.default_rng(seed), np.arange(round(24 * RATE_HZ)) / RATE_HZ
     steps = np.repeat(rng.uniform(-0.2, 0.2, 8), time_s.size // 8)
     hz = np.fft.rfftfreq(time_s.size, 1 / RATE_HZ)
@@ -59,20 +59,20 @@ def moved(friction_n: float, load_n: float, seed: int = 401) -> Recording:
 
 def fitted_effects(record, *names):
     """Values and standard errors of effects fitted together, and the share of the acceleration before and after."""
-    known = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
-    parts = tuple(next(c for c in known if c.kind.name == name) for name in names)
-    linearization, at = fit_nuisance(record, record.rig)
-    begun = Search(reference_of(linearized(record, record.rig)), linearization, at, parts)
-    found = fit_effects(begun, parts, np.concatenate([p.default for p in parts]), at).hypothesis
+    every_candidate = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
+    effects = tuple(next(c for c in every_candidate if c.kind.name == name) for name in names)
+    linearization, residual = fit_nuisance(record, record.rig)
+    search = Search(reference_of(linearized(record, record.rig)), linearization, residual, effects)
+    estimate = fit_effects(search, effects, np.concatenate([p.default for p in effects]), residual).hypothesis
     return (
-        found.values,
-        np.sqrt(np.diag(found.covariance)),
-        (begun.nothing().hypothesis.misfit.share, found.misfit.share),
+        estimate.values,
+        np.sqrt(np.diag(estimate.covariance)),
+        (search.nominal_fit().hypothesis.misfit.share, estimate.misfit.share),
     )
 
 
 def test_friction_and_a_constant_force_are_found_in_motion_at_constant_speed():
-    record = record_of(moved(friction_n=5.0, load_n=1.2))
+    record = record_of(simulated(friction_n=5.0, load_n=1.2))
     values, errors, (before, after) = fitted_effects(record, "ground_friction", "preload")
     assert np.all(np.abs(values - [5.0, 1.2]) < np.maximum(2 * errors, 1e-3))
     assert np.all(errors < 0.05 * np.array([5.0, 1.2]))
@@ -80,18 +80,19 @@ def test_friction_and_a_constant_force_are_found_in_motion_at_constant_speed():
 
 
 def test_without_friction_none_is_found_and_nothing_is_left():
-    values, errors, (before, _) = fitted_effects(record_of(moved(0.0, 0.0)), "ground_friction", "preload")
+    values, errors, (before, _) = fitted_effects(record_of(simulated(0.0, 0.0)), "ground_friction", "preload")
     assert np.all(np.abs(values) < np.maximum(2 * errors, 1e-3))
     assert before < 1e-3
 
 
 def test_the_measured_motion_counts_up_to_the_fade():
-    free = record_of(moved(0.0, 0.0))
-    assert free.time_s[0] == pytest.approx(FADED, abs=0.05)
+    free = record_of(simulated(0.0, 0.0))
+    assert free.time_s[0] == pytest.approx(OMITTED_FADES, abs=0.05)
     held = recording_of(
-        carriage(20.0, 30.0, RATE_HZ, 1.0), *(moved(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement"))
+        carriage(20.0, 30.0, RATE_HZ, 1.0),
+        *(simulated(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement")),
     )
-    assert record_of(held).time_s[0] == pytest.approx(LEFT_OUT_S, abs=0.05)
+    assert record_of(held).time_s[0] == pytest.approx(OMITTED_S, abs=0.05)
 
 
 def test_friction_and_offset_of_a_measured_carriage():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from identify.gaps.decision.null_machine import drawn
+from identify.gaps.decision.null_simulations import draw_rig
 from identify.gaps.residual.residual import Residual
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.windows import null_errors
@@ -41,7 +41,7 @@ class Case:
 
 def machine(seed):
     """The reference rig as a laboratory builds it."""
-    return drawn(BELIEVED, LABORATORY, norm.ppf(np.random.default_rng(seed).uniform(0.2, 0.8, 700)))
+    return draw_rig(BELIEVED, LABORATORY, norm.ppf(np.random.default_rng(seed).uniform(0.2, 0.8, 700)))
 
 
 def recorded(actual, seed):
@@ -74,8 +74,8 @@ def damped():
 @pytest.fixture(scope="session")
 def nulls():
     """Errors of three null simulations."""
-    found = []
+    errors = []
     for seed in (11, 12, 13):
         case = Case(recorded(machine(seed), seed))
-        found.append(null_errors(case.recording, case.fitted(), prediction.modal))
-    return found
+        errors.append(null_errors(case.recording, case.fitted(), prediction.modal))
+    return errors

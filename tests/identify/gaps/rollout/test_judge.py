@@ -5,71 +5,75 @@ import pytest
 from msgspec.structs import replace
 
 from identify.gaps.rollout.judge import (
-    Paired,
-    confirmed,
+    BlockRatios,
+    block_ratios,
+    compared_modes,
+    confirm_by_simulations,
     falls_short,
-    judged,
-    paired_blocks,
-    shrunk,
+    judge_correction,
+    shrunk_share,
     standard_error,
     veto,
 )
 from identify.gaps.rollout.results import NullErrors, Rollout
+from identify.signals.ringing import RingingMode, modes_of_decay
 from rig.errors import RigError
 from rig.simulation import prediction
 from tests.identify.gaps.rollout.conftest import BELIEVED, CLEARANCE, DAMPING, FRICTION
 
+MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
+
 
 def test_a_right_correction_shrinks_the_gap_and_is_not_vetoed(damped, nulls):
-    told = judged(damped.recording, damped.fitted(), damped.fitted(DAMPING), nulls, prediction.modal)
-    assert told.code == "not_vetoed"
-    assert not told.whole.at_floor
-    assert 0.7 < told.whole.shrunk <= 1
-    assert told.shrunk_95[0] < told.whole.shrunk <= told.shrunk_95[1] + 1e-9
-    assert told.log_ratio < -3 * told.log_ratio_error
-    assert set(told.by_sensor) == {s.name for s in BELIEVED.sensors}
-    assert 0.05 < told.horizon_s < 0.2
+    rollout = judge_correction(damped.recording, damped.fitted(), damped.fitted(DAMPING), nulls, prediction.modal)
+    assert rollout.code == "not_vetoed"
+    assert not rollout.whole.at_floor
+    assert 0.7 < rollout.whole.shrunk <= 1
+    assert rollout.shrunk_95[0] < rollout.whole.shrunk <= rollout.shrunk_95[1] + 1e-9
+    assert rollout.log_ratio < -3 * rollout.log_ratio_error
+    assert set(rollout.by_sensor) == {s.name for s in BELIEVED.sensors}
+    assert 0.05 < rollout.horizon_s < 0.2
 
 
 def test_a_clearance_that_tolerances_take_up_is_a_gap_of_the_rig_as_it_stands(wide_clearance, nulls):
-    told = judged(
+    rollout = judge_correction(
         wide_clearance.recording, wide_clearance.fitted(), wide_clearance.fitted(CLEARANCE), nulls, prediction.modal
     )
-    assert told.code == "not_vetoed"
-    assert told.whole.nominal > 1.5 * told.within
-    assert told.whole.shrunk > 0.7
+    assert rollout.code == "not_vetoed"
+    assert rollout.whole.nominal > 1.5 * rollout.within
+    assert rollout.whole.shrunk > 0.7
 
 
 def test_a_null_is_at_the_floor_and_not_vetoed(null, nulls):
-    told = judged(null.recording, null.fitted(), null.fitted(), nulls, prediction.modal)
-    assert told.code == "not_vetoed"
-    assert told.whole.at_floor
-    assert told.shrunk_95 is None
-    assert told.log_ratio == 0.0
+    rollout = judge_correction(null.recording, null.fitted(), null.fitted(), nulls, prediction.modal)
+    assert rollout.code == "not_vetoed"
+    assert rollout.whole.at_floor
+    assert rollout.shrunk_95 is None
+    assert rollout.log_ratio == 0.0
 
 
 @pytest.mark.parametrize("wrong", [FRICTION, "added_mass:mass_kg=0.2,relative_position=0.8,body=barrel"])
 def test_a_wrong_correction_is_vetoed(null, nulls, wrong):
-    told = judged(null.recording, null.fitted(), null.fitted(wrong), nulls, prediction.modal)
-    assert told.code == "worse"
-    assert told.vetoed
+    rollout = judge_correction(null.recording, null.fitted(), null.fitted(wrong), nulls, prediction.modal)
+    assert rollout.code == "worse"
+    assert rollout.vetoed
 
 
 def test_without_a_horizon_or_a_predictor_nothing_is_judged(null, nulls):
-    at = null.fitted()
+    residual = null.fitted()
     hopeless = NullErrors(samples=(16,), nominal=((0.5,),), within=((0.5,),))
-    assert judged(null.recording, at, at, [hopeless], prediction.modal).code == "no_horizon"
+    assert judge_correction(null.recording, residual, residual, [hopeless], prediction.modal).code == "no_horizon"
 
     def refusing(*_):
         raise RigError("no")
 
-    told = judged(null.recording, at, at, nulls, refusing)
-    assert (told.code, told.vetoed, told.windows) == ("not_simulated", False, 0)
+    rollout = judge_correction(null.recording, residual, residual, nulls, refusing)
+    assert (rollout.code, rollout.vetoed, rollout.windows) == ("not_simulated", False, 0)
 
 
 def test_vetoes_by_chance_are_as_rare_as_stated():
     rng = np.random.default_rng(1)
-    codes = [veto(Paired(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
+    codes = [veto(BlockRatios(0.3 * rng.standard_normal(25), np.full(25, -1e-3))) for _ in range(4000)]
     assert 0.006 < np.mean([code == "worse" for code in codes]) < 0.014  # 1 %, three standard errors
 
 
@@ -96,17 +100,17 @@ def paired_errors():
 
 def test_errors_of_a_right_correction_fall_as_expected():
     first, e, change = paired_errors()
-    right = paired_blocks(e - change, e, first, 1000.0)
+    right = block_ratios(e - change, e, first, 1000.0)
     assert right.log_ratios.mean() == pytest.approx(right.expected.mean(), rel=0.05)
     assert right.expected.mean() == pytest.approx(-np.log(2) / 2, rel=0.05)
     assert veto(right) == "not_vetoed"
     assert not falls_short(right)
-    assert veto(paired_blocks(e, e - change, first, 1000.0)) == "worse"
+    assert veto(block_ratios(e, e - change, first, 1000.0)) == "worse"
 
 
 def test_a_correction_that_changes_much_and_gains_nothing_falls_short():
     first, e, change = paired_errors()
-    half = paired_blocks(e - change / 2, e + change / 2, first, 1000.0)
+    half = block_ratios(e - change / 2, e + change / 2, first, 1000.0)
     assert half.log_ratios.mean() == pytest.approx(0.0, abs=0.02)
     assert veto(half) == "not_vetoed"
     assert falls_short(half)
@@ -122,18 +126,51 @@ def test_a_correction_that_changes_much_and_gains_nothing_falls_short():
     ],
 )
 def test_simulations_decide_whether_prediction_had_to_improve(simulated, code):
-    told = Rollout(code="not_vetoed", log_ratio=-0.01, log_ratio_error=0.02, falls_short=True)
-    assert confirmed(told, simulated).code == code
-    assert confirmed(replace(told, falls_short=False), simulated).code == "not_vetoed"
+    rollout = Rollout(code="not_vetoed", log_ratio=-0.01, log_ratio_error=0.02, falls_short=True)
+    assert confirm_by_simulations(rollout, simulated).code == code
+    assert confirm_by_simulations(replace(rollout, falls_short=False), simulated).code == "not_vetoed"
 
 
 def test_long_windows_are_cut_into_blocks():
     errors = np.ones((1, 2, 5000))
     errors[:, :, 2000:3000] = 2.0
-    paired = paired_blocks(np.ones((1, 2, 5000)), errors, np.array([0]), 1000.0)
+    paired = block_ratios(np.ones((1, 2, 5000)), errors, np.array([0]), 1000.0)
     np.testing.assert_allclose(paired.log_ratios, np.log([1, 1, 2, 1, 1]), atol=1e-9)
 
 
 @pytest.mark.parametrize(("corrected", "share"), [(0.1, 1.0), (0.3, 0.0), (0.2, (9 - 4) / (9 - 1)), (0.05, 1.0)])
 def test_how_far_a_gap_shrinks(corrected, share):
-    assert shrunk(0.3, corrected, 0.1) == pytest.approx(share)
+    assert shrunk_share(0.3, corrected, 0.1) == pytest.approx(share)
+
+
+@pytest.fixture
+def decay():
+    rng, time_s = np.random.default_rng(1), np.arange(8192) / 2048
+    rows = np.zeros((5, time_s.size))
+    for hz, zeta, size in MODES:
+        pole = 2 * np.pi * hz * (-zeta + 1j * np.sqrt(1 - zeta**2))
+        rows += size * np.outer(rng.standard_normal(5), (np.exp(pole * time_s) * np.exp(1j * rng.uniform(0, 6))).real)
+    return rows + 1e-4 * rng.standard_normal(rows.shape)
+
+
+def test_every_mode_is_found(decay):
+    modes = modes_of_decay(decay, 2048.0, 200.0, 6)
+    assert len(modes) == 3
+    for mode, (hz, zeta, _) in zip(modes, MODES, strict=True):
+        assert mode.frequency_hz == pytest.approx(hz, rel=1e-4)
+        assert mode.damping_ratio == pytest.approx(zeta, rel=0.01)
+
+
+def test_nothing_rings_in_silence_or_in_noise():
+    assert modes_of_decay(np.zeros((3, 4000)), 2048.0, 200.0, 6) == []
+    noise = np.random.default_rng(1).standard_normal((3, 4000))
+    assert all(mode.damping_ratio > 0.001 or mode.share < 0.05 for mode in modes_of_decay(noise, 2048.0, 200.0, 3))
+
+
+def test_modes_are_compared_with_the_nearest_and_missed_ones_named():
+    measured = [RingingMode(10.0, 0.01, 0.5), RingingMode(50.0, 0.02, 0.5)]
+    first, second = compared_modes(
+        measured, [RingingMode(11.0, 0.03, 1.0)], [RingingMode(49.0, 0.01, 0.5), RingingMode(10.1, 0.01, 0.5)]
+    )
+    assert (first.nominal, first.corrected) == ((11.0, 0.03), (10.1, 0.01))
+    assert (second.nominal, second.corrected) == (None, (49.0, 0.01))

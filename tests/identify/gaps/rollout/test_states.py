@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.gaps.rollout.states import motion_of
+from identify.gaps.rollout.states import measured_motion
 from identify.signals.kinematics import kinematics
 from rig.model.description import stations_of
 from rig.model.modes import modes_of
@@ -30,18 +30,18 @@ def exact():
 
 def modal(displacements_m):
     """The first three elastic modes of both beams."""
-    found = []
+    coordinates_m = []
     for body, first in zip(BELIEVED.bodies, (0, 2), strict=True):
         rows = [i for i, s in enumerate(BELIEVED.sensors) if s.station.body == body.name]
         places = np.array([BELIEVED.sensors[i].station.position_m for i in rows])
         shapes = modes_of(BELIEVED, body).shapes(places, len(rows))
-        found.append((np.linalg.inv(shapes) @ displacements_m[rows])[first : first + 3])
-    return np.concatenate(found)
+        coordinates_m.append((np.linalg.inv(shapes) @ displacements_m[rows])[first : first + 3])
+    return np.concatenate(coordinates_m)
 
 
 def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact):
     case, true_m, coordinates_m = exact
-    motion = motion_of(case.recording, BELIEVED, case.fitted())
+    motion = measured_motion(case.recording, BELIEVED, case.fitted())
     now = slice(motion.first, true_m.shape[1] - 100)
     true = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now]  # 24 modes a beam; two of the barrel's are rigid
     estimated, integrated = (
@@ -54,7 +54,7 @@ def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact
 
 def test_rates_and_relative_displacements_are_the_true_ones(exact):
     case, true_m, _ = exact
-    motion = motion_of(case.recording, BELIEVED, case.fitted())
+    motion = measured_motion(case.recording, BELIEVED, case.fitted())
     now = slice(motion.first, true_m.shape[1] - 100)
     true = np.gradient(true_m, 1 / BELIEVED.sample_rate_hz, axis=1)[:, now]
     assert np.all((motion.states[1][:, now] - true).std(axis=1) < 0.02 * true.std(axis=1))
@@ -67,19 +67,19 @@ def test_rates_and_relative_displacements_are_the_true_ones(exact):
 
 def test_a_wrong_gain_makes_no_wrong_displacement_of_high_modes(exact):
     case, true_m, coordinates_m = exact
-    at = case.fitted()
+    residual = case.fitted()
     group = case.recording.signals["acceleration"]
     scaled = group.values * (1 + 3e-3 * np.random.default_rng(1).standard_normal((len(group.values), 1)))
     signals = {**case.recording.signals, "acceleration": type(group)(group.channels, group.start_s, scaled)}
     changed = type(case.recording)(case.recording.rig, signals, case.recording.provenance)
-    motion, now = motion_of(changed, BELIEVED, at), slice(8000, true_m.shape[1] - 100)
+    motion, now = measured_motion(changed, BELIEVED, residual), slice(8000, true_m.shape[1] - 100)
     true, estimated = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now], modal(motion.states[0])[:, now]
     assert np.all((estimated - true).std(axis=1)[1:] < 0.1 * true.std(axis=1)[1:])
 
 
 def test_the_predictor_takes_the_states(exact):
     case, *_ = exact
-    motion = motion_of(case.recording, BELIEVED, case.fitted())
+    motion = measured_motion(case.recording, BELIEVED, case.fitted())
     first = np.array([motion.first, motion.stop - 100])
     states = motion.states[:, :, first].transpose(2, 0, 1)
     moved = prediction.modal(motion.rig, motion.forces_n, first, 50, motion.stations, states)

@@ -68,27 +68,29 @@ class World:
         lasting = (self.time_s < DURATION_S + 2) * rms_n / force.std()
         return force * lasting
 
-    def compliance(self, body, at, to, stiffer=1.0):
-        """Displacement at some places by a force at another, by the modes."""
+    def compliance(self, body, force_position_m, positions_m, stiffer=1.0):
+        """Receptances from a force at one position of a body to some others, by modal superposition."""
         modes, zeta = body.frequencies_hz(MODES) * stiffer, body.damping_ratios(MODES)
         natural = 2 * np.pi * modes[:, None]
-        each = 1 / (natural**2 - self.omega**2 + 2j * zeta[:, None] * natural * self.omega)
-        return (body.shapes(np.asarray(to), MODES) * body.shapes(np.array([at]), MODES)[0]) @ each
+        receptances = 1 / (natural**2 - self.omega**2 + 2j * zeta[:, None] * natural * self.omega)
+        return (
+            body.shapes(np.asarray(positions_m), MODES) * body.shapes(np.array([force_position_m]), MODES)[0]
+        ) @ receptances
 
-    def displacements(self, forces, to):
-        """By (station, time history) at stations."""
-        found = np.zeros((len(to), self.omega.size), dtype=complex)
+    def displacements(self, forces, stations):
+        """Spectra of the displacement (m) at some stations by forces, each a station and a time history (N)."""
+        spectra = np.zeros((len(stations), self.omega.size), dtype=complex)
         for station, force in forces:
-            for i, place in enumerate(to):
+            for i, place in enumerate(stations):
                 if place.body == station.body:
                     body = self.rig.body(place.body)
                     row = self.compliance(body, station.position_m, [place.position_m])[0]
-                    found[i] += row * np.fft.rfft(force)
-        return found
+                    spectra[i] += row * np.fft.rfft(force)
+        return spectra
 
     def record(self, rms_n=5.0, unknown=None, spoilt=None):
-        """What the sensors give. `unknown` makes forces of (time, motion); it takes turns with the motion at its
-        stations until both agree."""
+        """Recording as the sensors give it. `unknown` holds the stations of a force and its law, of time and
+        motion; the force is iterated with the motion at its stations until both agree."""
         force = self.random_n(rms_n) * np.sin(np.pi / 2 * np.clip((self.time_s - QUIET_S) / RISE_S, 0, 1)) ** 2
         rig, forces = self.rig, []
         if unknown is not None:
@@ -96,13 +98,13 @@ class World:
             history = np.zeros(self.time_s.size)
             for _ in range(40):
                 forces = [(s, sign * history) for s, sign in zip(stations, (1.0, -1.0), strict=False)]
-                moved = self.displacements([(rig.force_at, force), *forces], stations)
-                relative = moved[0] - (moved[1] if len(stations) > 1 else 0.0)
+                displacements = self.displacements([(rig.force_at, force), *forces], stations)
+                relative = displacements[0] - (displacements[1] if len(stations) > 1 else 0.0)
                 motion = [np.fft.irfft((1j * self.omega) ** n * relative, self.time_s.size) for n in (0, 1)]
                 history = 0.5 * history + 0.5 * law(self.time_s, *motion)
         places = [s.station for s in rig.sensors]
-        seen = -(self.omega**2) * self.displacements([(rig.force_at, force), *forces], places)
-        signals = np.fft.irfft(seen, self.time_s.size)
+        accelerations = -(self.omega**2) * self.displacements([(rig.force_at, force), *forces], places)
+        signals = np.fft.irfft(accelerations, self.time_s.size)
         signals *= 1 + 1e-3 * self.rng.uniform(-1, 1, (len(places), 1))
         if spoilt is not None:
             signals = spoilt(signals)

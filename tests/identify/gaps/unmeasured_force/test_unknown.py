@@ -8,11 +8,11 @@ import pytest
 from msgspec.structs import replace as changed
 
 from identify.gaps.unmeasured_force import described, likeliest_force
-from identify.gaps.unmeasured_force.evidence import explained, without
-from identify.gaps.unmeasured_force.location import ForcePlace, candidates, located, response_of
-from identify.gaps.unmeasured_force.nuisance import observed
-from identify.gaps.unmeasured_force.observed import force_noise
+from identify.gaps.unmeasured_force.evidence import evidence_with_force, evidence_without_force
+from identify.gaps.unmeasured_force.location import ForcePlace, candidates, locate_force, response_of
+from identify.gaps.unmeasured_force.nuisance import whitened_record
 from identify.gaps.unmeasured_force.time_history import explained_share
+from identify.gaps.unmeasured_force.whitened_record import force_noise
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Sensor, Station
@@ -26,34 +26,34 @@ def both(world, unknown, spoilt=None, rms_n=5.0):
     return world.record(rms_n, unknown, spoilt), world.record(1.6 * rms_n, unknown, spoilt)
 
 
-def found_in(world, unknown, spoilt=None, rms_n=5.0):
+def force_in(world, unknown, spoilt=None, rms_n=5.0):
     fit, validation = both(world, unknown, spoilt, rms_n)
     estimate = likeliest_force(fit, world.rig, validation)
-    found = described(estimate)
-    assert found.same_place
-    assert min(explained_share(estimate.on_fit), found.explained) >= 0.5
-    return found
+    force = described(estimate)
+    assert force.same_place
+    assert min(explained_share(estimate.on_fit), force.explained) >= 0.5
+    return force
 
 
 def test_drag_is_found_with_its_place_and_law(damped):
     drag, place_m = 10.0, 0.63
-    found = found_in(damped, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v), rms_n=20.0)
-    assert (found.kind, found.body) == ("force", "beam")
-    assert msgspec.json.decode(msgspec.json.encode(found), type=UnmeasuredForce) == found
-    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
-    assert found.against == "velocity squared"
-    assert found.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
-    assert found.sentence.startswith(
-        f"a force on the beam near {found.position_m:.2f} m that grows with the square of the velocity"
+    force = force_in(damped, ((Station("beam", place_m),), lambda _, __, v: -drag * np.abs(v) * v), rms_n=20.0)
+    assert (force.kind, force.body) == ("force", "beam")
+    assert msgspec.json.decode(msgspec.json.encode(force), type=UnmeasuredForce) == force
+    assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
+    assert force.against == "velocity squared"
+    assert force.law_parameters["coefficient"].value == pytest.approx(drag, rel=0.03)
+    assert force.sentence.startswith(
+        f"a force on the beam near {force.position_m:.2f} m that grows with the square of the velocity"
     )
 
 
 def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
-    """As those of displacement beside accelerometers; they ended it in a traceback."""
+    """Displacement sensors beside accelerometers once raised an exception here."""
     laser = Sensor(name="laser", station=Station("beam", 1.0), quantity="displacement")
     rig = changed(world.rig, sensors=(laser, *world.rig.sensors))
-    found = located(observed(replace(world.record(), rig=rig), rig))
-    assert {c.sensor for c in candidates(rig, found.observed.record.sensors)} == {
+    estimate = locate_force(whitened_record(replace(world.record(), rig=rig), rig))
+    assert {c.sensor for c in candidates(rig, estimate.whitened.record.sensors)} == {
         "",
         *(s.name for s in world.rig.sensors),
     }
@@ -62,45 +62,45 @@ def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
 def test_a_tone_that_runs_before_the_excitation_is_no_noise(world):
     amplitude_n, hz, place_m = 0.4, 31.3, 0.78
     place = Station("beam", place_m)
-    found = found_in(world, ((place,), lambda t, _, __: amplitude_n * np.sin(2 * np.pi * hz * t)))
-    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
-    assert found.frequency_hz == pytest.approx(hz, abs=0.01)
-    assert found.amplitude_n == pytest.approx(amplitude_n, rel=0.05)
-    assert found.against == "none"
-    assert f"at {hz:.1f} Hz" in found.sentence
+    force = force_in(world, ((place,), lambda t, _, __: amplitude_n * np.sin(2 * np.pi * hz * t)))
+    assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
+    assert force.frequency_hz == pytest.approx(hz, abs=0.01)
+    assert force.amplitude_n == pytest.approx(amplitude_n, rel=0.05)
+    assert force.against == "none"
+    assert f"at {hz:.1f} Hz" in force.sentence
 
 
 def test_a_random_force_has_a_band_and_no_law(world):
     rms_n, place_m = 0.3, 0.47
     history = world.random_n(rms_n, (5.0, 25.0))
-    found = found_in(world, ((Station("beam", place_m),), lambda *_: history))
-    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
-    assert found.law == ""
-    assert found.rms_n == pytest.approx(rms_n, rel=0.15)
-    assert 3 < found.band_hz[0] < found.band_hz[1] < 27
-    assert found.before_excitation == pytest.approx(1.0, abs=0.5)
-    assert "random force" in found.sentence
+    force = force_in(world, ((Station("beam", place_m),), lambda *_: history))
+    assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
+    assert force.law == ""
+    assert force.rms_n == pytest.approx(rms_n, rel=0.15)
+    assert 3 < force.band_hz[0] < force.band_hz[1] < 27
+    assert force.before_excitation == pytest.approx(1.0, abs=0.5)
+    assert "random force" in force.sentence
 
 
 def test_a_support_that_yields_is_told_from_other_springs(damped):
     stiffness, yield_m, place_m = 100.0, 1e-3, 0.9
-    found = found_in(
+    force = force_in(
         damped, ((Station("beam", place_m),), lambda _, w, __: -stiffness * yield_m * np.tanh(w / yield_m))
     )
-    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
-    assert found.law_name == "softening spring"
-    assert found.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
-    assert found.law_parameters["w0"].value == pytest.approx(yield_m, rel=0.05)
+    assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
+    assert force.law_name == "softening spring"
+    assert force.law_parameters["coefficient"].value == pytest.approx(stiffness, rel=0.05)
+    assert force.law_parameters["w0"].value == pytest.approx(yield_m, rel=0.05)
 
 
 def test_a_pair_pushes_both_bodies(two):
     place_m, damping = 0.6, 8.0
     stations = (Station("upper", place_m), Station("lower", place_m))
-    found = found_in(two, (stations, lambda _, __, v: -damping * v))
-    assert (found.kind, {found.body, found.against_body}) == ("pair", {"upper", "lower"})
-    assert found.position_m == pytest.approx(place_m, abs=WITHIN_M)
-    assert found.law_name == "viscous damping"
-    assert found.law_parameters["coefficient"].value == pytest.approx(damping, rel=0.05)
+    force = force_in(two, (stations, lambda _, __, v: -damping * v))
+    assert (force.kind, {force.body, force.against_body}) == ("pair", {"upper", "lower"})
+    assert force.position_m == pytest.approx(place_m, abs=WITHIN_M)
+    assert force.law_name == "viscous damping"
+    assert force.law_parameters["coefficient"].value == pytest.approx(damping, rel=0.05)
 
 
 def test_a_sensor_that_clips_is_a_sensor(world):
@@ -110,60 +110,62 @@ def test_a_sensor_that_clips_is_a_sensor(world):
         limit = 1.5 * signals[row].std()
         return np.where((np.arange(len(signals)) == row)[:, None], np.clip(signals, -limit, limit), signals)
 
-    found = found_in(world, None, clipped)
-    assert (found.kind, found.sensor) == ("sensor", world.rig.sensors[row].name)
-    assert found.sentence == f"a fault of sensor {found.sensor}: its signal does not follow the motion"
+    force = force_in(world, None, clipped)
+    assert (force.kind, force.sensor) == ("sensor", world.rig.sensors[row].name)
+    assert force.sentence == f"a fault of sensor {force.sensor}: its signal does not follow the motion"
 
 
 def test_a_null_shows_no_force(world):
     fit, validation = both(world, None)
-    found = described(likeliest_force(fit, world.rig, validation))
-    assert found.explained < 0.3
-    assert found.law == ""
+    force = described(likeliest_force(fit, world.rig, validation))
+    assert force.explained < 0.3
+    assert force.law == ""
 
 
 def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     history = world.random_n(0.01)
     small = ((Station("beam", 0.7),), lambda *_: history)
     records = [both(world, unknown) for unknown in (None, small)]
-    nothing, found = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
-    assert found.same_place
-    assert explained_share(found.held) < 0.5
-    assert found.held.gain > 2 * max(nothing.held.gain, 0.0)
+    nothing, with_force = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
+    assert with_force.same_place
+    assert explained_share(with_force.held) < 0.5
+    assert with_force.held.gain > 2 * max(nothing.held.gain, 0.0)
 
 
 def test_nuisances_do_not_shrink_the_data(world):
     """Scaling down all that was measured, and the force with it, makes every residual smaller, and explains nothing."""
-    own = observed(world.record(), world.rig)
-    fitted = without(own)
-    gains = [v for p, v in zip(own.parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
+    whitened = whitened_record(world.record(), world.rig)
+    fitted = evidence_without_force(whitened)
+    gains = [v for p, v in zip(whitened.parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
     assert len(gains) == len(world.rig.sensors) + 1
     assert np.max(np.abs(gains)) < 4
-    shrinking = without(replace(own, trace=np.zeros_like(own.trace)))
+    shrinking = evidence_without_force(replace(whitened, trace=np.zeros_like(whitened.trace)))
     assert np.sum(shrinking.theta**2) > np.sum(fitted.theta**2)
 
 
 def test_the_criterion_falls_most_at_the_true_place(world):
     history = world.random_n(0.3)
     place_m = 0.5
-    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
-    before = without(own)
+    whitened = whitened_record(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
+    before = evidence_without_force(whitened)
 
     def criterion(at_m):
-        return explained(own, response_of(own, ForcePlace("force", (Station("beam", at_m),))), before).criterion
+        return evidence_with_force(
+            whitened, response_of(whitened, ForcePlace("force", (Station("beam", at_m),))), before
+        ).criterion
 
-    there = criterion(place_m)
-    assert there < before.criterion
-    assert all(there < criterion(x) for x in (0.3, 0.45, 0.47, 0.53, 0.55, 0.8))
+    lowest = criterion(place_m)
+    assert lowest < before.criterion
+    assert all(lowest < criterion(x) for x in (0.3, 0.45, 0.47, 0.53, 0.55, 0.8))
 
 
 def test_the_place_has_an_honest_error(world):
     history = world.random_n(0.05)
     place_m = 0.5
-    own = observed(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
-    found = located(own)
-    assert 0 < found.error_m < WITHIN_M
-    assert abs(found.candidate.stations[0].position_m - place_m) < max(6 * found.error_m, 2e-3)
+    whitened = whitened_record(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
+    estimate = locate_force(whitened)
+    assert 0 < estimate.error_m < WITHIN_M
+    assert abs(estimate.candidate.stations[0].position_m - place_m) < max(6 * estimate.error_m, 2e-3)
 
 
 def test_the_noise_of_the_force_channel_is_heard(world):
@@ -180,4 +182,4 @@ def test_too_few_sensors_are_refused(world):
     )
     rig = changed(world.rig, contacts=stops)
     with pytest.raises(RigError, match="6 sensors and 6 contacts leave nothing that could show an unmeasured force"):
-        observed(replace(record, rig=rig, drifts=(None,) * len(stops)), rig)
+        whitened_record(replace(record, rig=rig, drifts=(None,) * len(stops)), rig)

@@ -24,9 +24,9 @@ def structure(seed):
 def accelerance(natural_hz, ratios, shapes, noise, rng):
     omega, natural = 2 * np.pi * HZ, 2 * np.pi * natural_hz[:, None]
     terms = -(omega**2) / (natural**2 - omega**2 + 2j * ratios[:, None] * natural * omega)
-    found = (shapes * shapes[0]) @ terms
-    size = noise * np.sqrt(np.mean(np.abs(found) ** 2, axis=1, keepdims=True) / 2)
-    return found + size * (rng.standard_normal(found.shape) + 1j * rng.standard_normal(found.shape))
+    clean = (shapes * shapes[0]) @ terms
+    size = noise * np.sqrt(np.mean(np.abs(clean) ** 2, axis=1, keepdims=True) / 2)
+    return clean + size * (rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape))
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -29,10 +29,10 @@ def force_of(kind, rng):
 
 
 def response(force_n, order, natural_hz, ratios, shapes):
-    """At eight times the rate, with the force band-limited between the samples."""
+    """Simulate at eight times the rate, with the force band-limited between the samples."""
     count, fine = natural_hz.size, 8
-    omega, nothing, one = 2 * np.pi * natural_hz, np.zeros((count, count)), np.eye(count)
-    a = np.block([[nothing, one], [-np.diag(omega**2), -np.diag(2 * ratios * omega)]])
+    omega, zero, identity = 2 * np.pi * natural_hz, np.zeros((count, count)), np.eye(count)
+    a = np.block([[zero, identity], [-np.diag(omega**2), -np.diag(2 * ratios * omega)]])
     b = np.concatenate([np.zeros(count), shapes[0]])[:, None]
     outputs = (np.concatenate([shapes, 0 * shapes], axis=1), np.concatenate([0 * shapes, shapes], axis=1), None)
     c = shapes @ a[count:] if order == 2 else outputs[order]
@@ -51,16 +51,16 @@ def test_the_modes_of_a_record_are_found(kind, order):
     clean = response(force_n, order, NATURAL_HZ, RATIOS, SHAPES)
     noise = 0.01 * clean.std(axis=1, keepdims=True) * rng.standard_normal(clean.shape)
     measured = MeasuredResponse(force_n, clean + noise, order, RATE_HZ)
-    found = fit_record(measured, PLACES_M, 0, 1.0, BAND_HZ)
-    inside = [k for k, hz in enumerate(found.body.natural_hz) if BAND_HZ[0] <= hz <= BAND_HZ[1]]
-    np.testing.assert_allclose(found.body.frequencies_hz(found.body.max_modes)[inside], NATURAL_HZ, rtol=3e-4)
-    np.testing.assert_allclose(found.body.damping_ratios(found.body.max_modes)[inside], RATIOS, rtol=0.03)
-    shapes = found.body.shapes(np.array(PLACES_M), found.body.max_modes)[:, inside]
+    fit = fit_record(measured, PLACES_M, 0, 1.0, BAND_HZ)
+    inside = [k for k, hz in enumerate(fit.body.natural_hz) if BAND_HZ[0] <= hz <= BAND_HZ[1]]
+    np.testing.assert_allclose(fit.body.frequencies_hz(fit.body.max_modes)[inside], NATURAL_HZ, rtol=3e-4)
+    np.testing.assert_allclose(fit.body.damping_ratios(fit.body.max_modes)[inside], RATIOS, rtol=0.03)
+    shapes = fit.body.shapes(np.array(PLACES_M), fit.body.max_modes)[:, inside]
     np.testing.assert_allclose(shapes * np.sign(shapes[0]), SHAPES, atol=0.02)
-    assert (found.misfit < 0.012).all(), "little beside the noise"
-    assert found.unmodelled < 0.004
-    assert found.period_s == (PERIOD / RATE_HZ if kind == "repeats" else None)
-    np.testing.assert_allclose(found.noise_density, np.sqrt(2 / RATE_HZ) * noise.std(axis=1), rtol=0.1)
+    assert (fit.misfit < 0.012).all(), "little beside the noise"
+    assert fit.unmodelled < 0.004
+    assert fit.period_s == (PERIOD / RATE_HZ if kind == "repeats" else None)
+    np.testing.assert_allclose(fit.noise_density, np.sqrt(2 / RATE_HZ) * noise.std(axis=1), rtol=0.1)
 
 
 def test_a_mode_stands_for_those_above_the_band():
@@ -70,10 +70,10 @@ def test_a_mode_stands_for_those_above_the_band():
     natural_hz, ratios = np.append(NATURAL_HZ, OUTSIDE["natural_hz"]), np.append(RATIOS, OUTSIDE["ratio"])
     shapes = np.column_stack([SHAPES, OUTSIDE["shape"]])
     measured = MeasuredResponse(force_n, response(force_n, 2, natural_hz, ratios, shapes), 2, RATE_HZ)
-    found = fit_record(measured, PLACES_M, 0, 1.0)
-    assert found.misfit.max() < 2e-3
-    np.testing.assert_allclose(found.unmodelled, np.sqrt(np.mean(found.misfit**2)), rtol=0.1)
-    assert found.misfit_of_frfs.max() > 0.05
+    fit = fit_record(measured, PLACES_M, 0, 1.0)
+    assert fit.misfit.max() < 2e-3
+    np.testing.assert_allclose(fit.unmodelled, np.sqrt(np.mean(fit.misfit**2)), rtol=0.1)
+    assert fit.misfit_of_frfs.max() > 0.05
 
 
 def test_what_cannot_be_fitted_is_said():

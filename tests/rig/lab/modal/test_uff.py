@@ -53,8 +53,8 @@ def normal_modes(**changes):
 def frf(response, reference, order=2, noise=0.0, signs=(1, 1), hz=LINES_HZ, modes=12, **changes):
     """A dataset 58 from one place's number to another's; 12 modes, of which seven lie in the band."""
     omega, natural = 2 * np.pi * hz, 2 * np.pi * ARM.frequencies_hz(modes)[:, None]
-    every = ARM.shapes(PLACES_M, modes)
-    receptance = (every[response] * every[reference]) @ (1 / (natural**2 - omega**2 + 0.02j * natural * omega))
+    shapes = ARM.shapes(PLACES_M, modes)
+    receptance = (shapes[response] * shapes[reference]) @ (1 / (natural**2 - omega**2 + 0.02j * natural * omega))
     values = receptance * (1j * omega) ** order * signs[0] * signs[1]
     rng = np.random.default_rng([response, reference])
     size = noise * np.sqrt(np.mean(np.abs(values) ** 2) / 2)
@@ -78,9 +78,9 @@ def read(tmp_path, datasets, **choice):
 
 
 def check_shapes(body, expected, error):
-    found = body.shapes(body.positions_m, body.max_modes)
-    signs = np.sign(np.sum(found * expected, axis=0))
-    np.testing.assert_allclose(found * signs, expected, atol=error * np.abs(expected).max())
+    shapes = body.shapes(body.positions_m, body.max_modes)
+    signs = np.sign(np.sum(shapes * expected, axis=0))
+    np.testing.assert_allclose(shapes * signs, expected, atol=error * np.abs(expected).max())
 
 
 def test_mode_shapes_are_scaled_by_their_modal_mass(tmp_path):
@@ -94,7 +94,7 @@ def test_mode_shapes_are_scaled_by_their_modal_mass(tmp_path):
 
 
 def test_millimetres_and_tonnes_become_si(tmp_path):
-    """In mm, N and t a modal mass of 1 t is 1000 kg: at unit modal mass a shape is sqrt(1000) times larger."""
+    """A modal mass of 1 t (mm, N, t) is 1000 kg: at unit modal mass a shape is sqrt(1000) times larger."""
     modes = [shape(k, HZ[k], SHAPES[:, k] * np.sqrt(1000), 1.0) for k in range(MODES)]
     body, _ = read(tmp_path, [units(length=1000.0), nodes(length=1000.0), *modes])
     assert body.length_m == pytest.approx(0.9)
@@ -102,7 +102,7 @@ def test_millimetres_and_tonnes_become_si(tmp_path):
 
 
 def test_complex_modes_are_scaled_by_their_modal_a(tmp_path):
-    """Of a normal mode, A is 2 i w_d m at a real shape; here shapes are turned by some angle."""
+    """The modal A of a normal mode with a real shape is 2 i w_d m; here the shapes have a phase."""
     datasets = []
     for k in range(MODES):
         pole = 2 * np.pi * HZ[k] * (-0.01 + 1j * np.sqrt(1 - 1e-4))
@@ -130,8 +130,8 @@ def test_rigid_body_modes_of_a_finite_element_model_and_modes_of_other_direction
     assert body.max_modes == 4
     assert np.sum(body.translation() ** 2) == pytest.approx(free.mass_kg, rel=1e-4)
     assert notes[1] == "1 modes without motion in direction z are left out"
-    other, _ = read(tmp_path, [nodes(), *modes, sideways], direction="x")
-    assert 77.0 in other.natural_hz
+    sideways_body, _ = read(tmp_path, [nodes(), *modes, sideways], direction="x")
+    assert 77.0 in sideways_body.natural_hz
 
 
 def test_places_can_be_told_and_nodes_chosen(tmp_path):
@@ -150,27 +150,27 @@ def test_places_can_be_told_and_nodes_chosen(tmp_path):
 
 @pytest.mark.parametrize(("order", "roving", "noise"), [(0, "sensor", 0.0), (1, "hammer", 0.0), (2, "hammer", 0.01)])
 def test_frfs_are_fitted(tmp_path, order, roving, noise):
-    """With 1 % of noise: frequencies within 1e-4, damping ratios within 1 %, shapes within 1 % of the largest."""
+    """Frequencies within 1e-4, damping ratios within 1 %, shapes within 1 % of the largest, at 1 % noise."""
     driving = 9
-    ends = [(k, driving) if roving == "sensor" else (driving, k) for k in range(10)]
-    datasets = [frf(*pair, order, noise, signs=(1, -1)) for pair in ends]
+    points = [(k, driving) if roving == "sensor" else (driving, k) for k in range(10)]
+    datasets = [frf(*pair, order, noise, signs=(1, -1)) for pair in points]
     body, notes = read(tmp_path, [nodes(), *datasets])
-    found = body.max_modes
-    assert found == 7  # up to 1200 Hz
-    np.testing.assert_allclose(body.natural_hz, ARM.frequencies_hz(found), rtol=1e-4)
+    mode_count = body.max_modes
+    assert mode_count == 7  # up to 1200 Hz
+    np.testing.assert_allclose(body.natural_hz, ARM.frequencies_hz(mode_count), rtol=1e-4)
     np.testing.assert_allclose(body.ratios, 0.01, rtol=0.01)
-    check_shapes(body, ARM.shapes(PLACES_M, found), 0.01)
+    check_shapes(body, ARM.shapes(PLACES_M, mode_count), 0.01)
     assert "driven at node 9" in notes[0]
 
     misfits = [note.split() for note in notes if note.startswith("misfit at node ")]
     said = {int(words[3][:-1]): words[9] for words in misfits}
     omega, natural = 2 * np.pi * LINES_HZ, 2 * np.pi * np.array(body.natural_hz)[:, None]
-    shapes = body.shapes(body.positions_m, found)
-    for place, one in enumerate(datasets):
+    shapes = body.shapes(body.positions_m, mode_count)
+    for place, dataset in enumerate(datasets):
         modes = (shapes[place] * shapes[driving]) @ (
             1 / (natural**2 - omega**2 + 2j * np.array(body.ratios)[:, None] * natural * omega)
         )
-        measured = -one["data"] * (1j * omega) ** (2 - order)
+        measured = -dataset["data"] * (1j * omega) ** (2 - order)
         error = np.sqrt(np.mean(np.abs(measured + omega**2 * modes) ** 2) / np.mean(np.abs(measured) ** 2))
         assert said[NODES[place]] == f"{error:.2%}"
     assert structure_from_uff(tmp_path / "arm.uff", Choice())[2] == Tolerances(
@@ -178,7 +178,7 @@ def test_frfs_are_fitted(tmp_path, order, roving, noise):
     )
 
 
-def test_the_misfit_of_frfs_without_other_modes_is_their_noise(tmp_path):
+def test_the_misfit_of_frfswithout_keys_other_modes_is_their_noise(tmp_path):
     _, notes = read(tmp_path, [nodes(), *(frf(k, 9, noise=0.01, modes=7) for k in range(10))])
     said = [float(word[:-1]) for note in notes if note.startswith("misfit") for word in note.split() if "%" in word]
     np.testing.assert_allclose(said, 1.0, atol=0.05)
@@ -192,14 +192,14 @@ def test_modes_in_a_band_alone(tmp_path):
 
 def test_frfs_in_other_units(tmp_path):
     in_g = [frf(k, 9) for k in range(10)]
-    for one in in_g:
-        one["data"] = one["data"] / 9.80665 * 4.4482216152605
-        one |= {"ordinate_axis_units_lab": "g", "orddenom_axis_units_lab": "lbf"}
+    for dataset in in_g:
+        dataset["data"] = dataset["data"] / 9.80665 * 4.4482216152605
+        dataset |= {"ordinate_axis_units_lab": "g", "orddenom_axis_units_lab": "lbf"}
     body, _ = read(tmp_path, [nodes(), *in_g])
     check_shapes(body, ARM.shapes(PLACES_M, body.max_modes), 0.01)
 
 
-def without(dataset, *keys):
+def without_keys(dataset, *keys):
     return {key: value for key, value in dataset.items() if key not in keys}
 
 
@@ -210,19 +210,19 @@ FRFS = [frf(k, 9) for k in range(10)]
     ("datasets", "said"),
     [
         ([nodes()], "holds neither mode shapes (dataset 55) nor FRFs (dataset 58)"),
-        ([nodes(), *(one | {"modal_m": 0.0} for one in normal_modes())], "states the modal mass 0 "),
-        ([nodes(), *(one | {"modal_damp_vis": 1.5} for one in normal_modes())], "damping ratio 1.5"),
-        ([nodes(), *(one | {"r3": one["r3"] * np.nan} for one in normal_modes())], "is not finite"),
-        ([nodes(), *(one | {"r3": one["r3"] * 0} for one in normal_modes())], "are zero at the nodes"),
+        ([nodes(), *(d | {"modal_m": 0.0} for d in normal_modes())], "states the modal mass 0 "),
+        ([nodes(), *(d | {"modal_damp_vis": 1.5} for d in normal_modes())], "damping ratio 1.5"),
+        ([nodes(), *(d | {"r3": d["r3"] * np.nan} for d in normal_modes())], "is not finite"),
+        ([nodes(), *(d | {"r3": d["r3"] * 0} for d in normal_modes())], "are zero at the nodes"),
         ([nodes(length=0.0), *normal_modes()], "nodes 1 and 3 are at one place along x"),
         ([units(length=-1.0), nodes(), *normal_modes()], "its units (dataset 164) are no numbers above zero"),
         ([nodes(), *FRFS[:9]], "has no FRF of a driving point in direction z"),
-        ([nodes(), *(one | {"func_type": 1, "data": one["data"].real} for one in FRFS)], "are no FRFs"),
-        ([nodes(), *(one | {"ordinate_spec_data_type": 0} for one in FRFS)], "does not say that it is a displacement"),
-        ([nodes(), *(one | {"ordinate_axis_units_lab": "furlong"} for one in FRFS)], "'furlong' is no unit"),
+        ([nodes(), *(d | {"func_type": 1, "data": d["data"].real} for d in FRFS)], "are no FRFs"),
+        ([nodes(), *(d | {"ordinate_spec_data_type": 0} for d in FRFS)], "does not say that it is a displacement"),
+        ([nodes(), *(d | {"ordinate_axis_units_lab": "furlong"} for d in FRFS)], "'furlong' is no unit"),
         ([nodes(), *FRFS[1:], frf(0, 9, hz=LINES_HZ + 1)], "has other frequencies than the first"),
-        ([nodes(), *(one | {"data": -one["data"]} for one in FRFS)], "no mode stands out with a positive residue"),
-        ([nodes(), *(one | {"data": 0 * one["data"]} for one in FRFS)], "an FRF is zero"),
+        ([nodes(), *(d | {"data": -d["data"]} for d in FRFS)], "no mode stands out with a positive residue"),
+        ([nodes(), *(d | {"data": 0 * d["data"]} for d in FRFS)], "an FRF is zero"),
     ],
 )
 def test_what_cannot_be_used_is_refused_in_one_sentence(tmp_path, datasets, said):
@@ -237,15 +237,15 @@ def test_what_is_no_uff_file_is_refused(tmp_path, content, capfd):
     path = tmp_path / "arm.uff"
     if isinstance(content, str):
         read(tmp_path, [nodes(), *normal_modes()])
-        whole = path.read_bytes()
-        half = whole[: len(whole) * 2 // 3]
+        complete = path.read_bytes()
+        half = complete[: len(complete) * 2 // 3]
         last = b" 0.00000E+00\n    -1\n"  # of the last node
         content = (
             half[: half.rindex(b"\n") - 20] + b"\n    -1\n"
             if content == "half"
-            else whole.replace(last, b"\n    -1\n", 1)
+            else complete.replace(last, b"\n    -1\n", 1)
         )
-        assert content != whole
+        assert content != complete
     path.write_bytes(content)
     with pytest.raises(RigError, match=r"arm\.uff: ") as caught:
         structure_from_uff(path, Choice())

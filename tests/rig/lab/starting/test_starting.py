@@ -6,9 +6,8 @@ import pytest
 
 from rig.errors import RigError
 from rig.lab.starting import write_start
+from rig.lab.starting.analytic import BeamsRig, MassRig
 from rig.lab.starting.base import spread
-from rig.lab.starting.beams import BeamsRig
-from rig.lab.starting.mass import MassRig
 from rig.lab.starting.structure import StructureRig
 from rig.model.beam import Beam
 from rig.model.description import contact_stations, read_rig
@@ -93,14 +92,14 @@ def test_a_structure_takes_places_of_its_basis(tmp_path):
 def test_rigid_body_modes_of_a_free_body_come_from_its_mass(tmp_path):
     """Against those of the beam itself: the same translation and rotation, mass-normalised."""
     inertia = FIN.mass_kg * FIN.length_m**2 / 12
-    told = {"mass_kg": FIN.mass_kg, "centre_m": 0.25, "inertia_kg_m2": inertia}
-    body, *_ = structure_rig(tmp_path, fin(first=2), **told).structure()
+    inertia_data = {"mass_kg": FIN.mass_kg, "centre_m": 0.25, "inertia_kg_m2": inertia}
+    body, *_ = structure_rig(tmp_path, fin(first=2), **inertia_data).structure()
     assert body.natural_hz == fin().natural_hz
     np.testing.assert_allclose(body.shapes(PLACES_M, 8), fin().shapes(PLACES_M, 8), rtol=1e-12, atol=1e-12)
     for wrong, said in (
-        ((fin(first=2), told | {"centre_m": None}), "give all three, or none"),
-        ((fin(), told), "has 2 rigid-body modes already"),
-        ((fin(first=2), told | {"mass_kg": -1.0}), "mass_kg is -1.0"),
+        ((fin(first=2), inertia_data | {"centre_m": None}), "give all three, or none"),
+        ((fin(), inertia_data), "has 2 rigid-body modes already"),
+        ((fin(first=2), inertia_data | {"mass_kg": -1.0}), "mass_kg is -1.0"),
     ):
         with pytest.raises(RigError, match=said):
             structure_rig(tmp_path, wrong[0], **wrong[1]).structure()

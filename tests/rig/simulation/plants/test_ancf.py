@@ -46,15 +46,15 @@ def test_segments_hardly_show(monkeypatch):
     rig = BarrelCradle(stations=4, clearance_1_m=1.0, clearance_2_m=1.0).rig()  # no contact: it would amplify rounding
     step_s = 2.0**-12
     force_n = 40 * np.sin(2 * np.pi * 10 * np.arange(700) * step_s)
-    whole = simulated(rig, force_n, step_s)
+    single_run = simulated(rig, force_n, step_s)
     monkeypatch.setattr(ancf, "BLOCK_STEPS", 128)
     blocks = list(ancf.simulate(rig, force_n, step_s, lambda _: None))
     assert [round(b.start_s / step_s) for b in blocks] == [0, 129, 257, 385, 513, 641]
     pieces = joined(iter(blocks))
     np.testing.assert_array_equal(pieces.force_n, force_n)
     for name, tolerance in (("displacement_m", 1e-6), ("sensed", 1e-3)):  # displacements and accelerations
-        one, other = getattr(whole, name), getattr(pieces, name)
-        np.testing.assert_allclose(one, other, atol=tolerance * np.abs(one).max())
+        expected, joined_pieces = getattr(single_run, name), getattr(pieces, name)
+        np.testing.assert_allclose(expected, joined_pieces, atol=tolerance * np.abs(expected).max())
 
 
 def test_a_step_that_the_solver_cannot_take_is_one_clear_sentence(capfd):

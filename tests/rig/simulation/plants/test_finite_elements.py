@@ -13,12 +13,19 @@ from rig.simulation.reference import BarrelCradle
 exu.config.printToConsole = False
 
 
-def one_beam(ends, damping_ratio=0.01):
+def one_beam(end_condition, damping_ratio=0.01):
     tip = Station("beam", 1.0)
     return Rig(
         name="one beam",
         bodies=(
-            Beam(name="beam", ends=ends, length_m=1.0, width_m=0.05, thickness_m=0.01, damping_ratio=damping_ratio),
+            Beam(
+                name="beam",
+                ends=end_condition,
+                length_m=1.0,
+                width_m=0.05,
+                thickness_m=0.01,
+                damping_ratio=damping_ratio,
+            ),
         ),
         contacts=(),
         force_at=tip,
@@ -34,16 +41,18 @@ def system():
     container.Reset()
 
 
-@pytest.mark.parametrize("ends", ["clamped-free", "free-free"])
-def test_first_four_elastic_frequencies_are_within_a_thousandth(system, ends):
-    rig = one_beam(ends)
+@pytest.mark.parametrize("end_condition", ["clamped-free", "free-free"])
+def test_first_four_elastic_frequencies_are_within_a_thousandth(system, end_condition):
+    rig = one_beam(end_condition)
     beam = rig.bodies[0]
     build(exu, system, rig, [0.0], ELEMENTS)
     system.Assemble()
     found_hz, _ = system.ComputeODE2Eigenvalues(convert2Frequencies=True)
-    assert np.count_nonzero(np.asarray(found_hz) < 1) == (3 if ends == "free-free" else 0)  # rigid in the plane
+    assert np.count_nonzero(np.asarray(found_hz) < 1) == (
+        3 if end_condition == "free-free" else 0
+    )  # rigid in the plane
     errors = [np.abs(found_hz / f - 1).min() for f in beam.frequencies_hz(beam.rigid_modes + 4)[beam.rigid_modes :]]
-    print(f"{ends}: first four elastic frequencies off by at most {100 * max(errors):.2g} %")
+    print(f"{end_condition}: first four elastic frequencies off by at most {100 * max(errors):.2g} %")
     assert max(errors) < 1e-3
 
 

@@ -87,15 +87,17 @@ def test_a_slow_force_bends_the_cradle_by_its_static_deflection():
 def test_blocks_do_not_show(monkeypatch):
     settings = BarrelCradle(stations=4, contact_damping_n_s_per_m=2.0)
     force_n = 20 * np.sin(2 * np.pi * 25 * np.arange(6000) * 2.0**-14)
-    whole = simulated(settings.rig(), force_n, 2.0**-14)
-    assert whole.contact_force_n.any()
+    single_run = simulated(settings.rig(), force_n, 2.0**-14)
+    assert single_run.contact_force_n.any()
     monkeypatch.setattr(modal, "BLOCK", 700)
     blocks = list(modal.simulate(settings.rig(), force_n, 2.0**-14, lambda _: None))
     assert [round(b.start_s / b.step_s) for b in blocks] == list(range(0, 6000, 700))
     pieces = joined(iter(blocks))
     for name in ("force_n", "sensed", "displacement_m", "eta_m", "contact_force_n"):
-        one, other = getattr(whole, name), getattr(pieces, name)
-        np.testing.assert_allclose(other, one, atol=1e-12 * np.abs(one).max())  # the sums' order may differ
+        expected, joined_blocks = getattr(single_run, name), getattr(pieces, name)
+        np.testing.assert_allclose(
+            joined_blocks, expected, atol=1e-12 * np.abs(expected).max()
+        )  # the sums' order may differ
 
 
 def test_progress_runs_to_the_end():

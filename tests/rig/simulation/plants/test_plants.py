@@ -1,4 +1,4 @@
-"""What any plant must do: exact motion as the step goes to zero, energy that adds up, agreement with the others."""
+"""Requirements on any plant: convergence as the step goes to zero, energy balance, agreement with the others."""
 
 from functools import partial
 
@@ -60,8 +60,8 @@ def test_one_mass_between_stops_converges_to_its_solution_at_least_with_the_squa
         time_s = np.arange(round(duration_s * 2**power)) * 2.0**-power
         motions = [simulated(plant, rig, force(a, time_s), 2.0**-power) for a in amplitudes_n]
         assert all(m.contact_force_n.any() for m in motions)
-        found = np.array([m.eta_m[0, :: 2 ** (power - coarsest)] for m in motions])
-        errors.append(np.linalg.norm(found - solutions) / np.linalg.norm(solutions))
+        etas_m = np.array([m.eta_m[0, :: 2 ** (power - coarsest)] for m in motions])
+        errors.append(np.linalg.norm(etas_m - solutions) / np.linalg.norm(solutions))
     assert errors[-1] < 1e-3
     order = -np.polyfit(powers, np.log2(errors), 1)[0]
     assert order > 1.7
@@ -115,7 +115,7 @@ def test_three_masses_in_a_chain_move_as_a_solver_says(plant):
         ),
         force_at=places[0],
         sensors=tuple(
-            Sensor(name=m.name, station=at, quantity="displacement") for m, at in zip(masses, places, strict=True)
+            Sensor(name=m.name, station=place, quantity="displacement") for m, place in zip(masses, places, strict=True)
         ),
         sample_rate_hz=512.0,
     )
@@ -151,23 +151,25 @@ def energies(plant, step_s, duration_s):
     """
     base = BarrelCradle(contact_damping_n_s_per_m=2.0, sensors="displacement").rig()
     points, weights = leggauss(4)
-    within, length = (points + 1) / 2, 1.0 / ELEMENTS
-    x = (np.arange(ELEMENTS)[:, None] * length + within * length).ravel()
+    relative, length = (points + 1) / 2, 1.0 / ELEMENTS
+    x = (np.arange(ELEMENTS)[:, None] * length + relative * length).ravel()
     weight = np.tile(weights / 2 * length, ELEMENTS)
     stations = [Station(b.name, float(p)) for b in base.bodies for p in x]
-    ends = [s for c in base.contacts for s in contact_stations(c)]
-    wanted = [("displacement", s) for s in stations] + [("velocity", s) for s in [*stations, *ends, base.force_at]]
+    contact_places = [s for c in base.contacts for s in contact_stations(c)]
+    measured = [("displacement", s) for s in stations] + [
+        ("velocity", s) for s in [*stations, *contact_places, base.force_at]
+    ]
     rig = msgspec.structs.replace(
-        base, sensors=tuple(Sensor(name=str(k), station=s, quantity=q) for k, (q, s) in enumerate(wanted))
+        base, sensors=tuple(Sensor(name=str(k), station=s, quantity=q) for k, (q, s) in enumerate(measured))
     )
     excitation = BandLimitedGaussian(rms_n=14.0, low_hz=0.5, high_hz=100.0)
     force_n = force_history(excitation, QUIET_S + duration_s, step_s)[round(QUIET_S / step_s) :]
     motion = simulated(plant, rig, force_n, step_s)
     displacement, velocity, at_ends, at_force = np.split(
-        motion.sensed, np.cumsum([len(stations), len(stations), len(ends)])
+        motion.sensed, np.cumsum([len(stations), len(stations), len(contact_places)])
     )
-    second_derivative = np.stack([0 * within, 0 * within, 2 + 0 * within, 6 * within], axis=1) / length**2
-    curvature_of = second_derivative @ np.linalg.inv(np.vander(within, increasing=True))
+    second_derivative = np.stack([0 * relative, 0 * relative, 2 + 0 * relative, 6 * relative], axis=1) / length**2
+    curvature_of = second_derivative @ np.linalg.inv(np.vander(relative, increasing=True))
     stored, lost_w = np.zeros(force_n.size), np.zeros(force_n.size)
     for body, q, v in zip(rig.bodies, np.split(displacement, 2), np.split(velocity, 2), strict=True):
         curvature = (curvature_of @ q.reshape(ELEMENTS, 4, -1)).reshape(q.shape)
@@ -175,10 +177,12 @@ def energies(plant, step_s, duration_s):
         modes = 16
         rate = (body.mass_per_length_kg_per_m * weight[:, None] * body.shapes(x, modes)).T @ v
         lost_w += 4 * np.pi * body.damping_ratios(modes) * body.frequencies_hz(modes) @ rate**2
-    for contact, eta, (at, against) in zip(rig.contacts, motion.eta_m, at_ends.reshape(2, 2, -1), strict=True):
+    for contact, eta, (velocity_at, against) in zip(rig.contacts, motion.eta_m, at_ends.reshape(2, 2, -1), strict=True):
         depth = contact.law.penetration_m(eta)
         stored += contact.law.stiffness_n_per_m * depth**2 / 2
-        lost_w += (contact.law.force_n(eta, at - against) - contact.law.stiffness_n_per_m * depth) * (at - against)
+        lost_w += (contact.law.force_n(eta, velocity_at - against) - contact.law.stiffness_n_per_m * depth) * (
+            velocity_at - against
+        )
     work = cumulative_trapezoid(force_n * at_force[0], dx=step_s, initial=0)
     closures = np.count_nonzero(np.diff((motion.contact_force_n != 0).astype(int), axis=1) > 0)
     return work, stored, cumulative_trapezoid(lost_w, dx=step_s, initial=0), closures
@@ -205,24 +209,26 @@ def test_both_plants_move_alike_while_contact_is_young(young, modes):
 
 
 def test_both_plants_move_alike_under_two_forces(young):
-    beside = Station("cradle", 0.6)
-    two, motion = (young_motion(p.simulate, young.step_s, beside=beside) for p in (ancf, modal))
+    second_station = Station("cradle", 0.6)
+    two, motion = (young_motion(p.simulate, young.step_s, beside=second_station) for p in (ancf, modal))
     for body, difference in tip_difference(two, motion).items():
         assert difference < 0.03, body
     assert max(tip_difference(two, young).values()) > 0.3  # the second force matters
 
 
-def driven(plant, rig, forces):
+def sensed_under(plant, rig, forces):
     """The sensors under forces by the places where they act."""
-    rig = msgspec.structs.replace(rig, force_at=tuple(at for at, _ in forces) if len(forces) > 1 else forces[0][0])
+    rig = msgspec.structs.replace(
+        rig, force_at=tuple(station for station, _ in forces) if len(forces) > 1 else forces[0][0]
+    )
     return simulated(plant, rig, Forces(tuple(force_n for _, force_n in forces)), 2.0**-13).sensed
 
 
 def test_two_forces_at_one_place_are_their_sum(plant):
     time_s = np.arange(1600) * 2.0**-13
     rig, force_n = BarrelCradle(stations=4).rig(), 40.0 * (1 - np.cos(2 * np.pi * np.outer([20.0, 33.0], time_s)))
-    both = driven(plant, rig, [(rig.force_at, row) for row in force_n])
-    together = driven(plant, rig, [(rig.force_at, force_n.sum(axis=0))])
+    both = sensed_under(plant, rig, [(rig.force_at, row) for row in force_n])
+    together = sensed_under(plant, rig, [(rig.force_at, force_n.sum(axis=0))])
     size = np.abs(together).max(axis=1)
     assert size.min() > 0  # the barrel has met its cradle
     assert np.all(np.abs(both - together).max(axis=1) < 1e-6 * size)
@@ -232,8 +238,8 @@ def test_without_contacts_the_motion_under_two_forces_is_the_sum_of_those_under_
     rig = msgspec.structs.replace(BarrelCradle(stations=4).rig(), contacts=())
     force_n = 1e-3 * np.random.default_rng(1).standard_normal((2, 800))  # so small that ancf is linear
     forces = list(zip((rig.force_at, Station("cradle", 0.6)), force_n, strict=True))
-    both, one, other = driven(plant, rig, forces), *(driven(plant, rig, [force]) for force in forces)
-    assert np.all(np.abs(both - one - other).max(axis=1) < 1e-5 * np.abs(both).max(axis=1))
+    both, first, second = sensed_under(plant, rig, forces), *(sensed_under(plant, rig, [force]) for force in forces)
+    assert np.all(np.abs(both - first - second).max(axis=1) < 1e-5 * np.abs(both).max(axis=1))
 
 
 def test_as_many_forces_as_the_rig_has_are_asked_for(plant):

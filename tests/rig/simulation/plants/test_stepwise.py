@@ -36,24 +36,27 @@ def test_the_motion_is_that_under_the_whole_force_until_contacts_were_closed_for
     rig, force = RIGS[name]
     force_n = force_history(force, 4.0, STEP_S)[: 2**15]
     force_n[0] = 0.0
-    whole = joined(modal.simulate(one_step_later(rig), force_n, STEP_S, lambda _: None))
-    begun = int(np.argmax(np.abs(whole.contact_force_n).sum(axis=0) > 0))
-    until = begun + round(0.2 / STEP_S)
+    motion = joined(modal.simulate(one_step_later(rig), force_n, STEP_S, lambda _: None))
+    first_contact = int(np.argmax(np.abs(motion.contact_force_n).sum(axis=0) > 0))
+    until = first_contact + round(0.2 / STEP_S)
     stepwise, rows = Stepwise(rig, STEP_S), []
     for value in force_n[:until]:
         stepwise.advance(float(value))
         rows.append((stepwise.eta_m, stepwise.contact_force_n))
-    eta, pushed = (np.array(row).T for row in zip(*rows, strict=True))
-    assert np.abs(whole.contact_force_n[:, :until]).max() > 1.0
-    for found, known, least in ((eta, whole.eta_m[:, :until], 2e-4), (pushed, whole.contact_force_n[:, :until], 5e-3)):
-        assert np.abs(found - known).max() < least * np.abs(known).max()
-    if begun > 2:  # afterwards accelerometers hear corrected contact forces, which need the samples to come
-        before = stepwise_sensed(rig, force_n[: begun - 1])
-        np.testing.assert_allclose(before, whole.sensed[:, begun - 2], rtol=1e-4, atol=1e-9)
+    eta, contact_n = (np.array(row).T for row in zip(*rows, strict=True))
+    assert np.abs(motion.contact_force_n[:, :until]).max() > 1.0
+    for stepped, expected, tolerance in (
+        (eta, motion.eta_m[:, :until], 2e-4),
+        (contact_n, motion.contact_force_n[:, :until], 5e-3),
+    ):
+        assert np.abs(stepped - expected).max() < tolerance * np.abs(expected).max()
+    if first_contact > 2:  # afterwards accelerometers hear corrected contact forces, which need the samples to come
+        before = stepwise_sensed(rig, force_n[: first_contact - 1])
+        np.testing.assert_allclose(before, motion.sensed[:, first_contact - 2], rtol=1e-4, atol=1e-9)
 
 
 def one_step_later(rig):
-    """With the tones as they are a step later: the whole plant comes from rest in the step that ends at time 0."""
+    """Shift the tones by a step: the block-wise plant leaves rest in the step that ends at time 0."""
     turned = []
     for tone in rig.tones:
         turn = np.exp(-2j * np.pi * tone.frequency_hz * STEP_S) * (tone.cosine_n + 1j * tone.sine_n)
@@ -69,14 +72,14 @@ def stepwise_sensed(rig, force_n):
 
 
 def test_several_steps_at_once_are_those_one_by_one_under_a_force_that_grows_evenly():
-    one, many = Stepwise(BARREL, STEP_S), Stepwise(BARREL, STEP_S)
+    single, fourfold = Stepwise(BARREL, STEP_S), Stepwise(BARREL, STEP_S)
     for k in range(400):
-        one.advance(0.5 * (k + 1))
+        single.advance(0.5 * (k + 1))
     for k in range(100):
-        many.advance(2.0 * (k + 1), steps=4)
-    assert many.time_s == one.time_s
-    np.testing.assert_allclose(many.eta_m, one.eta_m, rtol=1e-9)
-    np.testing.assert_allclose(many.sensed, one.sensed, rtol=1e-6, atol=1e-9)
+        fourfold.advance(2.0 * (k + 1), steps=4)
+    assert fourfold.time_s == single.time_s
+    np.testing.assert_allclose(fourfold.eta_m, single.eta_m, rtol=1e-9)
+    np.testing.assert_allclose(fourfold.sensed, single.sensed, rtol=1e-6, atol=1e-9)
 
 
 def test_a_shaking_base_is_refused():

@@ -47,8 +47,8 @@ def test_under_a_tip_load_it_is_that_of_beam_theory(plant, fibre_m):
     load_n, height_m = 2.0, fibre_m or BEAM.thickness_m / 2
     rig = machine(sensors=gauges(fibre_m), loads=(StaticLoad(station=TIP, force_n=load_n),))
     expected = -height_m * load_n * (BEAM.length_m - PLACES_M) / BEAM.bending_stiffness_n_m2
-    found = strains(plant, rig, np.zeros(100))
-    np.testing.assert_allclose(found, np.tile(expected[:, None], 100), atol=5e-3 * np.abs(expected).max())
+    strain = strains(plant, rig, np.zeros(100))
+    np.testing.assert_allclose(strain, np.tile(expected[:, None], 100), atol=5e-3 * np.abs(expected).max())
 
 
 @pytest.mark.parametrize(
@@ -79,8 +79,8 @@ def test_a_modal_basis_bends_as_its_beam():
         BEAM.shapes(places_m, shapes),
     )
     rigs = (machine(bodies=(body,), sensors=gauges(4e-3)) for body in (BEAM, basis))
-    known, data = (strains("modal", rig, tone(2048)) for rig in rigs)
-    assert np.abs(known - data).max() < 0.01 * np.abs(known).max()
+    beam_strain, basis_strain = (strains("modal", rig, tone(2048)) for rig in rigs)
+    assert np.abs(beam_strain - basis_strain).max() < 0.01 * np.abs(beam_strain).max()
 
 
 @pytest.mark.parametrize("plant", PLANTS)
@@ -88,8 +88,10 @@ def test_a_base_that_moves_slowly_bends_by_inertia_alone(plant):
     """w'' = -rho A a (l - x)^2 / 2 E I; the displacement of the base, much larger than that of the tip, is none."""
     base = BaseMotion(acceleration_rms_m_per_s2=0.2, low_hz=0.3, high_hz=0.7)
     tip = Sensor(name="tip", station=TIP, quantity="acceleration")
-    found = strains(plant, machine(base_motion=base, sensors=(*gauges(), tip)), np.zeros(round(6 / STEP_S)))
-    bent = BEAM.mass_per_length_kg_per_m * (BEAM.length_m - PLACES_M) ** 2 / (2 * BEAM.bending_stiffness_n_m2)
-    expected = BEAM.thickness_m / 2 * bent[:, None] * found[-1]
+    sensed = strains(plant, machine(base_motion=base, sensors=(*gauges(), tip)), np.zeros(round(6 / STEP_S)))
+    curvature_per_acceleration = (
+        BEAM.mass_per_length_kg_per_m * (BEAM.length_m - PLACES_M) ** 2 / (2 * BEAM.bending_stiffness_n_m2)
+    )
+    expected = BEAM.thickness_m / 2 * curvature_per_acceleration[:, None] * sensed[-1]
     settled = slice(round(1.5 / STEP_S), None)
-    assert np.abs(found[:-1] - expected)[:, settled].max() < 0.03 * np.abs(expected).max()
+    assert np.abs(sensed[:-1] - expected)[:, settled].max() < 0.03 * np.abs(expected).max()

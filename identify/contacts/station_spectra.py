@@ -1,0 +1,223 @@
+"""Spectra of the motion at the stations of a record: spectral lines, covariance of the stations' errors, modal
+accelerations, and the free motion of a record that does not begin at rest."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+from scipy.ndimage import uniform_filter1d
+
+from identify.linear.free_motion import InitialStates, estimated_states, free_motions, free_spectra
+from identify.linear.modal import transformation
+from identify.linear.model import Response, input_shapes, times
+from identify.linear.nuisance import BodyMotion, Change, elastic_modes
+from identify.linear.projection import to_free_inputs
+from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
+from rig.errors import RigError
+from rig.model.description import Rig
+
+SMOOTHED_HZ = 1.0
+"""Band over which the stations' errors are averaged."""
+LOWEST_LINE = 1e-3
+CHUNK_LINES = 1024
+"""Lines that are processed at once."""
+LEAST_VARIANCE_SHARE = 1e-9
+"""Least variance of a station's error over the mean variance."""
+CONDITION_LIMIT = 1e12
+"""Condition number of the normal equations up to which contact forces are separable."""
+BAND_MARGIN = 1.25
+"""Modes up to this multiple of the band's end have tolerances; those beyond are taken as exact."""
+START_LEFT_OUT_S = 0.5
+"""Start of a record that does not begin at rest, in which fast modes ring of what was before."""
+
+
+@dataclass(frozen=True)
+class SpectralLines:
+    """Spectral lines of a record padded with silence to `length` samples, up to the band of forces at every
+    `factor`-th."""
+
+    length: int
+    factor: int
+    rate_hz: float
+    tapered: bool = True
+
+    @property
+    def omega(self) -> Float[np.ndarray, " lines"]:
+        """Angular frequencies, rad/s; the lowest is slightly above zero, as displacements are accelerations /
+        -omega^2."""
+        lines = np.maximum(np.arange(self.length // self.factor // 2 + 1), LOWEST_LINE)
+        return np.asarray(2 * np.pi * lines * self.rate_hz / self.length)
+
+    @property
+    def slow(self) -> Bool[np.ndarray, " lines"]:
+        """Lines below the corner frequency of the kinematics."""
+        return self.omega < 2 * np.pi * CORNER_HZ
+
+    def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
+        """Spectra of signals with a tapered end and silence behind it, so that ringing does not wrap to the start."""
+        if self.tapered:
+            signals = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
+        return np.asarray(np.fft.rfft(signals, self.length)[..., : self.omega.size])
+
+    def signals(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
+        """First samples of the signals of spectra, at every `factor`-th sample."""
+        real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
+        return np.asarray(np.fft.irfft(real_at_zero, self.length // self.factor)[..., :samples] / self.factor)
+
+    @property
+    def similar_lines(self) -> int:
+        """Number of neighbouring lines over which errors are averaged."""
+        return max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))
+
+
+@dataclass(frozen=True)
+class StationErrors:
+    """Errors of the stations: variance of the sensors' noise on each line, at least a floor, and the changes by one
+    standard deviation of every tolerance at the measured response, averaged over `similar_lines`."""
+
+    noise: Float[np.ndarray, "stations lines"]
+    floor: float
+    changes: tuple[Change, ...]
+    similar_lines: int
+
+    def covariance(self, start: int, stop: int) -> Complex[np.ndarray, "some stations stations"]:
+        """Covariance of the stations' errors on the lines from `start` to before `stop`."""
+        stations, lines = self.noise.shape
+        first, last = max(start - self.similar_lines, 0), min(stop + self.similar_lines, lines)
+        interior = slice(start - first, stop - first)
+        covariance = np.zeros((stations, stations, stop - start), dtype=complex)
+        index = np.arange(stations)
+        covariance[index, index] = self.noise[:, start:stop] + max(LEAST_VARIANCE_SHARE * self._mean, self.floor)
+        for change in self.changes:
+            rows, delivered = np.array(change.sensors), change.delivered[:, first:last]
+            products = uniform_filter1d(delivered[:, None] * delivered[None].conj(), self.similar_lines, axis=-1)
+            covariance[rows[:, None], rows[None]] += products[..., interior]
+        return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
+
+    @cached_property
+    def _mean(self) -> float:
+        """Mean variance over stations and lines."""
+        changed = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
+        return float(np.sum(self.noise) + changed) / self.noise.size
+
+    def chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
+        """Lines from `start` on, chunk by chunk, with their covariance."""
+        lines = self.noise.shape[1]
+        for first in range(start, lines, CHUNK_LINES):
+            last = min(first + CHUNK_LINES, lines)
+            yield slice(first, last), self.covariance(first, last)
+
+
+def force_weights(
+    by_contacts: Complex[np.ndarray, "contacts stations lines"], errors: StationErrors
+) -> Complex[np.ndarray, "contacts stations lines"]:
+    """Weights W of the contact forces f = W (A - G_F F), line by line, from the accelerations by a unit of each force.
+
+    Raises RigError if the stations cannot tell the contact forces apart.
+    """
+    to_contacts, condition = to_free_inputs(by_contacts, errors.chunks())
+    if not condition <= CONDITION_LIMIT:
+        raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
+    return to_contacts
+
+
+def observed_motion(
+    rig: Rig, response: Response, motion: Kinematics, accelerations: Complex[np.ndarray, "stations lines"]
+) -> BodyMotion:
+    """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
+    transform = transformation(rig, response.body, motion)
+    modal_accelerations = times(transform.inverse, accelerations[list(transform.rows)])
+    return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
+
+
+def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
+    """True if a body has more modes near the band than stations."""
+    return _modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
+
+
+def full_motion(
+    rig: Rig,
+    response: Response,
+    motion: Kinematics,
+    accelerations: Complex[np.ndarray, "stations lines"],
+    forces: Complex[np.ndarray, "forces lines"],
+    contact_forces: Complex[np.ndarray, "contacts lines"],
+) -> BodyMotion:
+    """Modal accelerations of a body, hidden modes included, which follow from the exciting and the contact forces:
+
+        A_m (sum_k phi_m(x_k) F_k - sum_j phi_mj f_j)
+
+    and are subtracted from the stations' accelerations before the others are determined.
+    """
+    observed_modes = len(transformation(rig, response.body, motion).inverse)
+    modal_force = times(input_shapes(rig, response, rig.forces).T, np.concatenate([forces, contact_forces]))
+    hidden = response.accelerance[observed_modes:] * modal_force[observed_modes:]
+    visible = accelerations - times(response.shapes(motion.stations)[:, observed_modes:], hidden)
+    observed = observed_motion(rig, response, motion, visible)
+    return replace(
+        observed,
+        acceleration=np.concatenate([observed.acceleration, hidden]),
+        elastic=elastic_modes(response, max(observed_modes, _modes_near_band(response))),
+    )
+
+
+def _modes_near_band(response: Response) -> int:
+    """Number of modes up to `BAND_MARGIN` times the band's end."""
+    omega = response.dynamics.omega
+    return int(np.count_nonzero(response.dynamics.natural_hz < BAND_MARGIN * omega[-1] / (2 * np.pi)))
+
+
+def start_left_out_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
+    """Length of the start that is left out of a record that does not begin at rest, s: longer where springs of an
+    elastic body act on high-passed displacements, which remember the start."""
+    remembers_start = np.any(slow_n_per_m) and any(b.length_m for b in rig.bodies)
+    return 2 / CORNER_HZ if remembers_start else START_LEFT_OUT_S
+
+
+def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np.ndarray, "stations lines"]:
+    """Spectra of the accelerations: those of the measured quantity of each sensor times a power of i omega.
+
+    A displacement that does not begin at zero has the spectrum of a step, whose acceleration is no signal over time.
+    """
+    rows = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    orders = [s.measures.order for s in motion.sensors]
+    sensed = lines.spectra(np.array([rows[order][i] for i, order in enumerate(orders)]))
+    return np.asarray(sensed * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
+
+
+def initial_states(
+    responses: tuple[Response, ...],
+    motion: Kinematics,
+    in_metres: Bool[np.ndarray, "stations lines"],
+    lines: SpectralLines,
+    by_input: Complex[np.ndarray, "inputs stations lines"],
+    errors: StationErrors,
+) -> InitialStates:
+    """Initial states of the modes, from the record cut off sharply at both ends.
+
+    Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
+    """
+    untapered = replace(lines, tapered=False)
+    samples, silent_samples, forces = motion.samples, lines.length - motion.samples, len(motion.forces_n)
+    motions, at_start, at_end = free_motions(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
+    orders = [s.measures.order for s in motion.sensors]
+
+    def spectra_of(cut: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
+        return free_spectra(motions, orders, in_metres, lines.omega, lambda rows: cut.spectra(rows[:, :length]))
+
+    start_spectra, end_spectra = spectra_of(untapered, samples), spectra_of(untapered, silent_samples)
+    end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
+    measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
+    is_held = np.array([m.is_held for m in motions])
+    states = estimated_states(
+        np.concatenate([start_spectra, end_shift * end_spectra]),
+        np.concatenate([at_start[0], at_end[0]]),
+        np.concatenate([at_start[1], at_end[1]]),
+        measured - np.sum(by_input[:forces] * untapered.spectra(motion.forces_n)[:, None], axis=0),
+        by_input[forces:],
+        errors.chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
+        alike=lines.similar_lines,
+    )
+    return states.initial_states(spectra_of(lines, samples), np.flatnonzero(is_held))

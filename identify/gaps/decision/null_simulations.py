@@ -1,0 +1,233 @@
+"""Null simulations: machines drawn within the tolerances of the nominal rig, their forces and measured channels.
+
+A free decay is simulated by a blow, which the record does not hold, before it begins.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace as with_fields
+
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+from scipy.stats import norm, qmc
+
+from identify.gaps.decision.recordings import cut_recording
+from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.model.modes import mode_count, modes_of
+from rig.model.structure import SAME_PLACE_M, structure_of
+from rig.model.tolerances import Tolerances
+from rig.recording import Recording, Signals
+
+ONSET_S = 0.1
+IMPULSE_ENERGY_SHARE, IMPULSE_SAMPLE_SHARE = 0.9, 0.1
+"""A force is impulsive where a smaller share of the samples than the second holds the first share of the energy."""
+
+Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
+"""Recording of the actual rig (second) under a measured force, in the channels of the nominal rig (first), with noise
+from a seed."""
+
+DRAWN_MODES = 24
+"""Number of modes of a drawn beam: as many as the plant `modal` is given in a replay."""
+SHAPE_POSITIONS = 41
+"""Positions at which its mode shapes are given, beside those of sensors, forces, contacts and loads."""
+
+
+def standard_normals(rig: Rig, simulations: int) -> Float[np.ndarray, "simulations draws"]:
+    """Standard normal draws for every tolerance (Latin hypercube)."""
+    draws = 512 + 8 * len(rig.sensors)
+    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(simulations)))
+
+
+def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> Rig:
+    """Draw a rig: every value is off by its tolerance times the next of the standard normal draws.
+
+    A beam becomes a structure with a frequency and a damping ratio of its own for each mode. The extra high-pass of an
+    AC-coupled sensor is added to its corner frequency. The gains of several forces are not part of the rig (see
+    `with_force_noise`).
+    """
+    normal = iter(normals.tolist())
+    sensors = []
+    stations: dict[Station, Station] = {}
+    for sensor in rig.sensors:
+        sensor_tolerances = tolerances.of_sensor(sensor.name)
+        if sensor.station not in stations:  # sensors at one station sit on one block
+            length_m = rig.body(sensor.station.body).length_m
+            position_m = float(
+                np.clip(sensor.station.position_m + sensor_tolerances.position_m * next(normal), 0.0, length_m)
+            )
+            stations[sensor.station] = Station(sensor.station.body, position_m)
+        gain, delay_s = 1 + sensor_tolerances.gain * next(normal), sensor_tolerances.delay_s * next(normal)
+        corner_hz = abs(sensor_tolerances.high_pass_hz * next(normal)) * sensor.measures.ac_coupled
+        chain = {"gain": sensor.gain * gain, "delay_s": sensor.delay_s + delay_s}
+        chain["high_pass_hz"] = sensor.high_pass_hz + corner_hz
+        fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
+        sensors.append(replace(sensor, station=stations[sensor.station], fibre_m=fibre_m, **chain))
+    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(normal) * (len(rig.forces) == 1))
+    contacts = tuple(_draw_contact(contact, tolerances, normal) for contact in rig.contacts)
+    bodies = tuple(_draw_body(rig, body, sensors, tolerances, normal) for body in rig.bodies)
+    modal_bodies = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
+    return replace(
+        rig,
+        bodies=bodies,
+        sensors=tuple(sensors),
+        contacts=contacts,
+        force_sensor=replace(rig.force_sensor, gain=gain),
+        masses=tuple(m for m in rig.masses if m.station.body not in modal_bodies),
+        springs=tuple(_remaining_springs(rig, modal_bodies)),
+        clamps=(),
+    )
+
+
+def with_crosstalk(recording: Recording, share: float, rng: np.random.Generator) -> Recording:
+    """Recording with crosstalk: random shares, of this standard deviation, of the adjacent channels of the same
+    quantity."""
+    signals = dict(recording.signals)
+    for quantity in {sensor.quantity for sensor in recording.rig.sensors} if share else ():
+        values = signals[quantity].values
+        neighbours = np.eye(len(values), k=1) + np.eye(len(values), k=-1)
+        mixing = np.eye(len(values)) + share * neighbours * rng.standard_normal(neighbours.shape)
+        signals[quantity] = with_fields(signals[quantity], values=mixing @ values)
+    return with_fields(recording, signals=signals)
+
+
+def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
+    """Springs, without those parts that the modes of a body already contain."""
+    for spring in rig.springs:
+        if spring.station.body not in modal_bodies:
+            yield spring
+        elif spring.cubic_n_per_m3:
+            yield replace(spring, stiffness_n_per_m=0.0, rotational_n_m_per_rad=0.0)
+
+
+def _draw_contact(contact: Contact, tolerances: Tolerances, normal: Iterator[float]) -> Contact:
+    law = contact.law
+    clearance_factor = max(0.0, 1 + tolerances.clearance * next(normal))
+    stiffness_factor = max(0.01, 1 + tolerances.stiffness * next(normal))
+    damping_n_s_per_m = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(normal))
+    changed = replace(
+        law,
+        lower_clearance_m=law.lower_clearance_m * clearance_factor,
+        upper_clearance_m=law.upper_clearance_m * clearance_factor,
+        stiffness_n_per_m=law.stiffness_n_per_m * stiffness_factor,
+        damping_n_s_per_m=law.damping_n_s_per_m + damping_n_s_per_m,
+    )
+    return replace(contact, law=changed)
+
+
+def _draw_body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, normal: Iterator[float]) -> Body:
+    mass_factor = 1 + tolerances.mass * next(normal)
+    frequency_change, log_damping = tolerances.frequency * next(normal), tolerances.damping * next(normal)
+    if body.is_mass:
+        return (
+            body.scale_mass(mass_factor)
+            .scale_frequencies(1 + frequency_change)
+            .scale_damping(float(np.exp(log_damping)))
+        )
+    modes, count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
+    mode_tolerances = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
+    frequency_factors = np.array(
+        [1 + frequency_change + tolerance.frequency * next(normal) for tolerance in mode_tolerances]
+    )
+    damping_factors = np.exp([log_damping + tolerance.damping * next(normal) for tolerance in mode_tolerances])
+    natural_hz = modes.frequencies_hz(count) * frequency_factors
+    order = np.argsort(natural_hz)
+    stations = [s.station for s in sensors] + [s.station for s in rig.sensors] + [*rig.forces]
+    stations += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
+    shape_positions = body.places(SHAPE_POSITIONS)
+    positions_m = np.unique([*shape_positions, *(s.position_m for s in stations if s.body == body.name)])
+    positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
+    shapes = modes.shapes(positions_m, count) / np.sqrt(mass_factor)
+    ratios = np.minimum(modes.damping_ratios(count) * damping_factors, 0.9)
+    return structure_of(body.name, body.length_m, natural_hz[order], ratios[order], positions_m, shapes[:, order])
+
+
+def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
+    """True for a hammer's force, or none: it is simulated as measured, as random phases would make it noise."""
+    energy = np.cumsum(np.sort(force_n**2)[::-1])
+    return bool(np.searchsorted(energy, IMPULSE_ENERGY_SHARE * energy[-1]) < IMPULSE_SAMPLE_SHARE * force_n.size)
+
+
+def phase_randomized(
+    force_n: Float[np.ndarray, " samples"], start_sample: int, sample_rate_hz: float, rng: np.random.Generator
+) -> Float[np.ndarray, " samples"]:
+    """Force of the same spectrum with random phases, after silence up to start_sample."""
+    excited = force_n[start_sample:]
+    spectrum = np.fft.rfft(excited)
+    randomized = np.fft.irfft(np.abs(spectrum) * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
+    onset = min(round(ONSET_S * sample_rate_hz), excited.size)
+    randomized[:onset] *= np.sin(np.linspace(0, np.pi / 2, onset)) ** 2
+    return np.concatenate([np.zeros(start_sample), randomized])
+
+
+def with_force_noise(
+    recording: Recording,
+    force_noise_n: Float[np.ndarray, " forces"],
+    force_gain: float,
+    rng: np.random.Generator,
+) -> Recording:
+    """Recording with noise and gain errors of the force channels, which the simulator does not know."""
+    group = recording.signals["force"]
+    values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
+    values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
+    return with_fields(recording, signals={**recording.signals, "force": with_fields(group, values=values)})
+
+
+BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
+"""Durations of the blow, in longest periods of the rig: short blows excite higher modes, which decay sooner."""
+SCALING_STEPS = 4
+"""Short simulations that scale each blow."""
+SCALED_S, INTERVALS = 8, 8
+"""Beginning of the record, s, whose motion the blow reproduces, and its number of intervals."""
+
+
+def free_decay_simulator(measured: Recording, simulate: Simulate) -> Simulate:
+    """Simulator of free decays as long as the measured one, which ignores the force.
+
+    The blow, at the place of the first force, is the half-sine after which the sensors of the nominal rig have the
+    levels closest to the measured ones, interval by interval. A decay begins up to one period after the blow, depending
+    on the seed.
+    """
+    rate, target_levels = measured.rig.sample_rate_hz, _levels(measured)
+    scaled_samples = min(SCALED_S * round(rate), measured.samples)
+    natural_hz = np.concatenate(
+        [modes_of(measured.rig, body).frequencies_hz(body.max_modes) for body in measured.rig.bodies]
+    )
+    period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
+
+    def decay(rig: Rig, actual: Rig, blow_n: Float[np.ndarray, " blow"], samples: int, seed: int) -> Recording:
+        start = blow_n.size + round(period * np.random.default_rng([seed, 78]).uniform())
+        forces_n = np.zeros((len(rig.forces), start + samples))
+        forces_n[0, : blow_n.size] = blow_n
+        return _unforced(cut_recording(simulate(rig, actual, forces_n, seed), slice(start, start + samples)))
+
+    def scaled_blow(half_sine: int) -> tuple[float, Float[np.ndarray, " blow"]]:
+        """Standard deviation of the differences in level, and the scaled blow."""
+        blow_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * np.sin(
+            np.pi * np.arange(half_sine) / half_sine
+        )
+        for _ in range(SCALING_STEPS):
+            level_errors = target_levels - _levels(decay(measured.rig, measured.rig, blow_n, scaled_samples, 0))
+            blow_n = blow_n * np.exp(np.mean(level_errors))
+        return float(np.std(level_errors)), blow_n
+
+    _, blow_n = min(
+        (scaled_blow(max(2, round(share * period))) for share in BLOW_PERIODS), key=lambda result: result[0]
+    )
+
+    def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
+        return decay(rig, actual, blow_n, forces_n.shape[1], seed)
+
+    return simulated
+
+
+def _levels(recording: Recording) -> Float[np.ndarray, " intervals"]:
+    """Log standard deviation in each interval of the beginning, of all sensors of the last sensor's quantity."""
+    interval_samples = min(SCALED_S * round(recording.rig.sample_rate_hz), recording.samples) // INTERVALS
+    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, : INTERVALS * interval_samples]
+    return np.asarray(np.log(np.linalg.norm(rows.reshape(len(rows), INTERVALS, interval_samples).std(axis=2), axis=0)))
+
+
+def _unforced(recording: Recording) -> Recording:
+    force = recording.signals["force"]
+    zero = Signals(force.channels, force.start_s, np.zeros_like(force.values))
+    return Recording(recording.rig, {**recording.signals, "force": zero}, recording.provenance)

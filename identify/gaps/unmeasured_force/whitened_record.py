@@ -1,0 +1,263 @@
+"""Whitened linear residual of a record with its nuisance columns, in which an unmeasured force is sought.
+
+At every line the sensors' accelerations A, in standard deviations sigma, obey
+
+    N^H (A - G_F F) / sigma = r = D theta + g f + e,   cov(e) = s (I + S_F g_F g_F^H)
+
+N spans the complement of what contact forces (and a base motion) cause, so that these stay free. G are accelerances, F
+is the measured force and f the unmeasured one. The noise of the force channel, of variance S_F at each line, is
+whitened (of several forces, each); s is free in bands of 2 Hz. The nuisance columns D are frequency and damping of each
+mode, gain and place of each sensor and the gain of the force, each by one tolerance. They are linearised about the
+measured modal accelerations q'' = Phi^+ (A - Phi_high q''_high): the modelled ones lack what the unmeasured force does.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Complex, Float, Int
+
+from identify.gaps.residual.linear import Linear, linear_model
+from identify.gaps.residual.record import Record
+from identify.linear.model import Response
+from identify.linear.nuisance import Nuisance
+from identify.linear.projection import complement
+from identify.signals.beginning import NORMAL_BY_MEDIAN
+from identify.signals.kinematics import taper
+from rig.errors import RigError
+from rig.model.description import Rig, Station
+
+BAND_HZ = 2.0
+GATE_FADE_S = 0.5
+LOWEST_HZ = 0.75
+"""Lowest line: below, integration falsifies every motion."""
+OBSERVABILITY_LIMIT = 1e-2
+"""Singular value of the mode shapes at the sensors, over the largest, below which the model gives the motion."""
+
+
+@dataclass(frozen=True)
+class WhitenedRecord:
+    """Whitened residual r (lines, rows) and nuisance columns D (columns, lines, rows) of a record.
+
+    basis is N^H, from standardised accelerations to rows. residual_squares, cross_products and gram are |r|^2, Re D^H r
+    and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace is 2 Re tr(dD/dA) of each
+    column. force_modes are the principal directions of the force channels' noise, force_shares the part of each that
+    whitening takes off.
+    """
+
+    record: Record
+    model: Linear
+    lines: slice
+    basis: Complex[np.ndarray, "lines rows sensors"]
+    force_modes: Complex[np.ndarray, "lines rows modes"]
+    force_shares: Float[np.ndarray, "lines modes"]
+    residual: Complex[np.ndarray, "lines rows"]
+    parameters: tuple[Nuisance, ...]
+    columns: Complex[np.ndarray, "columns lines rows"]
+    modal_accelerations: tuple[Complex[np.ndarray, "_ alllines"], ...]
+    band_starts: Int[np.ndarray, " bands"]
+    residual_squares: Float[np.ndarray, " bands"]
+    cross_products: Float[np.ndarray, "bands columns"]
+    gram: Float[np.ndarray, "bands columns columns"]
+    trace: Float[np.ndarray, " columns"]
+
+    @property
+    def omega(self) -> Float[np.ndarray, " lines"]:
+        return self.record.omega[self.lines]
+
+    @property
+    def rows(self) -> int:
+        return self.residual.shape[1]
+
+    @property
+    def reals_per_line(self) -> float:
+        """Count n of independent real values for each complex line, by the gate's share of the transform."""
+        return 2.0 * float(np.sum(self.gate**2)) * self.record.factor / self.record.length
+
+    @cached_property
+    def gate(self) -> Float[np.ndarray, " alltimes"]:
+        """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
+        counted, record = self.record.counted_samples, self.record
+        gate = np.zeros(record.length // record.factor)
+        shape = taper(counted.stop - counted.start, round(GATE_FADE_S * record.rate_hz))
+        gate[counted] = shape if counted.start == 0 else shape * shape[::-1]
+        return gate
+
+    @property
+    def band_sizes(self) -> Int[np.ndarray, " bands"]:
+        """Count of lines in each band."""
+        return np.diff(np.append(self.band_starts, self.residual.shape[0]))
+
+    def on_lines(self, by_band: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
+        """Value of its band at every line."""
+        return np.repeat(by_band, self.band_sizes)
+
+    def ungated_residual(
+        self, accelerations: Complex[np.ndarray, "sensors alllines"]
+    ) -> Complex[np.ndarray, "lines rows"]:
+        """Whitened residual of accelerations (m/s^2) at the sensors, without the gate."""
+        return self.whiten_force_noise(
+            self.project((self.model.sensor_response * accelerations / self.model.deviation)[:, self.lines])
+        )
+
+    def gated_residual(self, standard: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
+        """Whitened residual of the sensors' standardised signals, gated in time."""
+        record = self.record
+        back_projected = np.zeros_like(standard)
+        back_projected[:, self.lines] = (
+            self.basis.conj().transpose(0, 2, 1) @ self.project(standard[:, self.lines])[:, :, None]
+        )[:, :, 0].T
+        length = record.length // record.factor
+        history = np.fft.irfft(back_projected, length) * self.gate
+        return self.whiten_force_noise(self.project(np.fft.rfft(history)[:, self.lines]))
+
+    def project(self, standard: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
+        """Rows N^H y of standardised signals y, in which contact forces do not show."""
+        return np.asarray((self.basis @ standard.T[:, :, None])[:, :, 0])
+
+    def whiten_force_noise(self, rows: Complex[np.ndarray, "lines rows"]) -> Complex[np.ndarray, "lines rows"]:
+        """Rows with the covariance I + S_F g_F g_F^H of the force channels' noise reduced to I."""
+        mode_amplitudes = np.einsum("lrm,lr->lm", self.force_modes.conj(), rows)
+        return np.asarray(rows - np.einsum("lrm,lm->lr", self.force_modes, self.force_shares * mode_amplitudes))
+
+    def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
+        """Accelerance from a force at a station to the sensors, m/s^2 per N."""
+        accelerances = np.zeros(self.model.sensor_response.shape, dtype=complex)
+        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        for response in self.model.responses:
+            if response.body.name == station.body:
+                weights = response.shapes(sensor_stations) * response.shapes([station])[0]
+                accelerances += (weights @ np.ascontiguousarray(response.accelerance).view(float)).view(complex)
+        return accelerances
+
+    def motion(self, station: Station) -> Complex[np.ndarray, " alllines"]:
+        """Acceleration at a station: observed modes as measured, the others as modelled."""
+        for response, accelerations in zip(self.model.responses, self.modal_accelerations, strict=True):
+            if response.body.name == station.body:
+                return np.asarray(response.shapes([station])[0] @ accelerations)
+        raise KeyError(station.body)
+
+
+def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
+    """Whitened residual of a record against the linear part of a rig, without nuisance columns.
+
+    Raises RigError if the contacts' free forces explain all that the sensors give.
+    """
+    # the force channels' noise is whitened below; unmeasured responses are windowed
+    no_force_noise = np.zeros_like(record.force_noise)
+    record = replace(record, noise=capped_noise(record), force_noise=no_force_noise, windows_responses=False)
+    model = linear_model(record, rig, record.tolerances.unmodelled)
+    lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
+    basis = complement(model.by_input[..., lines])
+    rows = basis.shape[1]
+    if not rows:
+        raise RigError(
+            f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
+            "unmeasured force; add a sensor"
+        )
+    line_count, band_starts = basis.shape[0], _band_starts(record.omega[lines])
+    modal_accelerations = tuple(
+        _measured_accelerations(record, model, response, motion)
+        for response, motion in zip(model.responses, model.modal, strict=True)
+    )
+    bare = WhitenedRecord(
+        record=record,
+        model=model,
+        lines=lines,
+        basis=basis,
+        force_modes=np.zeros((line_count, rows, 0), dtype=complex),
+        force_shares=np.zeros((line_count, 0)),
+        residual=np.zeros((line_count, rows), dtype=complex),
+        parameters=(),
+        columns=np.zeros((0, line_count, rows), dtype=complex),
+        modal_accelerations=modal_accelerations,
+        band_starts=band_starts,
+        residual_squares=np.zeros(band_starts.size),
+        cross_products=np.zeros((band_starts.size, 0)),
+        gram=np.zeros((band_starts.size, 0, 0)),
+        trace=np.zeros(0),
+    )
+    force_responses = np.stack(
+        [bare.ungated_residual(bare.accelerance(station) / rig.force_sensor.gain) for station in rig.forces], axis=2
+    )
+    modes, singular_values, _ = np.linalg.svd(force_responses * np.sqrt(force_noise(record)), full_matrices=False)
+    whitened = replace(bare, force_modes=modes, force_shares=1 - 1 / np.sqrt(1 + singular_values**2))
+    return replace(whitened, residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
+
+
+def with_columns(
+    bare: WhitenedRecord,
+    parameters: tuple[Nuisance, ...],
+    columns: Complex[np.ndarray, "columns lines rows"],
+    trace: Float[np.ndarray, " columns"],
+) -> WhitenedRecord:
+    """Record with these columns, kept in single precision, and their sums over bands."""
+    real_residual = np.ascontiguousarray(bare.residual).view(float)
+    edges = np.append(bare.band_starts, real_residual.shape[0])
+    residual_squares, cross_products, gram = [], [], []
+    for first, last in pairwise(edges):
+        band_columns = np.ascontiguousarray(columns[:, first:last], dtype=complex).view(float).reshape(len(columns), -1)
+        band_residual = real_residual[first:last].ravel()
+        residual_squares.append(band_residual @ band_residual)
+        cross_products.append(band_columns @ band_residual)
+        gram.append(band_columns @ band_columns.T)
+    return replace(
+        bare,
+        parameters=parameters,
+        columns=columns.astype(np.complex64),
+        residual_squares=np.array(residual_squares),
+        cross_products=np.array(cross_products),
+        gram=np.array(gram),
+        trace=trace,
+    )
+
+
+def capped_noise(record: Record) -> Float[np.ndarray, "sensors lines"]:
+    """Noise power of each sensor at each line, at most that of rig.json: a force that acts before the excitation
+    is no noise."""
+    noise = record.noise.copy()
+    for i, sensor in enumerate(record.sensors):
+        if sensor.noise_density > 0:
+            density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            noise[i] = np.minimum(noise[i], record.samples * density**2 * record.sample_rate_hz / 2)
+    return noise
+
+
+def force_noise(record: Record) -> Float[np.ndarray, " forces"]:
+    """Variance of the noise at a line of each force channel (N^2): the lower of what the quiet start and the lines of
+    the upper half of the band show."""
+    high_band_power = np.abs(record.forces[:, record.omega.size // 2 :]) ** 2
+    variance = np.median(high_band_power, axis=1) / np.log(2)
+    quiet = record.time_s < record.excited_s - 0.05
+    if np.count_nonzero(quiet) > 0.2 * record.rate_hz:
+        size_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.forces)[:, quiet]), axis=1)
+        variance = np.minimum(variance, record.samples * size_n**2 * record.sample_rate_hz / record.rate_hz)
+    return np.asarray(variance)
+
+
+def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
+    """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
+    body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+    mode_count = min(len(body_sensors), response.count)
+    inverse = np.zeros((mode_count, len(record.sensors)))
+    if mode_count:
+        shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :mode_count]
+        inverse[:, body_sensors] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
+    return inverse
+
+
+def _measured_accelerations(
+    record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
+) -> Complex[np.ndarray, "modes lines"]:
+    """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
+    inverse = modal_inverse(record, response)
+    mode_count = len(inverse)
+    misfit = record.delivered / model.sensor_response - response.shapes([s.station for s in record.sensors]) @ modelled
+    return np.concatenate([modelled[:mode_count] + inverse @ misfit, modelled[mode_count:]])
+
+
+def _band_starts(omega: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
+    """First line of each band of `BAND_HZ`."""
+    number = np.floor(omega / (2 * np.pi * BAND_HZ)).astype(int)
+    return np.flatnonzero(np.diff(number, prepend=-1))

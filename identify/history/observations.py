@@ -1,0 +1,64 @@
+"""Observations of a machine: recordings that are identified, or a contact.json that exists already."""
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from identify.contacts import identify_contact
+from identify.contacts.results import ContactReport
+from identify.history.changes import Observation
+from identify.signals.kinematics import Use
+from rig.errors import RigError
+from rig.files import contents, sha256_of
+from rig.model.tolerances import Tolerances
+from rig.recording import read, recorded_at, recordings_in
+
+RESULT = "contact.json"
+
+
+def sources_in(folder: Path) -> list[Path]:
+    """Recordings in a folder, or else its subfolders with a contact.json, sorted by name (2 before 10).
+
+    Raises RigError if it is no folder, or holds neither.
+    """
+    if not folder.is_dir():
+        raise RigError(f"{folder}: is no folder; give the one with the recordings")
+    sources = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{RESULT}")]
+    if not sources:
+        raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {RESULT}; give another")
+    return sorted(sources, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
+
+
+def observations(
+    sources: Sequence[Path],
+    use: Use = "auto",
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Iterator[Observation]:
+    """Yield the observation of each source; one that cannot be read or identified holds the reason."""
+    for number, source in enumerate(sources):
+        try:
+            yield _observed(source, use, tolerances)
+        except RigError as error:
+            yield Observation(name=source.name, reason=str(error))
+        progress((number + 1) / len(sources))
+
+
+def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observation:
+    """Observation of a recording, or of a contact.json or its folder; raises RigError if there is none."""
+    if source.suffix == ".mcap":
+        recording = read(source)
+        report = identify_contact(recording, use=use, tolerances=tolerances).report
+        recorded = recorded_at(recording.provenance)
+        return Observation(name=source.name, recorded=recorded, report=report, sha256=sha256_of(source))
+    result = source / RESULT if source.is_dir() else source
+    return Observation(name=source.name, report=_report(result), sha256=sha256_of(result))
+
+
+def _report(path: Path) -> ContactReport:
+    try:
+        return msgspec.json.decode(contents(path), type=ContactReport)
+    except msgspec.DecodeError as error:
+        raise RigError(f"{path}: is no {RESULT} ({error}); identify the recording again") from error

@@ -1,0 +1,63 @@
+"""Gauss-Newton with a line search: each step of the linearised problem is shortened until the cost falls."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+MAX_LENGTHS = 6
+"""Lengths of a step that are tried, shorter and shorter, until the cost falls."""
+
+
+@runtime_checkable
+class HasCost(Protocol):
+    """State of a fit: its parameters, with the sum of squares as its cost."""
+
+    @property
+    def cost(self) -> float: ...
+
+
+State = TypeVar("State", bound=HasCost)
+
+
+@dataclass(frozen=True)
+class Step(Generic[State]):
+    """Step of a linearisation: the state after a share of it, or None where there is no such state.
+
+    predicted_decrease is the fall of the cost by the whole step if the linearisation holds.
+    """
+
+    state_after: Callable[[float], State | None]
+    predicted_decrease: float
+
+
+StepOf = TypeVar("StepOf", bound=Step[Any])
+
+
+def gauss_newton(
+    start: State, linearize: Callable[[State], StepOf], min_fall_of: Callable[[State], float], max_steps: int
+) -> tuple[State, StepOf]:
+    """State with the least cost after at most `max_steps` steps, and the last step that was tried.
+
+    A step that does not lower the cost is shortened to the minimum of the parabola through both costs with the slope at
+    its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
+    than `min_fall_of` the state before it.
+    """
+    state, cost, slow_steps = start, start.cost, 0
+    for _ in range(max_steps):
+        step, share, min_fall = linearize(state), 1.0, min_fall_of(state)
+        candidate, fall = None, -np.inf
+        for _ in range(MAX_LENGTHS):
+            candidate = step.state_after(share)
+            fall = cost - candidate.cost if candidate is not None else -np.inf
+            if fall > 0 or step.predicted_decrease < min_fall:
+                break
+            share *= np.clip(step.predicted_decrease * share / (2 * step.predicted_decrease * share - fall), 0.1, 0.5)
+        if candidate is None or not fall > 0:
+            break
+        state, cost = candidate, cost - fall
+        slow_steps = slow_steps + 1 if fall < min_fall else 0
+        if slow_steps and (share == 1 or slow_steps == 2):
+            break
+    return state, step

@@ -1,0 +1,100 @@
+"""First rigs of bodies with analytic modes: one mass, or a barrel in its cradle."""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from rig.errors import RigError
+from rig.lab.starting.base import StartWithStops, spread
+from rig.model.beam import Beam
+from rig.model.description import Rig, Station
+from rig.model.oscillator import Oscillator
+
+
+class MassRig(StartWithStops, frozen=True, kw_only=True):
+    """One mass on a spring between two stops."""
+
+    mass_kg: Annotated[float, msgspec.Meta(description="The mass, kg.")]
+    frequency_hz: Annotated[float, msgspec.Meta(description="Natural frequency of the mass on its spring, Hz.")]
+    damping_ratio: Annotated[float, msgspec.Meta(description="Its damping ratio.")] = 0.01
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        body = Oscillator(
+            name="mass",
+            mass_kg=self.mass_kg,
+            frequency_hz=self.frequency_hz,
+            damping_ratio=self.damping_ratio,
+        )
+        mass = Station("mass")
+        return self._rig((body,), [(mass, None)], mass, [mass]), ()
+
+
+class BeamsRig(StartWithStops, frozen=True, kw_only=True):
+    """Two uniform beams: a free barrel that meets a cradle, clamped at its left end, at contacts."""
+
+    cradle_length_m: Annotated[float, msgspec.Meta(description="Length of the cradle, m.")]
+    cradle_width_m: Annotated[float, msgspec.Meta(description="Width of the cradle, m.")]
+    cradle_thickness_m: Annotated[float, msgspec.Meta(description="Its thickness, over which it bends, m.")]
+    barrel_length_m: Annotated[float, msgspec.Meta(description="Length of the barrel, m.")]
+    barrel_width_m: Annotated[float, msgspec.Meta(description="Width of the barrel, m.")]
+    barrel_thickness_m: Annotated[float, msgspec.Meta(description="Its thickness, over which it bends, m.")]
+    overlap_start_m: Annotated[float, msgspec.Meta(description="Place on the cradle of the barrel's left end, m.")]
+    youngs_modulus_pa: Annotated[float, msgspec.Meta(description="Young's modulus of both beams, Pa.")] = 210e9
+    density_kg_per_m3: Annotated[float, msgspec.Meta(description="Density of both beams, kg/m^3.")] = 7850.0
+    damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of every mode.")] = 0.01
+    contacts_m: Annotated[
+        tuple[float, ...],
+        msgspec.Meta(description="Contacts, places on the cradle; otherwise both ends of the overlap."),
+    ] = ()
+    force_m: Annotated[
+        float | None, msgspec.Meta(description="Place of the force on the barrel; otherwise its right end.")
+    ] = None
+    cradle_stations_m: Annotated[
+        tuple[float, ...], msgspec.Meta(description="Sensors on the cradle; otherwise 6, the contacts among them.")
+    ] = ()
+    barrel_stations_m: Annotated[
+        tuple[float, ...], msgspec.Meta(description="Sensors on the barrel; otherwise 6, the contacts among them.")
+    ] = ()
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        cradle = self._beam("cradle", "clamped-free")
+        barrel = self._beam("barrel", "free-free")
+        overlap_start, overlap_end = (
+            self.overlap_start_m,
+            min(self.cradle_length_m, self.overlap_start_m + self.barrel_length_m),
+        )
+        if not 0 <= overlap_start < overlap_end:
+            raise RigError(
+                f"overlap_start_m is {overlap_start}; give a place on the cradle, 0 to below {self.cradle_length_m} m"
+            )
+        places = self.contacts_m or (overlap_start, overlap_end)
+        if outside := [p for p in places if not overlap_start <= p <= overlap_end]:
+            raise RigError(
+                f"contacts_m has {outside[0]} m, where the beams do not lie side by side; give {overlap_start:g} to "
+                f"{overlap_end:g} m"
+            )
+        on_barrel = [round(p - overlap_start, 12) for p in places]
+        force_m = self.barrel_length_m if self.force_m is None else self.force_m
+        sensed = {
+            "cradle": self.cradle_stations_m or spread(list(places), cradle.length_m, avoided_m=(0.0,)),
+            "barrel": self.barrel_stations_m or spread([*on_barrel, force_m], barrel.length_m),
+        }
+        rig = self._rig(
+            (cradle, barrel),
+            [(Station("barrel", b), Station("cradle", c)) for b, c in zip(on_barrel, places, strict=True)],
+            Station("barrel", force_m),
+            [Station(name, x) for name, positions in sensed.items() for x in positions],
+        )
+        return rig, ()
+
+    def _beam(self, name: str, end_condition: Literal["clamped-free", "free-free"]) -> Beam:
+        return Beam(
+            name=name,
+            ends=end_condition,
+            length_m=getattr(self, f"{name}_length_m"),
+            width_m=getattr(self, f"{name}_width_m"),
+            thickness_m=getattr(self, f"{name}_thickness_m"),
+            youngs_modulus_pa=self.youngs_modulus_pa,
+            density_kg_per_m3=self.density_kg_per_m3,
+            damping_ratio=self.damping_ratio,
+        )
