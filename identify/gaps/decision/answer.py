@@ -41,6 +41,7 @@ from rig.recording import Recording
 __all__ = ["Simulator", "diagnose"]
 
 MATTERS = Matters()
+"""Thresholds of what matters where none are given: 0.5 % of the acceleration, 3 % of a contact force. Set by hand."""
 
 Progress = Callable[[str, float], None]
 

@@ -14,8 +14,11 @@ from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.results import Attribution, ResidualMap, Share
 
 BANDS_HZ = (0.0, 2.0, 5.0, 10.0, 20.0, 40.0, 60.0, 100.0, 150.0, 200.0, 400.0, 1000.0, 4000.0)
+"""Edges of the bands in which the mismatch is shown. Display."""
 TIME_INTERVALS = 10
+"""Intervals of the time in which the mismatch is shown. Display."""
 MAP_CELLS = 12
+"""Cells along either axis of the map of the contact force. Display."""
 
 
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:

@@ -25,6 +25,7 @@ from rig.model.unmeasured_force import Value
 MULTIPLE_RATIO = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
 DIGITS = 3
+"""Significant digits of a phrase. Display."""
 UNKNOWN_STRENGTH = "unknown strength"
 
 

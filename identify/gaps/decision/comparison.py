@@ -1,4 +1,24 @@
-"""Comparison of hypotheses on the validation record: posterior probabilities, explained and unexplained shares."""
+"""Comparison of hypotheses on the validation record: posterior probabilities, explained and unexplained shares.
+
+Notes for maintainers
+1. The effects keep the parameters of the fitted record; nuisance parameters, and what every record has of its own (the
+   phase of a tone), are fitted anew:
+
+       ln posterior = ln prior - (-2 ln p) / (2 TEMPERATURE)
+
+   The temperature accounts for model error that neighbouring bands and both records share.
+2. Priors: `PRIOR_NOTHING`; k effects `PRIOR_EFFECTS` (1 - a) a^(k - 1) with a = `FURTHER_EFFECT_SHARE`, shared equally
+   by the sets of k effects, then by their places; something unmeasured `PRIOR_UNKNOWN`, shared by its places.
+3. The inclusion probability of an effect is that of all sets that hold it, or a look-alike in its place.
+4. Where the records differ from the rig and the validation record alone does not show it, the fitted record counts
+   too.
+5. Size of a mismatch in units of what matters, and the share that effects remove of it, with nuisance parameters as
+   fitted beside the effects, so that no effect is credited with what tolerances absorb:
+
+       size = sqrt((share / matters)^2 + sum_j (share_j / matters_contact)^2),   removed = 1 - size_with / size_without
+
+   Its interval is a bootstrap over the seconds of the record.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -23,10 +43,12 @@ TEMPERATURE = 6.0
 """Divisor of -2 ln p between hypotheses: neighbouring bands and both records share model error that lasts. On tuning
 cases the likelihood of the right hypotheses is largest at 7.9, the Brier score least at 5.1."""
 PRIOR_NOTHING, PRIOR_EFFECTS, PRIOR_UNKNOWN = 0.3, 0.5, 0.2
-"""Prior probabilities of no difference, of effects of the library, and of something outside the library."""
+"""Prior probabilities of no difference, of effects of the library, and of something outside the library. Set by
+hand."""
 FURTHER_EFFECT_SHARE = 0.43
-"""Prior probability of k + 1 effects over that of k: as 0.15 to 0.35, two effects to one."""
+"""Prior probability of k + 1 effects over that of k: as 0.15 to 0.35, two effects to one. Set by hand."""
 BOOTSTRAP_DRAWS = 400
+"""Bootstrap draws. Derived: the 2.5 % quantile is known to sqrt(0.025 * 0.975/400) = 0.8 %."""
 
 
 @dataclass(frozen=True)

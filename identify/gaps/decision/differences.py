@@ -34,10 +34,11 @@ from rig.model.description import Rig
 from rig.model.unmeasured_force import Value
 
 FITTED_EFFECTS = 3
-"""Number of the likeliest differing effects that are fitted to every record."""
-ROUNDS = 2  # linearisations of such a fit
+"""Number of the likeliest differing effects that are fitted to every record. Effort. Effort."""
+ROUNDS = 2
+"""Linearisations of each fit to all records. Effort. Effort."""
 TREND_DEVIATIONS = 2.0
-"""Standard errors of a step from one record to the next above which a value grows or falls."""
+"""Standard errors of a step from one record to the next above which a value grows or falls. Convention. Convention."""
 
 
 @dataclass(frozen=True)

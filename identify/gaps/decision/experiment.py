@@ -3,6 +3,12 @@
 T-optimality (Atkinson and Fedorov, Biometrika 62, 1975): of the experiments that a laboratory can make, the one in
 which the refitted rival explains the recording of the true cause worst. Each is simulated with each cause as the true
 one. Changes of the rival's parameters are penalised by their covariance from the record at hand.
+
+    log odds = [-2 ln p(rival) + d' (C1 + C2)^-1 d - (-2 ln p(true))] / (2 TEMPERATURE)
+
+d is the change of the rival's parameters from the first fit, C1 and C2 the covariances of both fits: one value has to
+serve both records. A cause is simulated `ENLARGED_ERRORS` standard errors larger than fitted, as one that the record
+hardly shows is fitted as nothing, and an experiment shows nothing of nothing.
 """
 
 from collections.abc import Callable, Iterator
@@ -29,20 +35,22 @@ from rig.model.description import PointMass, Rig, Station
 from rig.model.tolerances import Tolerances
 
 FORCE_FACTORS = (0.4, 2.5)
-"""Forces of the experiments, as multiples of the measured one."""
+"""Forces of the experiments, as multiples of the measured one. Set by hand: what a shaker does without another
+setup."""
 DURATION_FACTOR = 3
-"""Duration of the longer experiment, as a multiple of the record's."""
+"""Duration of the longer experiment, as a multiple of the record's. Set by hand."""
 ENLARGED_ERRORS = 2.0
 """Standard errors by which a simulated cause is larger than fitted; at most this multiple of a typical effect."""
 FORCE_POSITIONS = (0.5, 1.0)
-"""Positions of the force, as shares of every body's length."""
+"""Positions of the force, as shares of every body's length. Effort. Effort."""
 ADDED_MASS_SHARE = 0.1
-"""Known mass to attach, as a share of the mass of its body."""
+"""Known mass to attach, as a share of the mass of its body. Set by hand."""
 DISPLACEMENT_NOISE = 2e-7
 """Noise density of displacement sensors, m/sqrt(Hz)."""
 SPLIT_SHARE = 0.4
-"""Frequency that splits the band of the force, as a share of its upper end."""
+"""Frequency that splits the band of the force, as a share of its upper end. Set by hand."""
 FILTER_ORDER = 8
+"""Order of the filter that splits the band. Set by hand."""
 
 
 @dataclass(frozen=True)

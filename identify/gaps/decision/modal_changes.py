@@ -19,9 +19,11 @@ from rig.model.description import Body, PointDamper, PointMass, PointSpring, Rig
 from rig.model.modes import Modes, basis_places_beside, mode_count, modes_of
 
 DOMINANT_SHARE = 0.5
-"""Share of the squared changes of all modes in the band, in half bandwidths, above which one mode dominates."""
+"""Share of the squared changes of all modes in the band, in half bandwidths, above which one mode dominates. Derived:
+more than all others together. Derived: more than all others together."""
 SHAPE_RATIO_LIMIT = 1.5
-"""Ratio of the strengths that the neighbouring shapes allow, from which a strength cannot be determined."""
+"""Ratio of the strengths that the neighbouring shapes allow, from which a strength cannot be determined. Set by
+hand."""
 MIN_DAMPING_RATIO = 1e-4
 """Lower limit of damping ratios."""
 DERIVATIVE_STEP = 1e-2

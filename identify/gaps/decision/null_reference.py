@@ -2,6 +2,16 @@
 
 It contains the effects of integration, chaos, sensors and tolerances, and turns a misfit into a p-value. It is made
 once for a rig, its tolerances, a simulator and a level of force, and kept in a file.
+
+Notes for maintainers
+1. The contacts' part of -2 ln p and that of the worst 2 Hz band are judged apart from the rest, as one contact, or one
+   sharp line, is a small share of the whole.
+2. Every record has null simulations of its own level and length, of the same machines: statistics of several records
+   are added machine by machine (`p_values`).
+3. Two further parts enter the combination: chi-squared of the contact parameters' distance from rig.json (not where
+   the rest is certain of a difference that is not bounded), and that of the split likelihood ratio of the likeliest of
+   n hypotheses, fitted on the other record: n exp(-decrease of -2 ln p / (2 TEMPERATURE)).
+4. The key of a file holds rig, tolerances, simulator, level of force, length and version of the program.
 """
 
 import hashlib
@@ -42,7 +52,7 @@ NULL_SIMULATIONS = 12
 distribution takes into account."""
 NULL_REFERENCE_SUFFIX = ".null_reference.json"
 LEVEL_FACTOR = 1.25
-"""Forces within this factor of each other share a null reference."""
+"""Forces within this factor of each other share a null reference. Set by hand."""
 STORED_REFERENCES = 8
 """Largest number of null references in one file, the latest, for records of several levels and lengths."""
 MAX_COMBINED_P_VALUE = 0.99

@@ -1,6 +1,14 @@
 """Recordings of one rig: sound channels, free decays, and the recording that validates.
 
 Channels that are dead or clipped are named and left out.
+
+Notes for maintainers
+1. A force channel of zeros is a free decay if no second is louder than `LEVEL_RISE` times an earlier one (all sensors
+   of a quantity together) and the quietest has fallen to `DECAYED_SHARE` of the loudest. Displacements are judged by
+   their velocities: slow swings between the stops may grow while the energy falls.
+2. Force, mass, spring and contact stiffness have a common factor that a free decay does not show; so have clearances
+   and gains. Effects of the force and of channels are no candidates there: a gain of 20 let the motion vanish within
+   the clearance, and so explained everything.
 """
 
 from collections.abc import Sequence
@@ -16,17 +24,16 @@ from rig.model.description import Rig, to_json
 from rig.recording import Recording, Signals, channel_groups
 
 CLIPPED_SHARE = 1e-3
-"""Share of the samples at the largest or smallest value above which a channel is clipped."""
-LEVEL_RISE = 1.2
-LEVEL_FLOOR_SHARE = 0.03
+"""Share of the samples at the largest or smallest value above which a channel is clipped. Set by hand."""
+LEVEL_RISE, LEVEL_FLOOR_SHARE = 1.2, 0.03
 """Largest ratio of the level of a second to that of an earlier one in a free decay, whose energy only falls; levels
-below this share of the loudest count as that share."""
+below this share of the loudest count as that share. Set by hand."""
 DECAYED_SHARE = 0.5
-"""Largest ratio of the quietest to the loudest second of a free decay."""
+"""Largest ratio of the quietest to the loudest second of a free decay. Set by hand."""
 MIN_INTERVALS = 4
-"""Number of intervals of a record shorter than so many seconds, in place of the seconds."""
+"""Number of intervals of a record shorter than so many seconds, in place of the seconds. Set by hand."""
 BAND_FACTOR = 1.6
-"""Band in which a free decay is judged, as a multiple of the frequency up to which it rings."""
+"""Band in which a free decay is judged, as a multiple of the frequency up to which it rings. Set by hand."""
 UNFORCED_MIXED_BODIES = (
     "the exciting force is zero throughout: identify gap reads free decays of one mass or of elastic bodies, not of "
     "masses beside other bodies; measure the force of a shaker or a hammer, or take identify contact, which reads them"
@@ -43,7 +50,7 @@ NO_DECAY = (
 )
 
 FITTED_SHARE = 0.55
-"""Fitted share of a single record; the rest validates."""
+"""Fitted share of a single record; the rest validates. Set by hand."""
 
 
 def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:

@@ -17,8 +17,11 @@ from rig.model.description import Rig
 from rig.recording import Recording
 
 CURVE_POINTS = 400
+"""Points of a compared curve at most. Display."""
 SEGMENT_S = 2.0
+"""Segment of the spectra, s. Display."""
 HISTOGRAM_CELLS = 80
+"""Cells of a histogram. Display."""
 
 
 def compare_responses(

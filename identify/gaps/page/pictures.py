@@ -16,12 +16,15 @@ from rig.model.quantities import printed_unit
 Draw = Callable[[Any], None]
 
 MAX_CAUSES = 6
+"""Causes of a figure at most. Display."""
 MAX_LABELS = 12
+"""Labels of an axis at most. Display."""
 MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
 """Gain of log odds that turns even odds into 95 %."""
 _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
+"""Widths and heights of figures, inches. Display."""
 
 
 def pictures(gap: Gap, rig: Rig) -> dict[str, Picture]:

@@ -13,6 +13,7 @@ from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce
 
 _HEIGHT_IN = 3.2
+"""Height of a figure, inches. Display."""
 _HALF_HEIGHT = 0.09
 """Half the height of a drawn body, where rows of bodies are one apart."""
 _ARROW_REACH = 0.34

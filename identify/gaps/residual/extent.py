@@ -20,25 +20,31 @@ from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
 TAPER_S = 0.5
+"""Fade at the record's ends. Set by hand."""
 OMITTED_S, OMITTED_SHARE = 4.5, 0.45
-"""Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it."""
+"""Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it. Set
+by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
 """Part omitted at a faded end without integration, and at a faded start where nothing rings, in lengths of the fade;
-and the largest share of a record that is a fade."""
+and the largest share of a record that is a fade. Set by hand."""
 RELEASE_S = 2.0
-"""Seconds omitted at the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`."""
+"""Seconds omitted at the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`. Set by
+hand."""
 QUIET_MARGIN_S = 0.05
 """Time before the force at which a quiet start ends."""
 REACH = 1.6
-"""Highest frequency of the diagnosis, as a multiple of the force's highest frequency."""
+"""Highest frequency of the diagnosis, as a multiple of the force's highest frequency. Set by hand: impacts excite
+beyond the force."""
 POWER_REACH, POWER_SHARE = 2.0, 0.9
 """Its bound, as a multiple of the frequency below which this share of the force's power lies: that of a hammer falls
-slowly with frequency."""
+slowly with frequency. Set by hand: above 1.6/0.9, so it binds for blows alone, whose power falls slowly: 0.31 kHz of
+half-sines of 5 ms, not 0.88."""
 SHORTEST_S, SHORTEST_UNCUT_S = 10.0, 1.0
-"""Shortest record; the second for one that counts from its first sample and is not integrated."""
+"""Shortest record; the second for one that counts from its first sample and is not integrated. Set by hand."""
 DECAYED_SHARE, LEAST_COUNTED_S = 0.03, 4.0
 """Share of the loudest second's acceleration below which a record ends, and the least time that counts: accelerometers
-do not show contacts of a rig at rest."""
+do not show contacts of a rig at rest. Set by hand: later the slow motion of a floating body is not known to its
+clearance."""
 
 
 def read_sensors(recording: Recording) -> tuple[Sensor, ...]:

@@ -22,13 +22,18 @@ from rig.errors import RigError
 from rig.model.description import Rig
 
 MAX_STEPS = 12
+"""Gauss-Newton steps at most. Numerical."""
 DERIVATIVE_STEP = 1e-3
-"""Share of a candidate's steps over which derivatives are taken: eliminating nuisance parameters leaves little."""
+"""Share of a candidate's steps over which derivatives are taken: eliminating nuisance parameters leaves little. Set by
+hand, between rounding and curvature."""
 BOUND_SLACK, SINGLE_PRECISION = 1e-9, 1e-6
+"""Slack of bounds. Numerical."""
 COST_TOLERANCE = 3e-5
-"""Relative decrease of the cost that ends a fit, a tenth of a standard error; ..."""
+"""Relative decrease of the cost that ends a fit, a tenth of a standard error; ... Derived: a tenth of a standard error
+costs 0.01 of 25 s * 20 Hz = 500 independent samples, 2e-5. Derived: a tenth of a standard error costs 0.01 of 25 s * 20
+Hz = 500 independent samples, 2e-5."""
 UNEXPLAINED_TOLERANCE = 1e-3
-"""... or the same decrease as a share of the cost beyond noise."""
+"""... or the same decrease as a share of the cost beyond noise. Set by hand."""
 
 Values = Float[np.ndarray, " parameters"]
 Build = Callable[[Values], Rig]

@@ -26,7 +26,8 @@ from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
 EXCESS_WEIGHT = 100.0
-"""Extra weight of a contact tolerance's excess beyond `LIMIT` standard deviations: something else is wrong."""
+"""Extra weight of a contact tolerance's excess beyond `LIMIT` standard deviations: something else is wrong. Set by
+hand: a soft bound."""
 DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
 """Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
 

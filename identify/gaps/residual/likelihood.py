@@ -27,7 +27,8 @@ from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
 
 NOISE_LIMIT = 0.5
-"""Share of noise in the power above which a band is not used to measure shares of the motion."""
+"""Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
+displacements differentiated twice show noise alone above some hundred Hz."""
 
 
 @dataclass(frozen=True)

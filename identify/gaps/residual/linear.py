@@ -44,7 +44,8 @@ from rig.model.modes import modes_of, participation
 from rig.model.sensing import PASSBAND
 
 FREE_MODE_REACH = 4.0
-"""Modes up to this multiple of the highest frequency have a free motion of their own."""
+"""Modes up to this multiple of the highest frequency have a free motion of their own. Set by hand: what is left out is
+below noise."""
 Tuned = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
 """Factors on the frequency and on the damping ratio of each mode, by body."""
 

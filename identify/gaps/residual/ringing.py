@@ -14,17 +14,17 @@ from scipy.signal.windows import tukey
 from identify.signals.ringing import modes_of_decay
 
 BAND_POWER = 1 - 1e-6
-"""Share of the velocities' power beyond noise that lies below the highest ringing frequency."""
+"""Share of the velocities' power beyond noise that lies below the highest ringing frequency. Set by hand."""
 TAPER_SHARE = 0.1
-"""Tapered share of a record, both ends together, for that spectrum."""
+"""Tapered share of a record, both ends together, for that spectrum. Set by hand."""
 SIGNAL_RATIO, SMOOTHED_LINES = 8.0, 9
-"""Ratio of smoothed power to noise from which a line counts, and the lines that are smoothed over."""
+"""Ratio of smoothed power to noise from which a line counts, and the lines that are smoothed over. Set by hand."""
 LEAST_FREQUENCY_ERROR, LEAST_DAMPING_ERROR = 3e-4, 0.03
-"""Least relative errors of a mode's frequency and damping ratio: those by subspaces, fade and stations."""
+"""Least relative errors of a mode's frequency and damping ratio: those by subspaces, fade and stations. Set by hand."""
 INEFFICIENCY = 2.0
-"""Error of subspaces over the Cramer-Rao bound."""
+"""Error of subspaces over the Cramer-Rao bound. Set by hand."""
 MODE_COUNT = 12
-"""Number of modes sought."""
+"""Number of modes sought. Set by hand."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,12 @@
 """Scale of the model discrepancy d, the unmodelled share of each acceleration, estimated from the record with the fit.
 
 Kennedy and O'Hagan, J. R. Stat. Soc. B 63, 2001: the discrepancy as an unknown whose size follows from the data.
+
+With n the noise, sigma^2 the variance and L the mean square of the residual in a band of a sensor,
+
+    d^2 <- d^2 max(L - n / sigma^2, 0) / (1 - n / sigma^2),   contact level <- level (1 + L_j) / 2
+
+never below the tolerance `unmodelled`. Without it, physical parameters absorb the model error.
 """
 
 from dataclasses import dataclass
@@ -12,8 +18,12 @@ from scipy.signal.windows import hann
 from identify.gaps.residual.record import Record
 
 BAND_HZ = 2.0
-"""Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s."""
+"""Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s. Derived:
+30 s * 2 Hz * 2 = 120 real values tell a variance to 13 %. Derived: 30 s * 2 Hz * 2 = 120 real values tell a variance to
+13 %."""
 SEGMENT_S = 1.0
+"""Segment of the band levels. Derived: a Hann window of 1 s resolves 1.5 Hz, less than a band. Derived: a Hann window
+of 1 s resolves 1.5 Hz, less than a band."""
 
 
 @dataclass(frozen=True)

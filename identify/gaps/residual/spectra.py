@@ -1,4 +1,12 @@
-"""Computation of a `Record`: spectra of forces and motion, their noise and power, and the samples that count."""
+"""Computation of a `Record`: spectra of forces and motion, their noise and power, and the samples that count.
+
+Notes for maintainers
+1. Noise is that of the quiet start; without one that of the lowest cells of the spectrum over time, where the quietest
+   segments are as loud at all frequencies, and else what rig.json states if that is less. No channel has less than
+   that of 24 bits.
+2. A measured displacement counts down to rest: of a free mass the residual is that of the windowed acceleration
+   itself, w x'' = (w x)'' - 2 (w' x)' + w'' x, with no corner of integration.
+"""
 
 from dataclasses import dataclass
 
@@ -38,6 +46,7 @@ RING_S, LONGEST_RING_S, DECAY_TIMES = 12.0, 60.0, 20.0
 """Padding in which beams ring down before the transform wraps around, s; without contacts DECAY_TIMES of the slowest
 mode, within both bounds, so that with two fifths of its damping it falls to 3e-4."""
 SMOOTHED_HZ = 1.0
+"""Smoothing of the acceleration's power P. Set by hand."""
 
 
 @dataclass(frozen=True)

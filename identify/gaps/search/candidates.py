@@ -26,7 +26,7 @@ PLACE_VALUES = 9
 RATIO_VALUES = 8
 """Trial values of a ratio over its whole range."""
 STEP_SHARE = 0.05
-"""Step for derivatives, as a share of what the typical effect adds."""
+"""Step for derivatives, as a share of what the typical effect adds. Set by hand."""
 ATTACHED_FIELDS = ("springs", "dampers", "masses", "tones")
 """Fields of a rig for what is attached to, or acts at, a point of a body."""
 

@@ -17,12 +17,15 @@ from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
 LOWEST_HZ = 0.2
+"""Lowest swing. Set by hand."""
 PRESSED_SHARE = 0.5
-"""A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest."""
+"""A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest. Set by
+hand."""
 NAMED_SHARE = 0.3
-"""Share of the variance of the clearance from which a harmonic change is named; chance makes a hundredth."""
+"""Share of the variance of the clearance from which a harmonic change is named; chance makes a hundredth. Set by
+hand."""
 FEWEST_SAMPLES = 50
-"""Count of pressed samples below which a contact is not analysed."""
+"""Count of pressed samples below which a contact is not analysed. Set by hand."""
 
 
 @dataclass(frozen=True)

@@ -17,15 +17,20 @@ from identify.signals.beginning import QUIET_S
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value, When
 
 LAW_SEARCH_SHARE = 0.2
-"""Explained share from which a law is searched; null simulations explain one direction of ten."""
+"""Explained share from which a law is searched; null simulations explain one direction of ten. Set by hand."""
 LAW_GAIN_SHARE = 0.7
-"""Share of the free force's gain from which a law is named."""
+"""Share of the free force's gain from which a law is named. Set by hand."""
 IN_BAND = 0.9
+"""Power within the stated band; share in contact; trend. Set by hand."""
 CELLS, PARTS = 24, 8
+"""Cells of the drawn surface, parts of the time. Display."""
 GROWTH_RATIO = 1.5
+"""Last over first part of the time: "growing". Set by hand."""
 MOSTLY_CLOSED_SHARE = 0.7
+"""Share of the time: a contact is nearly always closed. Set by hand."""
 RANDOM_RATIO = 0.5
-"""Rms before the excitation over that after its start, above which a force without a law is called random."""
+"""Rms before the excitation over that after its start, above which a force without a law is called random. Set by
+hand."""
 
 
 def described(fit: UnmeasuredForceFit) -> UnmeasuredForce:

@@ -14,11 +14,12 @@ from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Station
 
 OVERSAMPLING = 4
-"""Rate at which laws are evaluated, over the residual's: their kinks widen the band."""
+"""Rate at which laws are evaluated, over the residual's: their kinks widen the band. Set by hand."""
 LAW_ERROR = 0.03
-"""Share of the force that even the true law may miss, which keeps strong lines from deciding alone."""
+"""Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
 KNOT_SPACING_S = 0.25
-"""Knots of the spline of the slow motion, which integration loses."""
+"""Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz corner.
+Derived: eight knots a period of the 0.5 Hz corner."""
 
 
 @dataclass(frozen=True)
