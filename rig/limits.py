@@ -22,6 +22,8 @@ MAX_DEPTH = 32
 """Deepest nesting of groups, structs, cells and keys."""
 MAX_NAME = 1000
 """Longest name in a file, characters."""
+SCHEMA_VERSION = 1
+"""Version of the structure of rig.json, contact.json and gap.json that this program writes; it reads all up to it."""
 
 
 def memory_bound_bytes(file_bytes: int) -> int:
@@ -104,3 +106,13 @@ def _name(path: tuple[Any, ...]) -> str:
         path, key = path
         keys.append(key)
     return "".join(reversed(keys)).removeprefix(".")
+
+
+def check_schema_version(decoded: object, source: str) -> None:
+    """Raise RigError if a decoded JSON file is of a later version than this program reads."""
+    version = decoded.get("schema_version", SCHEMA_VERSION) if isinstance(decoded, dict) else SCHEMA_VERSION
+    if version not in range(1, SCHEMA_VERSION + 1):
+        raise RigError(
+            f"{source}: schema_version is {version}, and this program reads 1 to {SCHEMA_VERSION}; install a later "
+            "rig-identify, or describe the rig as this version does"
+        )

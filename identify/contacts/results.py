@@ -10,6 +10,7 @@ from identify.checks.findings import Finding
 from identify.contacts.law_form import EXPONENTS, FormName
 from identify.contacts.refusals import Refusal, RefusalCode, RemedyCode
 from identify.pages.wording import interval, number
+from rig.limits import SCHEMA_VERSION
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.description import Rig
 
@@ -166,6 +167,7 @@ class ContactReport(msgspec.Struct, frozen=True, kw_only=True):
     """Source of the accelerations' noise."""
     notes: tuple[str, ...] = ()
     """Methods and figures of the paper that could not be computed, and why."""
+    schema_version: int = SCHEMA_VERSION
 
 
 class Segment(msgspec.Struct, frozen=True):

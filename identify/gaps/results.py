@@ -9,6 +9,7 @@ import msgspec
 
 from identify.gaps.decision_table import Bounded, Evidence, Strength, Verdict
 from identify.gaps.rollout.results import Rollout
+from rig.limits import SCHEMA_VERSION
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 SAME_EXPERIMENT = "record the same again"
@@ -295,3 +296,4 @@ class Gap(Diagnosis, frozen=True, kw_only=True):
     """Diagnosis with its sentence: the content of gap.json."""
 
     sentence: str
+    schema_version: int = SCHEMA_VERSION

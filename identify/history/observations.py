@@ -12,6 +12,7 @@ from identify.history.changes import Observation
 from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.files import contents, sha256_of
+from rig.limits import check_schema_version
 from rig.model.tolerances import Tolerances
 from rig.recording import read, recorded_at, recordings_in
 
@@ -59,6 +60,7 @@ def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observat
 
 def _report(path: Path) -> ContactReport:
     try:
-        return msgspec.json.decode(contents(path), type=ContactReport)
+        check_schema_version(msgspec.json.decode(text := contents(path)), str(path))
+        return msgspec.json.decode(text, type=ContactReport)
     except msgspec.DecodeError as error:
         raise RigError(f"{path}: is no {RESULT} ({error}); identify the recording again") from error

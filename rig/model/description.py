@@ -11,7 +11,7 @@ import msgspec
 
 from rig.errors import RigError
 from rig.files import contents
-from rig.limits import check_json, check_largest
+from rig.limits import SCHEMA_VERSION, check_json, check_largest, check_schema_version
 from rig.model.beam import Beam
 from rig.model.components import (
     RISE_S,
@@ -89,6 +89,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     tones: tuple[Tone, ...] = ()
     tolerances: Tolerances | None = None
     """Standard deviations of the description, where its author states them."""
+    schema_version: int = SCHEMA_VERSION
+    """Version of the structure of rig.json: fields of a version keep their names, units and meaning."""
 
     def __post_init__(self) -> None:
         if not 1e-6 <= self.sample_rate_hz <= 1e9:
@@ -252,6 +254,7 @@ def from_json(text: bytes, source: str) -> Rig:
     check_json(text, source)
     try:
         decoded = _with_laws_named(msgspec.json.decode(text))
+        check_schema_version(decoded, source)
         check_largest(decoded, source)
         return msgspec.convert(decoded, Rig)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:

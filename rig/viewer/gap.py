@@ -9,6 +9,7 @@ import msgspec
 
 from rig.errors import RigError
 from rig.files import contents
+from rig.limits import check_schema_version
 from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
@@ -92,7 +93,8 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
 
 def _decoded(file: Path) -> _Gap:
     try:
-        report = msgspec.json.decode(contents(file), type=_Gap)
+        check_schema_version(msgspec.json.decode(text := contents(file)), str(file))
+        report = msgspec.json.decode(text, type=_Gap)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RigError(f"{file}: is no gap.json ({error}); make one by `identify gap`") from error
     attribution = report.attribution

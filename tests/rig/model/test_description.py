@@ -150,6 +150,19 @@ def test_a_text_that_is_no_rig_is_refused_with_its_place(old, new, place):
     assert place in str(caught.value)
 
 
+def test_a_rig_of_a_later_version_is_refused_by_its_version():
+    text = to_json(small_rig())
+    field = b'"schema_version": 1'
+    assert field in text
+    earlier = msgspec.json.decode(text)
+    del earlier["schema_version"]
+    assert from_json(msgspec.json.encode(earlier), "rig.json") == small_rig()
+    with pytest.raises(
+        RigError, match=r"^rig\.json of x: schema_version is 2, and this program reads 1 to 1; install a "
+    ):
+        from_json(text.replace(field, b'"schema_version": 2, "new": 0'), "rig.json of x")
+
+
 @pytest.mark.parametrize("number", [b"2e200", b"-2" + 200 * b"0"])
 def test_a_number_that_nothing_is_is_refused_with_its_place(number):
     with pytest.raises(RigError, match=r"^rig\.json of x: bodies\[0\]\.length_m is about 1e200, which nothing is"):
