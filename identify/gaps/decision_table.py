@@ -22,7 +22,7 @@ from math import isfinite
 import msgspec
 
 DIFFERENCE_P_VALUE = 0.01
-"""p-value below which a difference is certain: one null in a hundred. Convention. Convention."""
+"""p-value below which a difference is certain: one null in a hundred. Convention."""
 USUAL_P_VALUE = 0.05
 """p-value from which tolerances and noise explain a misfit: convention."""
 NAMED_PROBABILITY = 0.95

@@ -29,11 +29,11 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
 HIDING_NOISE_SHARE = 0.25
-"""Share of a contact force's mean square from which noise hides it: half of its size. Convention. Convention."""
+"""Share of a contact force's mean square from which noise hides it: half of its size. Convention."""
 PARAMETER_DEVIATIONS = 3.0
 """Threshold of a contact parameter's distance from rig.json, in stated standard deviations: convention."""
 CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
-"""Tolerance fields of a contact. Convention. Convention."""
+"""Tolerance fields of a contact. Convention."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
 
 

@@ -33,12 +33,10 @@ from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.unmeasured_force import Value
 
-FITTED_EFFECTS = 3
-"""Number of the likeliest differing effects that are fitted to every record. Effort. Effort."""
-ROUNDS = 2
-"""Linearisations of each fit to all records. Effort. Effort."""
+FITTED_EFFECTS, ROUNDS = 3, 2
+"""Number of the likeliest differing effects that are fitted to every record; linearisations of each fit. Effort."""
 TREND_DEVIATIONS = 2.0
-"""Standard errors of a step from one record to the next above which a value grows or falls. Convention. Convention."""
+"""Standard errors of a step from one record to the next above which a value grows or falls. Convention."""
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ DURATION_FACTOR = 3
 ENLARGED_ERRORS = 2.0
 """Standard errors by which a simulated cause is larger than fitted; at most this multiple of a typical effect."""
 FORCE_POSITIONS = (0.5, 1.0)
-"""Positions of the force, as shares of every body's length. Effort. Effort."""
+"""Positions of the force, as shares of every body's length. Effort."""
 ADDED_MASS_SHARE = 0.1
 """Known mass to attach, as a share of the mass of its body. Set by hand."""
 DISPLACEMENT_NOISE = 2e-7

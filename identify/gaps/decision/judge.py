@@ -49,7 +49,7 @@ CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
 INCOMPLETE_VERDICTS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts that leave something to be described."""
 CONFIRMING_SIMULATIONS = 3
-"""Simulations with the named effects, made where their prediction improves by less than expected. Effort. Effort."""
+"""Simulations with the named effects, made where their prediction improves by less than expected. Effort."""
 
 
 @dataclass(frozen=True)

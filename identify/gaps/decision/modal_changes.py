@@ -20,7 +20,7 @@ from rig.model.modes import Modes, basis_places_beside, mode_count, modes_of
 
 DOMINANT_SHARE = 0.5
 """Share of the squared changes of all modes in the band, in half bandwidths, above which one mode dominates. Derived:
-more than all others together. Derived: more than all others together."""
+more than all others together."""
 SHAPE_RATIO_LIMIT = 1.5
 """Ratio of the strengths that the neighbouring shapes allow, from which a strength cannot be determined. Set by
 hand."""

@@ -31,7 +31,7 @@ ONSET_S = 0.1
 """Onset of the null's force, s. Set by hand."""
 IMPULSE_ENERGY_SHARE, IMPULSE_SAMPLE_SHARE = 0.9, 0.1
 """A force is impulsive where a smaller share of the samples than the second holds the first share of the energy.
-Derived: 0.45 of Gaussian noise, 0.27 of its bursts. Derived: 0.45 of Gaussian noise, 0.27 of its bursts."""
+Derived: 0.45 of Gaussian noise, 0.27 of its bursts."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
 """Recording of the actual rig (second) under a measured force, in the channels of the nominal rig (first), with noise
@@ -184,8 +184,7 @@ def with_force_noise(
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
-"""Durations of the blow, in longest periods of the rig: short blows excite higher modes, which decay sooner. Effort.
-Effort."""
+"""Durations of the blow, in longest periods of the rig: short blows excite higher modes, which decay sooner. Effort."""
 SCALING_STEPS = 4
 """Short simulations that scale each blow. Set by hand."""
 SCALED_S, INTERVALS = 8, 8

@@ -28,8 +28,7 @@ from rig.model.description import Rig
 
 UNKNOWN_PLACES = 100
 """Distinguishable places of an unknown force (bodies of some metres, 20 mm each). Derived: two bodies of 1 m, 20 mm
-apart, the accuracy of a weak force's place. Derived: two bodies of 1 m, 20 mm apart, the accuracy of a weak force's
-place."""
+apart, the accuracy of a weak force's place."""
 RIVAL_PROBABILITY = 0.05
 """Probability from which a hypothesis cannot be told from the likeliest one. Set by hand."""
 CORRECTING_VERDICTS = (Verdict.SMALL, Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED)

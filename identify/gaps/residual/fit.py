@@ -30,8 +30,7 @@ BOUND_SLACK, SINGLE_PRECISION = 1e-9, 1e-6
 """Slack of bounds. Numerical."""
 COST_TOLERANCE = 3e-5
 """Relative decrease of the cost that ends a fit, a tenth of a standard error; ... Derived: a tenth of a standard error
-costs 0.01 of 25 s * 20 Hz = 500 independent samples, 2e-5. Derived: a tenth of a standard error costs 0.01 of 25 s * 20
-Hz = 500 independent samples, 2e-5."""
+costs 0.01 of 25 s * 20 Hz = 500 independent samples, 2e-5."""
 UNEXPLAINED_TOLERANCE = 1e-3
 """... or the same decrease as a share of the cost beyond noise. Set by hand."""
 

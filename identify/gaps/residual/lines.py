@@ -10,12 +10,11 @@ NEIGHBOURS, OUTSTANDING = (3, 8), 100.0
 """Neighbours of a line, the third to the eighth on either side, and the multiple of their median power above which it
 stands out: a Hann window separates them, and a resonance of 1 % damping at 8 Hz raises them all. Set by hand."""
 REFINEMENT = 32
-"""Refinement of the frequency grid of a line: a tone off by half a step keeps 0.1 % of its power. Derived: half a step
-off, a tone keeps 0.1 % of its power. Derived: half a step off, a tone keeps 0.1 % of its power."""
+"""Refinement of the frequency grid of a line: a tone off by half a step keeps 0.1 % of its power."""
 
 FORCE_LINE_REACH = 2
 """Distance (lines) from a multiple of the force's repetition frequency within which a line belongs to the force.
-Derived: a Hann window's reach. Derived: a Hann window's reach."""
+Derived: a Hann window's reach."""
 
 Rows = Float[np.ndarray, "rows times"]
 

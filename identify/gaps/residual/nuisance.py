@@ -30,7 +30,7 @@ from rig.model.tolerances import Tolerances
 
 LIMIT = 6.0
 """Bound of every nuisance parameter in standard deviations: beyond it, something else is wrong. Derived: a normal
-variable exceeds it once in 5e8. Derived: a normal variable exceeds it once in 5e8."""
+variable exceeds it once in 5e8."""
 MODE_REACH = 1.3
 """Multiple of the highest frequency up to which modes have parameters of their own. Set by hand: higher modes act
 nearly as static compliance."""

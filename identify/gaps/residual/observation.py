@@ -14,8 +14,8 @@ from identify.signals.drift import Spline, spline
 from identify.signals.law_evaluation import evaluated
 
 CLOSED_DEVIATIONS = 5.0
-"""Standard deviations beyond which a contact force is not noise; ... Derived: exceeded by chance once in 1.7e6 samples.
-Derived: exceeded by chance once in 1.7e6 samples."""
+"""Standard deviations beyond which a contact force is not noise; ... Derived: exceeded by chance once in 1.7e6
+samples."""
 CLOSED_SHARE = 0.1
 """... and the share of its rms that it must exceed too where the contact is closed: an open one's error stays below.
 Set by hand."""

@@ -19,11 +19,9 @@ from identify.gaps.residual.record import Record
 
 BAND_HZ = 2.0
 """Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s. Derived:
-30 s * 2 Hz * 2 = 120 real values tell a variance to 13 %. Derived: 30 s * 2 Hz * 2 = 120 real values tell a variance to
-13 %."""
+30 s * 2 Hz * 2 = 120 real values tell a variance to 13 %."""
 SEGMENT_S = 1.0
-"""Segment of the band levels. Derived: a Hann window of 1 s resolves 1.5 Hz, less than a band. Derived: a Hann window
-of 1 s resolves 1.5 Hz, less than a band."""
+"""Segment of the band levels. Derived: a Hann window of 1 s resolves 1.5 Hz, less than a band."""
 
 
 @dataclass(frozen=True)

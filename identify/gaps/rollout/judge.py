@@ -37,16 +37,16 @@ from rig.model.modes import modes_of
 from rig.recording import Recording
 
 MAX_WINDOWS = 240
-"""Largest number of windows of a record. Effort. Effort."""
+"""Largest number of windows of a record. Effort."""
 BLOCK_S, LEAST_BLOCKS = 1.0, 5
 """Length of the blocks over which windows are averaged, and their least number in a test. Set by hand."""
 VETO_P_VALUE = 0.01
-"""One-sided p-value of a veto. Convention. Convention."""
+"""One-sided p-value of a veto. Convention."""
 WORSE, BETTER = 0.05, 0.05
 """Least mean log ratios of errors for a veto: by which the corrected rig is worse, or would be better if right. Set by
 hand."""
 BOOTSTRAP_DRAWS = 400
-"""Bootstrap. Effort. Effort."""
+"""Bootstrap. Effort."""
 FREQUENCY_MATCH = 0.2
 """Relative difference of frequencies below which a predicted mode is the measured one. Set by hand."""
 

@@ -30,7 +30,7 @@ from rig.recording import Recording
 
 CROSSOVER = 0.3
 """Crossover from the displacement by forces to that by sensors, as a share of a mode's natural frequency. 0.15 to 0.7
-make no difference. 0.15 to 0.7 make no difference."""
+make no difference."""
 FORCE_ERROR, SENSOR_ERROR = 1e-2, 3e-3
 """Relative errors of a mode's displacement by forces, and of a station's displacement by its sensor."""
 SOFTEST_HZ = 0.05

@@ -18,14 +18,14 @@ from rig.model.description import Rig, Station
 from rig.recording import Recording
 
 HORIZON_ERROR = 0.1
-"""Median error of null simulations that defines the horizon; ... Convention. Convention."""
+"""Median error of null simulations that defines the horizon; ... Convention."""
 LADDER_END_ERROR = 0.15
-"""... and the error of a null simulation beyond which longer horizons are not tried. Effort. Effort."""
+"""... and the error of a null simulation beyond which longer horizons are not tried. Effort."""
 SHORTEST_HORIZON, WINDOW_GROWTH = 16, 4
 """Samples of the shortest horizon (each next one is longer by sqrt(2)), and the growth of the windows of null
-simulations, which first hold 16 of it. Effort. Effort."""
+simulations, which first hold 16 of it. Effort."""
 NULL_WINDOWS = 24
-"""Largest number of windows of a null simulation. Effort. Effort."""
+"""Largest number of windows of a null simulation. Effort."""
 LOST_ERROR = 1e3
 """Error assigned to a diverged prediction, and bound of all errors."""
 Predict = Callable[

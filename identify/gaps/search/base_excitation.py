@@ -22,10 +22,9 @@ from rig.model.description import BaseMotion
 
 WINDOW_BANDWIDTH_LINES, WINDOW_POWER_CORRELATION = 1.5, 35 / 18
 """Noise bandwidth of a Hann window in lines, and factor by which it lowers the number of independent powers. Derived:
-mean of w^4 over (mean of w^2)^2. Derived: mean of w^4 over (mean of w^2)^2."""
+mean of w^4 over (mean of w^2)^2."""
 TRIAL_DENSITIES = 10.0 ** np.arange(-9, 3, 0.5)
-"""Trial spectral densities, (m/s^2)^2/Hz. Derived: the best is within a factor 1.8, then refined. Derived: the best is
-within a factor 1.8, then refined."""
+"""Trial spectral densities, (m/s^2)^2/Hz. Derived: the best is within a factor 1.8, then refined."""
 
 
 def fit_base_excitation(

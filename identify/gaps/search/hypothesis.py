@@ -27,16 +27,15 @@ MIN_GAIN = 20.0
 some 4 places, and the temperature of the comparison, demand: 2 * 6 * ln(0.3 * 26 * 4 / 0.35) = 54."""
 FIRST_STEPS, ROUNDS, COST_TOLERANCE, SCALE_TOLERANCE = 3, 4, 1.0, 0.1
 """Steps of a first fit; rounds of the following refits at most; gain in -2 ln p, and relative change of the scales,
-below which they have settled. Effort. Effort."""
+below which they have settled. Effort."""
 MAX_EXCESS_COST = 200.0
 """Excess in -2 ln p over the best hypothesis from which one is neither fitted until it settles nor compared on another
-record: odds of e^(200 / (2 * 6)) = 2e7 on a single record. Derived: odds of e^(200/12) = 2e7 on one record. Derived:
-odds of e^(200/12) = 2e7 on one record."""
+record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
 LIMIT_SHARE = 0.99
 """Share of `LIMIT` from which a tolerance stands at its limit."""
 CHANCE_PULL = 3.0
 """Stated standard deviations beyond which a tolerance is not off by chance: an effect may pull it. Derived: a normal
-variable exceeds it once in 370. Derived: a normal variable exceeds it once in 370."""
+variable exceeds it once in 370."""
 
 
 @dataclass(frozen=True)

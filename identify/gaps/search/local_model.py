@@ -39,10 +39,9 @@ from rig.errors import RigError
 from rig.model.description import Rig
 
 MAJORIZATIONS = 5
-"""Steps of the majorisation at most. Effort. Effort."""
+"""Steps of the majorisation at most. Effort."""
 STATISTIC_TOLERANCE = 0.1
-"""Decrease of S below which the majorisation ends: odds change by 1 %. Derived: changes odds by 1 %. Derived: changes
-odds by 1 %."""
+"""Decrease of S below which the majorisation ends: odds change by 1 %."""
 RELATIVE_RIDGE = 1e-5
 """Added to the diagonal, relative: rounding of sums of 1e5 products in single precision."""
 RIDGE_FLOOR = 1e-15

@@ -34,7 +34,7 @@ STRENGTHS = (0.3, 0.6, 1.2, 2.4, 4.8)
 """Trial strengths as multiples of what a typical effect adds, dense enough for every minimum of the linear residual.
 Set by hand."""
 LINE_STRIDE = 16
-"""Step between the lines used: these suffice to locate a minimum. Effort. Effort."""
+"""Step between the lines used: these suffice to locate a minimum. Effort."""
 PEAKS, PEAK_BAND_HZ = 1, 2.0
 """Number of followed lines, and bandwidth (Hz) above whose other lines they must stand out. Set by hand."""
 FOLLOWED_PLACES, DISTINCT_SHARE = 3, 0.01

@@ -30,9 +30,9 @@ from identify.gaps.search.screening import (
 from rig.errors import RigError
 
 BY_SCORE, BY_GRID, BY_LAW_SCORE, BY_LAW, BY_MODES = 3, 2, 2, 1, 5
-"""Numbers of candidates of each screening that are fitted for a few steps. Effort. Effort."""
+"""Numbers of candidates of each screening that are fitted for a few steps. Effort."""
 MAX_REFINED, RIVAL_GAIN = 3, 0.5
-"""Number of these that are refined, and share of the best one's gain that they must reach. Effort. Effort."""
+"""Number of these that are refined, and share of the best one's gain that they must reach. Effort."""
 
 
 def _cost_of(fit: FittedHypothesis) -> float:

@@ -45,15 +45,15 @@ from rig.errors import RigError
 from rig.model.description import Rig
 
 SOLVED_CANDIDATES = 6
-"""Candidates solved for each entry, those that promise most. Effort. Effort."""
+"""Candidates solved for each entry, those that promise most. Effort."""
 PLACES_PER_CANDIDATE = 2
-"""Places of one candidate among these at most. Effort. Effort."""
+"""Places of one candidate among these at most. Effort."""
 LARGEST_SET = 8
 """Effects of a set at most. Set by hand."""
 MAX_EQUAL_EFFECTS = 2
 """Effects of one kind on one body at most. Set by hand."""
 ROUNDS = 4
-"""Refinements at most. Effort. Effort."""
+"""Refinements at most. Effort."""
 MIN_REFINED_GAIN = 3.0
 """Decrease of S below which a refined set is dropped: odds of e^(3/12) on this record. Set by hand."""
 HINT_GAIN, MAX_HINTS = MIN_GAIN / 3, 3
@@ -61,7 +61,7 @@ HINT_GAIN, MAX_HINTS = MIN_GAIN / 3, 3
 third of `MIN_GAIN`."""
 DOMINANT_SHARE = 0.5
 """Share of the mismatch above which a set is compared with one that starts from a single effect. Derived: more is left
-than removed. Derived: more is left than removed."""
+than removed."""
 
 Progress = Callable[[float], None]
 Values = Float[np.ndarray, " _"]

@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 
 ROUNDS, SCORINGS = 4, 5
-"""Rounds of s and S in turn with theta; steps of Fisher scoring within each. Effort. Effort."""
+"""Rounds of s and S in turn with theta; steps of Fisher scoring within each. Effort."""
 VARIANCE_FLOOR = 1e-12
 """Smallest variance. Numerical."""
 

@@ -16,16 +16,16 @@ from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
 
 STEPS, COST_TOLERANCE = 8, 1e-4
-"""Gauss-Newton steps of a law at most, and the relative decrease of the cost that ends them. Effort. Effort."""
+"""Gauss-Newton steps of a law at most, and the relative decrease of the cost that ends them. Effort."""
 GRID = 14
-"""Starting values of a parameter of a law. Effort. Effort."""
+"""Starting values of a parameter of a law. Effort."""
 LAW_ERRORS = (1.0, 0.3, 0.1)
 """Share of the force that the law may miss, from stage to stage: far from the best values, details mislead. Set by
 hand."""
 EQUIVALENT_SHARE = 0.02
 """A law is as good as the best if its share of the free force's gain is lower by no more than this. Set by hand."""
 FULLY_FITTED = 2
-"""Count of slow forms whose descent is finished. Effort. Effort."""
+"""Count of slow forms whose descent is finished. Effort."""
 
 
 def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:

@@ -26,8 +26,7 @@ SPACING_M, FINE_M = 0.05, 0.002
 """Scan, and its refinement. Set by hand; below the wavelength of any mode in the band; a strong force's place is known
 to some mm."""
 REFITTED_PER_KIND = 3
-"""Count of candidates of each kind, the best with theta fixed, whose J is computed again with theta fitted. Effort.
-Effort."""
+"""Count of candidates of each kind, the best with theta fixed, whose J is computed again with theta fitted. Effort."""
 FLAT_PRIOR = 1e4
 """Norm of a drift's column at one prior standard deviation: in effect no prior."""
 

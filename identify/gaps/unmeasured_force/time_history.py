@@ -18,8 +18,8 @@ OVERSAMPLING = 4
 LAW_ERROR = 0.03
 """Share of the force that even the true law may miss, which keeps strong lines from deciding alone. Set by hand."""
 KNOT_SPACING_S = 0.25
-"""Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz corner.
-Derived: eight knots a period of the 0.5 Hz corner."""
+"""Knots of the spline of the slow motion, which integration loses. Derived: eight knots a period of the 0.5 Hz
+corner."""
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,7 @@ BAND_HZ = 2.0
 GATE_FADE_S = 0.5
 """Fade of the gate. Set by hand."""
 LOWEST_HZ = 0.75
-"""Lowest line: below, integration falsifies every motion. Derived: 1.5 times the integration corner. Derived: 1.5 times
-the integration corner."""
+"""Lowest line: below, integration falsifies every motion. Derived: 1.5 times the integration corner."""
 OBSERVABILITY_LIMIT = 1e-2
 """Singular value of the mode shapes at the sensors, over the largest, below which the model gives the motion. Set by
 hand."""
