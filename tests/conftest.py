@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import subprocess
+from contextlib import chdir
 from dataclasses import dataclass
 
 import jaxtyping
@@ -42,6 +43,13 @@ def pytest_runtest_protocol(item):
     they call is called by others too."""
     jaxtyping.config.update("jaxtyping_disable", item.get_closest_marker("long") is not None)
     return (yield)
+
+
+@pytest.fixture
+def in_folder(tmp_path):
+    """An empty folder, which is the current one during the test."""
+    with chdir(tmp_path):
+        yield tmp_path
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """The commands in this process, and a set of sound files for them to read: those of one mass, 30 s."""
 
 import signal
-import sys
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,11 +8,9 @@ from pathlib import Path
 import pytest
 
 import identify
-from identify.commands import cli as identify_cli
 from identify.results import ContactResult
-from rig.commands import cli as rig_cli
+from tests.running import exit_status
 
-MAINS = {"rig": rig_cli.main, "identify": identify_cli.main}
 SMALL = ("--plant", "modal", "--duration", "25", "--set", "frequency_hz=2", "--set", "high_hz=6")
 
 
@@ -46,14 +43,12 @@ class Sound:
 
 
 @pytest.fixture
-def command(monkeypatch, capsys):
+def command(capsys):
     """Runs a command in this process: exit status, standard output, standard error."""
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "FORCE_COLOR"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("COLUMNS", "200")
 
     def run(*words):
-        return run_in_process(monkeypatch, capsys, words)
+        capsys.readouterr()
+        return exit_status(*words, columns=200), *capsys.readouterr()
 
     return run
 
@@ -61,26 +56,14 @@ def command(monkeypatch, capsys):
 @pytest.fixture(scope="session")
 def sound(tmp_path_factory):
     found = Sound(tmp_path_factory.mktemp("sound"))
-    with pytest.MonkeyPatch.context() as patch:
-        for words in (
-            ("rig", "record", "sdof", *SMALL, "--out", found.recording),
-            ("rig", "export", found.recording, "--format", "csv", "--out", found.table, "--map", found.map),
-        ):
-            patch.setattr(sys, "argv", [*map(str, words)])
-            with pytest.raises(SystemExit) as stopped:
-                MAINS[words[0]]()
-            assert stopped.value.code in (0, None)
+    for words in (
+        ("rig", "record", "sdof", *SMALL, "--out", found.recording),
+        ("rig", "export", found.recording, "--format", "csv", "--out", found.table, "--map", found.map),
+    ):
+        assert exit_status(*words) == 0
     answer = identify.contact(found.recording)
     answer.save(found.contact.parent)
     return replace(found, answer=answer)
-
-
-def run_in_process(patch, captured, words):
-    captured.readouterr()
-    patch.setattr(sys, "argv", [str(word) for word in words])
-    with pytest.raises(SystemExit) as stopped:
-        MAINS[words[0]]()
-    return stopped.value.code or 0, *captured.readouterr()
 
 
 @pytest.fixture

@@ -11,11 +11,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from identify.commands.cli import main as identify_main
-from rig.commands.cli import main as rig_main
 from rig.recording import channel_groups, read, writing
 from rig.recording.recovery import recover
 from rig.simulation.reference import Sdof
+from tests.running import exit_status
 
 NAMES = ["[/]", "[bold]x[/bold]", "$x^$", "a/b", "a b ", "=1+1", "µ", "#", "%s{0}"]
 LONG = "x" * 300
@@ -51,21 +50,16 @@ def record_named(path, name, samples=6000):
 
 
 @pytest.fixture
-def command(kept, tmp_path, monkeypatch, capsys):
+def command(kept, in_folder, capsys):
     """Runs a command in a copy of the folder: exit status, standard output, standard error."""
-    shutil.copytree(kept, tmp_path, dirs_exist_ok=True)
-    (tmp_path / "a_file").write_text("precious")
-    (tmp_path / "link").symlink_to("a_file")
-    (tmp_path / "linked").symlink_to(tmp_path)
-    os.mkfifo(tmp_path / "pipe")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "400")
+    shutil.copytree(kept, in_folder, dirs_exist_ok=True)
+    (in_folder / "a_file").write_text("precious")
+    (in_folder / "link").symlink_to("a_file")
+    (in_folder / "linked").symlink_to(in_folder)
+    os.mkfifo(in_folder / "pipe")
 
     def run(program, *words):
-        monkeypatch.setattr(sys, "argv", [program, *words])
-        with pytest.raises(SystemExit) as stopped:
-            {"rig": rig_main, "identify": identify_main}[program]()
-        return stopped.value.code, *capsys.readouterr()
+        return exit_status(program, *words, columns=400), *capsys.readouterr()
 
     return run
 

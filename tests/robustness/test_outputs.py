@@ -83,12 +83,10 @@ def test_a_standard_output_that_takes_nothing_is_said(sound, words, output):
 
 @pytest.mark.parametrize("spelling", ["dots", "hard link", "symbolic folder", "relative"])
 @pytest.mark.parametrize("command_name", [n for n in FILES if n not in ("record",)])
-def test_a_source_is_never_written_over_however_it_is_spelt(
-    command, sound, tmp_path, monkeypatch, command_name, spelling
-):
-    source, words_of = tmp_path / "r.mcap", FILES[command_name]
+def test_a_source_is_never_written_over_however_it_is_spelt(command, sound, in_folder, command_name, spelling):
+    tmp_path, words_of = in_folder, FILES[command_name]
+    source = tmp_path / "r.mcap"
     source.write_bytes(sound.recording.read_bytes())
-    monkeypatch.chdir(tmp_path)
     (tmp_path / "sub").mkdir()
     with suppress(OSError):
         (tmp_path / "also").symlink_to(tmp_path)

@@ -18,11 +18,11 @@ def code_of(name):
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch):
+def run(in_folder):
     """The names that a notebook has defined at its end, in a folder of its own."""
     before = matplotlib.get_backend()
     matplotlib.use("Agg")
-    monkeypatch.chdir(tmp_path)
+    del in_folder
 
     def run_all(name):
         names = {}

@@ -233,7 +233,7 @@ def _locate_drift(
         with_force = evidence_without_force(extended)
         gain = without_force.criterion - with_force.criterion
         growth = tuple(float(v) for v in with_force.theta[-len(bodies) :] * scale)
-        if best is None or gain > 1.05 * best.gain:
+        if best is None or gain > max(best.gain, 1.05 * best.gain):
             no_response = np.zeros(whitened.residual.shape, dtype=complex)
             covariance = np.linalg.inv(nuisance_equations(extended, with_force.noise)[0])
             errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)

@@ -1,14 +1,12 @@
 """The command `identify contact`: what it prints, what it writes, and how it fails."""
 
-import sys
-
 import msgspec
 import pytest
 
-from identify.commands import cli
 from identify.contacts.results import ContactReport, Segments
 from rig.model.description import read_rig
 from rig.simulation.reference import Sdof
+from tests.running import exit_status
 
 
 @pytest.fixture(scope="module")
@@ -18,15 +16,11 @@ def recording(simulate, tmp_path_factory):
 
 
 @pytest.fixture
-def identify(monkeypatch, capfd):
+def identify(capfd):
     """Runs the command and gives its exit status, standard output and standard error."""
 
     def run(*words):
-        monkeypatch.setenv("COLUMNS", "120")  # so that no cell of a table wraps
-        monkeypatch.setattr(sys, "argv", ["identify", *(str(w) for w in words)])
-        with pytest.raises(SystemExit) as exit_:
-            cli.main()
-        return exit_.value.code or 0, *capfd.readouterr()
+        return exit_status("identify", *words), *capfd.readouterr()
 
     return run
 

@@ -14,27 +14,21 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from rig.commands.cli import main
 from rig.model.description import from_json
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
 from rig.viewer import viewing
+from tests.running import exit_status
 
 TWO_SECONDS = ("--plant", "modal", "--duration", "2")
 
 
 @pytest.fixture
-def rig(monkeypatch, capsys):
+def rig(capsys):
     """Runs the command in this process: exit status, standard output, standard error."""
-    for name in ("DISPLAY", "WAYLAND_DISPLAY", "FORCE_COLOR"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("COLUMNS", "80")
 
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code, *capsys.readouterr()
+    def command(*words, **environment):
+        return exit_status("rig", *words, columns=80, environment=environment), *capsys.readouterr()
 
     return command
 
@@ -173,13 +167,12 @@ def test_nothing_is_overwritten_unasked(rig, tmp_path):
         (("check",), "file"),
     ],
 )
-def test_wrong_words_exit_with_2(rig, tmp_path, monkeypatch, words, said):
-    monkeypatch.chdir(tmp_path)
+def test_wrong_words_exit_with_2(rig, in_folder, words, said):
     status, out, err = rig(*words)
     assert (status, out) == (2, "")
     assert said.lower() in err.lower()
     assert "Traceback" not in err
-    assert not list(tmp_path.iterdir())
+    assert not list(in_folder.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -305,13 +298,11 @@ def test_what_is_shown_beside_must_be_there(rig, tmp_path, option):
 
 
 @pytest.mark.parametrize(("display", "words", "opened"), [("", (), 0), (":0", (), 1), (":0", ("--out", "o.rrd"), 0)])
-def test_the_viewer_opens_where_there_is_a_display(rig, tmp_path, monkeypatch, display, words, opened):
-    monkeypatch.chdir(tmp_path)
-    sound(tmp_path / "r.mcap")
+def test_the_viewer_opens_where_there_is_a_display(rig, in_folder, monkeypatch, display, words, opened):
+    sound(in_folder / "r.mcap")
     started = []
     monkeypatch.setattr(viewing, "open_viewer", started.append)
-    monkeypatch.setenv("DISPLAY", display)
-    assert rig("view", "r.mcap", *words)[0] == 0
+    assert rig("view", "r.mcap", *words, DISPLAY=display)[0] == 0
     assert len(started) == opened
 
 

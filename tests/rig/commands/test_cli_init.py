@@ -1,7 +1,6 @@
 """`rig init`, and what `rig record`, `rig export` and `rig import` make of its files at once."""
 
 import json
-import sys
 from io import StringIO
 
 import msgspec
@@ -9,26 +8,23 @@ import numpy as np
 import pytest
 import pyuff
 
-from rig.commands.cli import main
 from rig.model.description import read_rig
 from rig.recording import read
 from tests.rig.lab.modal.test_uff import nodes, normal_modes
 from tests.rig.lab.starting.test_starting import BEAMS, CONTACT, fin
+from tests.running import exit_status
 
 MASS = {"mass_kg": 1.0, "frequency_hz": 5.0} | CONTACT
 FRAME = {"contacts_m": 0.1, "force_m": 0.5, "noise_density": 1e-3} | CONTACT | {"sample_rate_hz": 4096.0}
 
 
 @pytest.fixture
-def rig(monkeypatch, capsys, tmp_path):
+def rig(in_folder, capsys):
     """Runs the command in this process, in an empty folder: exit status, standard output, standard error."""
-    monkeypatch.chdir(tmp_path)
+    del in_folder
 
     def command(*words):
-        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code, *capsys.readouterr()
+        return exit_status("rig", *words), *capsys.readouterr()
 
     return command
 

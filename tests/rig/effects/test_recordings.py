@@ -1,18 +1,16 @@
 """Effects of the instruments in a recording whose rig.json stays nominal; and the command."""
 
-import sys
-
 import msgspec
 import numpy as np
 import pytest
 
-from rig.commands.cli import main
 from rig.effects import effect_named
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
+from tests.running import exit_status
 
 _WIDE = BarrelCradle(stations=4, clearance_1_m=1.0, clearance_2_m=1.0).rig()
 TWIN = msgspec.structs.replace(_WIDE.sensors[-1], name="twin")
@@ -84,18 +82,11 @@ def test_a_wrong_sensor_is_alone(recorded, text):
     assert np.abs(right).max() > 1
 
 
-def run_command(monkeypatch, *words):
-    monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    return stopped.value.code
-
-
-def test_the_command_hides_its_effects_in_the_truth(tmp_path, monkeypatch):
+def test_the_command_hides_its_effects_in_the_truth(tmp_path):
     path = tmp_path / "r.mcap"
     effects = ("preload:force_n=3", "contact_stiffness:factor=1.2,contact=contact_2")
     words = ("barrel_cradle", "--plant", "modal", "--duration", "1.2", "--out", path)
-    assert run_command(monkeypatch, "record", *words, "--effect", effects[0], "--effect", effects[1]) == 0
+    assert exit_status("rig", "record", *words, "--effect", effects[0], "--effect", effects[1]) == 0
     believed = BarrelCradle().rig()
     actual = effect_named(effects[1]).applied_to(effect_named(effects[0]).applied_to(believed))
     recording, truth = read(path), read_truth(truth_path(path))
@@ -107,9 +98,9 @@ def test_the_command_hides_its_effects_in_the_truth(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["wind", "preload:weight=2", "sensor_gain:sensor=nose"])
-def test_the_command_refuses_what_is_no_effect(tmp_path, monkeypatch, capsys, text):
+def test_the_command_refuses_what_is_no_effect(tmp_path, capsys, text):
     path = tmp_path / "r.mcap"
-    assert run_command(monkeypatch, "record", "barrel_cradle", "--out", path, "--effect", text) == 2
+    assert exit_status("rig", "record", "barrel_cradle", "--out", path, "--effect", text) == 2
     assert "--effect" in capsys.readouterr().err
     assert not path.exists()
 

@@ -2,7 +2,6 @@
 
 import json
 import struct
-import sys
 from pathlib import Path
 
 import msgspec
@@ -13,12 +12,12 @@ from msgspec.structs import replace
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
-from rig.commands.cli import main
 from rig.errors import RigError
 from rig.lab.importing import import_file
 from rig.model.description import to_json
 from rig.recording import read
 from rig.simulation.reference import Sdof
+from tests.running import exit_status
 
 RIG = Sdof().rig()
 RATE_HZ = RIG.sample_rate_hz
@@ -335,12 +334,9 @@ def test_another_rate_is_reached_by_a_filter_that_keeps_the_passband_and_nothing
     assert recording.provenance["history 3"] == "resampled from 800 to 512 Hz by a linear-phase filter"
 
 
-def test_the_commands(folder, monkeypatch, capsys):
+def test_the_commands(folder, capsys):
     def rig(*words):
-        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code, *capsys.readouterr()
+        return exit_status("rig", *words), *capsys.readouterr()
 
     path, out_csv, map_path = folder / "r.mcap", folder / "out" / "out.csv", folder / "out" / "map.toml"
     out_csv.parent.mkdir()

@@ -17,12 +17,12 @@ from hypothesis import strategies as st
 from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader
 
-from rig.commands.cli import main
 from rig.errors import RigError
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.recording.messages import decode_block
 from rig.recording.recovery import recover
 from rig.simulation.reference import Sdof
+from tests.running import exit_status
 
 RIG = Sdof().rig()
 DURATION_S = 40.0
@@ -266,16 +266,13 @@ def test_the_file_being_saved_is_never_written_over(small, tmp_path):
     assert part_path.read_bytes() == small[0].read_bytes()
 
 
-def test_the_command(small, tmp_path, monkeypatch, capsys):
+def test_the_command(small, tmp_path, capsys):
     cut, saved = tmp_path / "cut.mcap", tmp_path / "saved.mcap"
     content = small[0].read_bytes()
     cut.write_bytes(content[: len(content) // 2])
 
     def rig(*words):
-        monkeypatch.setattr(sys, "argv", ["rig", *map(str, words)])
-        with pytest.raises(SystemExit) as stopped:
-            main()
-        return stopped.value.code, *capsys.readouterr()
+        return exit_status("rig", *words), *capsys.readouterr()
 
     status, out, err = rig("recover", cut, "--out", saved)
     assert (status, err) == (0, "")

@@ -5,7 +5,6 @@ import pytest
 from fmpy import read_model_description, simulate_fmu
 from msgspec.structs import replace
 
-from rig.commands.cli import main
 from rig.errors import RigError
 from rig.model.description import BaseMotion, to_json
 from rig.simulation.excitation import force_history
@@ -13,19 +12,17 @@ from rig.simulation.fmu import export_fmu
 from rig.simulation.motion import joined
 from rig.simulation.plants import modal
 from rig.simulation.reference import Sdof
+from tests.running import exit_status
 
 STEP_S = 2.0**-12
 
 
 @pytest.fixture
-def written(tmp_path, monkeypatch):
+def written(tmp_path):
     rig = Sdof(sensors="displacement+acceleration").rig()
     (tmp_path / "rig.json").write_bytes(to_json(rig))
     words = ["rig", "fmu", str(tmp_path / "rig.json"), "--step", str(STEP_S), "--out", str(tmp_path / "rig.fmu")]
-    monkeypatch.setattr("sys.argv", words)
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code in (0, None)
+    assert exit_status(*words) == 0
     return rig, str(tmp_path / "rig.fmu")
 
 
