@@ -6,8 +6,10 @@ A case needs one for each of its recordings; each is made once over all cases.
 import resource
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -18,6 +20,7 @@ from identify.gaps.decision.null_reference import null_key, null_reference_of
 from identify.gaps.decision.null_simulations import free_decay_simulator
 from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.decision.recordings import without_faulty_channels
+from identify.gaps.residual.record import Record
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Gap
 from rig.errors import RigError
@@ -120,7 +123,7 @@ def diagnosed_cases(
     answers = [Answer(refused=p) for p in prepared if isinstance(p, Refused)]
     without = {t.case: one for t in tasks for one in (made[key] for key in t.keys) if one.refusal}
     answers += [Answer(refused=_refused(t, without[t.case])) for t in tasks if t.case in without]
-    answers += run_tasks(diagnosed, [t for t in tasks if t.case not in without], Answer, out / "tasks", dask)
+    answers += TOOL.run_tasks(diagnosed, [t for t in tasks if t.case not in without], Answer, out / "tasks", dask)
     found = [
         replace(a.found, null_references_cpu_s={k: made[k].cpu_s for k in a.found.null_references_cpu_s})
         for a in answers
@@ -145,12 +148,12 @@ def _null_references(tasks: Sequence[ToDiagnose], out: Path, dask: str | None) -
         )
         for key, (t, which) in sorted(first.items())
     ]
-    return {m.key: m for m in run_tasks(null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
+    return {m.key: m for m in TOOL.run_tasks(TOOL.null_reference_made, to_make, NullReferenceMade, out / "tasks", dask)}
 
 
 def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
     """Makes and keeps the null reference of a recording, unless it is there."""
-    recording = without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))[0][task.which]
+    recording = TOOL.without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))[0][task.which]
     there = any(Path(task.null_reference).glob(f"{task.key[:16]}.json"))
     began = time.process_time()
     believed, kept = _believed(recording, task.tolerances), Path(task.null_reference)
@@ -158,7 +161,7 @@ def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
     try:
         forced = bool(np.any(recording.forces_n))
         simulate = SIMULATOR.simulate if forced else free_decay_simulator(recording, SIMULATOR.simulate)
-        null_reference_of(recording, believed, simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
+        TOOL.null_reference_of(recording, believed, simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
     except RigError as error:
         refusal = str(error)
     except Exception as error:  # as of a case
@@ -171,7 +174,7 @@ def diagnosed(task: ToDiagnose) -> Answer:
     """Reads the two recordings of a case and diagnoses them; the time is that of this process."""
     began = time.process_time()
     try:
-        gap = gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
+        gap = TOOL.gap_of(read(Path(task.fit)), read(Path(task.validate)), Path(task.null_reference), task.tolerances)
     except RigError as error:
         return Answer(refused=Refused(case=task.case, sha256=task.sha256, sentence=str(error)))
     except Exception as error:  # counted against the program, and the other cases go on
@@ -201,7 +204,7 @@ def without_curves(gap: Gap) -> Gap:
 
 
 def _null_key(recording: Recording, tolerances: Tolerances) -> str:
-    counted_until_s = record_of(recording, tolerances=tolerances).counted_until_s
+    counted_until_s = TOOL.record_of(recording, tolerances=tolerances).counted_until_s
     return null_key(recording, counted_until_s, tolerances, SIMULATOR.name)
 
 
@@ -209,9 +212,8 @@ def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToD
     validate = fit.with_name(f"{fit.stem}_validate.mcap")
     sha256 = {path.name: sha256_of(path) for path in (fit, validate)}
     try:
-        fitted, validation = (
-            _null_key(one, _believed(one, tolerances)) for one in without_faulty_channels(read(fit), read(validate))[0]
-        )
+        recordings, _ = TOOL.without_faulty_channels(read(fit), read(validate))
+        fitted, validation = (_null_key(recording, _believed(recording, tolerances)) for recording in recordings)
     except RigError as error:
         return Refused(case=fit.stem, sha256=sha256, sentence=str(error))
     return ToDiagnose(
@@ -235,3 +237,18 @@ def _believed(recording: Recording, tolerances: Tolerances | None) -> Tolerances
 
 def _memory_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * MIB_PER_UNIT
+
+
+@dataclass(frozen=True)
+class Tool:
+    """What is called of the tool under test, and how its tasks are run."""
+
+    gap_of: Callable[..., Gap] = gap_of
+    null_reference_of: Callable[..., object] = null_reference_of
+    null_reference_made: Callable[[NullReferenceToMake], NullReferenceMade] = null_reference_made
+    record_of: Callable[..., Record] = record_of
+    without_faulty_channels: Callable[..., tuple[list[Recording], dict[str, str]]] = without_faulty_channels
+    run_tasks: Callable[..., list[Any]] = run_tasks
+
+
+TOOL = Tool()

@@ -1,6 +1,7 @@
 """The blind check from beginning to end, with a diagnosis that always says no."""
 
 import shutil
+from dataclasses import replace as fields
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -65,7 +66,17 @@ def run_here(function, parameters, _result_type, folder, _dask=None):
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def tool(monkeypatch):
+    """Puts other functions in the place of those of the tool under test."""
+
+    def changed(**functions):
+        monkeypatch.setattr(blind_diagnosis, "TOOL", fields(blind_diagnosis.TOOL, **functions))
+
+    return changed
+
+
+@pytest.fixture
+def quick(tool):
     """Diagnoses at once; the calls."""
     calls = []
 
@@ -73,10 +84,12 @@ def quick(monkeypatch):
         calls.append((fit.samples, null_reference, tolerances))
         return gap("consistent", nothing=0.9)
 
-    monkeypatch.setattr(blind_diagnosis, "run_tasks", run_here)
-    monkeypatch.setattr(blind_diagnosis, "gap_of", diagnosed)
-    monkeypatch.setattr(blind_diagnosis, "record_of", lambda *_, **__: SimpleNamespace(counted_until_s=1.5))
-    monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: NullReferenceMade(task.key, 30.0, 400.0))
+    tool(
+        run_tasks=run_here,
+        gap_of=diagnosed,
+        record_of=lambda *_, **__: SimpleNamespace(counted_until_s=1.5),
+        null_reference_made=lambda task: NullReferenceMade(task.key, 30.0, 400.0),
+    )
     return calls
 
 
@@ -157,9 +170,9 @@ def to_make(cases, folder, which=1):
     )
 
 
-def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_path):
+def test_a_null_reference_that_is_there_costs_nothing(cases, tool, tmp_path):
     asked = []
-    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda *_, kept, predict: asked.append((kept, predict)))
+    tool(null_reference_of=lambda *_, path, predict: asked.append((path, predict)))
     assert null_reference_made(to_make(cases, tmp_path)).cpu_s > 0
     (tmp_path / "0123456789abcdef.json").touch()
     assert null_reference_made(to_make(cases, tmp_path)).cpu_s == 0
@@ -167,23 +180,23 @@ def test_a_null_reference_that_is_there_costs_nothing(cases, monkeypatch, tmp_pa
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_each_record_has_a_null_reference_of_its_own(cases, monkeypatch, tmp_path, which):
+def test_each_record_has_a_null_reference_of_its_own(cases, tool, tmp_path, which):
     asked = []
-    monkeypatch.setattr(blind_diagnosis, "null_reference_of", lambda record, *_, **__: asked.append(record.forces_n))
+    tool(null_reference_of=lambda record, *_, **__: asked.append(record.forces_n))
     null_reference_made(to_make(cases, tmp_path, which))
     name = ("case_000", "case_000_validate")[which]
     np.testing.assert_array_equal(asked[0], read_recording(cases / "recordings" / f"{name}.mcap").forces_n)
 
 
 @pytest.mark.parametrize(("error", "crashed"), [(RigError("too stiff"), False), (ValueError("too stiff"), True)])
-def test_a_null_reference_that_fails_loses_its_cases_alone(cases, quick, tmp_path, monkeypatch, error, crashed):
+def test_a_null_reference_that_fails_loses_its_cases_alone(cases, quick, tmp_path, tool, error, crashed):
     def fails(*_, **__):
         raise error
 
-    monkeypatch.setattr(blind_diagnosis, "null_reference_of", fails)
+    tool(null_reference_of=fails)
     failed = null_reference_made(to_make(cases, tmp_path))
     assert (failed.refusal.endswith("too stiff"), failed.crashed) == (True, crashed)
-    monkeypatch.setattr(blind_diagnosis, "null_reference_made", lambda task: replace(failed, key=task.key))
+    tool(null_reference_made=lambda task: replace(failed, key=task.key))
     ran("diagnose", "--cases", cases, "--out", tmp_path / "found")
     assert not quick
     assert [(r.case, r.crashed) for r in refused_in(tmp_path / "found")] == [(case, crashed) for case in CASES]
@@ -249,7 +262,7 @@ def test_sealed_cases_are_not_overwritten(cases):
         ran("make", "--out", cases)
 
 
-def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeypatch):
+def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, tool):
     """One of three is refused: it stands beside what was found, and its verdict is wrong."""
     del quick
     of_one = read_recording(cases / "recordings" / "case_001.mcap").force_n
@@ -259,7 +272,7 @@ def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeyp
             raise RigError("velocity sensors are not read")
         return gap("consistent", nothing=0.9)
 
-    monkeypatch.setattr(blind_diagnosis, "gap_of", some_refused)
+    tool(gap_of=some_refused)
     folder = tmp_path / "found"
     said = ran("diagnose", "--cases", cases, "--out", folder)
     assert "2 diagnoses" in said
@@ -272,11 +285,11 @@ def test_a_refused_diagnosis_is_counted_and_told(cases, quick, tmp_path, monkeyp
     assert "case_001 was refused: velocity sensors are not read" in text
 
 
-def test_a_recording_that_no_diagnosis_can_read_is_refused_before_it_begins(cases, quick, tmp_path, monkeypatch):
+def test_a_recording_that_no_diagnosis_can_read_is_refused_before_it_begins(cases, quick, tmp_path, tool):
     def unreadable(*_):
         raise RigError("the force is zero throughout")
 
-    monkeypatch.setattr(blind_diagnosis, "sound", unreadable)
+    tool(without_faulty_channels=unreadable)
     ran("diagnose", "--cases", cases, "--out", tmp_path / "found")
     assert not quick
     assert read(tmp_path / "found") == []
@@ -284,13 +297,13 @@ def test_a_recording_that_no_diagnosis_can_read_is_refused_before_it_begins(case
     assert [r.case for r in refused_in(tmp_path / "found")] == CASES
 
 
-def test_a_crash_is_counted_and_does_not_lose_the_others(cases, quick, tmp_path, monkeypatch):
+def test_a_crash_is_counted_and_does_not_lose_the_others(cases, quick, tmp_path, tool):
     del quick
 
     def crash(*_):
         raise ValueError("shapes differ")
 
-    monkeypatch.setattr(blind_diagnosis, "gap_of", crash)
+    tool(gap_of=crash)
     assert "case_002 crashed: ValueError: shapes differ" in ran("diagnose", "--cases", cases, "--out", tmp_path / "f")
     assert all(r.crashed for r in refused_in(tmp_path / "f"))
 
