@@ -13,11 +13,15 @@ MAINS = {"rig": rig_main, "identify": identify_main}
 UNSET = ("DISPLAY", "WAYLAND_DISPLAY", "FORCE_COLOR")
 
 
-def exit_status(*words, columns=120, environment=None, main=None):
-    """Exit status of a command, given by its words; `environment` has further variables."""
+def environment(**variables):
+    """Context in which these environment variables are set, and there is neither display nor colour but by them."""
     inherited = {name: value for name, value in os.environ.items() if name not in UNSET}
-    variables = inherited | {"COLUMNS": str(columns)} | (environment or {})
-    with mock.patch.dict(os.environ, variables, clear=True), mock.patch.object(sys, "argv", [str(w) for w in words]):
+    return mock.patch.dict(os.environ, inherited | variables, clear=True)
+
+
+def exit_status(*words, columns=120, main=None, **variables):
+    """Exit status of a command, given by its words."""
+    with environment(COLUMNS=str(columns), **variables), mock.patch.object(sys, "argv", [str(w) for w in words]):
         with pytest.raises(SystemExit) as stopped:
             (main or MAINS[words[0]])()
         return stopped.value.code or 0

@@ -4,8 +4,8 @@ python -m tests.campaigns.cost --out out/cost
 """
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -43,10 +43,16 @@ SERIES = {
     "accelerometers": (8, 12, 16, 20),
     "length of the record, s": (30.0, 60.0, 120.0, 240.0),
 }
-BLOCK_S = 3.0
-RUNS = 2
-"""The least CPU time of so many counts."""
 app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Sizes in turn, each step's least CPU time of so many runs, and the length of NIFO's blocks."""
+
+    series: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: SERIES)
+    runs: int = 2
+    block_s: float = 3.0
 
 
 @dataclass(frozen=True)
@@ -62,14 +68,19 @@ def cost(
     out: Annotated[Path, typer.Option(help="Folder for the recordings and the figure.")] = Path("out/cost"),
 ) -> None:
     """Runs every step of recording and identification on records of several sizes."""
+    cost_table(out, Plan())
+
+
+def cost_table(out: Path, plan: Plan) -> None:
+    """Print and draw what every step costs by a plan."""
     out.mkdir(parents=True, exist_ok=True)
     found: dict[str, list[Costs]] = {}
-    count, done = sum(map(len, SERIES.values())), 0
+    count, done = sum(map(len, plan.series.values())), 0
     with threadpool_limits(1), progress_bar("the steps at every size") as progress:
-        for varied, sizes in SERIES.items():
+        for varied, sizes in plan.series.items():
             for size in sizes:
                 settings, modes = _settings(varied, size)
-                found.setdefault(varied, []).append(Costs(size, costs(settings, modes, out / "cost.mcap")))
+                found.setdefault(varied, []).append(Costs(size, costs(settings, modes, out / "cost.mcap", plan)))
                 done += 1
                 progress(done / count)
     for varied, series in found.items():
@@ -79,7 +90,7 @@ def cost(
     Console().print(f"figure: {path}", soft_wrap=True)
 
 
-def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
+def costs(settings: BarrelCradle, modes: int, path: Path, plan: Plan) -> dict[str, float]:
     """CPU seconds of every step on a record with these settings."""
     rig = settings.rig()
     force_n = force_history(settings.force(), settings.duration_s, settings.step_s)
@@ -94,24 +105,25 @@ def costs(settings: BarrelCradle, modes: int, path: Path) -> dict[str, float]:
         path=path,
         progress=lambda _: None,
     )
+    cpu_s = partial(_cpu_s, plan.runs)
     spent = {
-        "plant": _cpu_s(lambda: list(plant(rig, force_n, settings.step_s, lambda _: None))),
-        "plant, sensors and files": _cpu_s(recorded),
-        "reading": _cpu_s(lambda: read(path)),
+        "plant": cpu_s(lambda: list(plant(rig, force_n, settings.step_s, lambda _: None))),
+        "plant, sensors and files": cpu_s(recorded),
+        "reading": cpu_s(lambda: read(path)),
     }
     recording = read(path)
     found = identify_contact(recording)
     eta_m, force, equation = found.eta_m, found.motion.force_n, found.weak.equation
     times = oversampling(rig.sample_rate_hz)
     fine = np.repeat(recording.force_n, times)
-    cut = blocks(force.size, rig.sample_rate_hz, Averaging(block_s=BLOCK_S), (2.0, 100.0))
+    cut = blocks(force.size, rig.sample_rate_hz, Averaging(block_s=plan.block_s), (2.0, 100.0))
     return {
         **spent,
-        "kinematics": _cpu_s(lambda: kinematics(recording)),
-        "contacts, separated and fitted": _cpu_s(lambda: find_contacts(recording, "auto", LABORATORY)),
-        "surface of an equation": _cpu_s(lambda: fit_surface(equation, force, eta_m, 4, found.stops)),
-        "NIFO of an equation": _cpu_s(lambda: nifo(equation, force, eta_m, cut)),
-        f"for comparison: one FFT of {times} x the samples": _cpu_s(lambda: rfft(fine)),
+        "kinematics": cpu_s(lambda: kinematics(recording)),
+        "contacts, separated and fitted": cpu_s(lambda: find_contacts(recording, "auto", LABORATORY)),
+        "surface of an equation": cpu_s(lambda: fit_surface(equation, force, eta_m, 4, found.stops)),
+        "NIFO of an equation": cpu_s(lambda: nifo(equation, force, eta_m, cut)),
+        f"for comparison: one FFT of {times} x the samples": cpu_s(lambda: rfft(fine)),
     }
 
 
@@ -123,9 +135,9 @@ def _settings(varied: str, size: float) -> tuple[BarrelCradle, int]:
     return replace(REFERENCE, duration_s=size), MODES
 
 
-def _cpu_s(work: Callable[[], object]) -> float:
+def _cpu_s(runs: int, work: Callable[[], object]) -> float:
     spent = []
-    for _ in range(RUNS):
+    for _ in range(runs):
         begin = time.process_time()
         work()
         spent.append(time.process_time() - begin)

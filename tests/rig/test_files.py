@@ -60,8 +60,8 @@ def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, interruptio
         settle(part_path, path)
         next_part.write_text("the next")
 
-    monkeypatch.setattr("rig.files.settle", settle_as_the_next_begins)
-    monkeypatch.setattr("rig.recording.writer.settle", settle_as_the_next_begins)
+    for user in ("rig.files", "rig.recording.writer"):
+        monkeypatch.setattr(f"{user}.settle", settle_as_the_next_begins)
     write_bytes(b"whole", tmp_path / "value")
     assert next_part.read_text() == "the next"
     with suppress(KeyboardInterrupt), writing(tmp_path / "value", RIG, channel_groups(RIG), {}):

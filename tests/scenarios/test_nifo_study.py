@@ -8,6 +8,7 @@ from identify.signals.spectra import Averaging, blocks
 from scenarios import nifo_study, nifo_sweep
 from scenarios.nifo_study import LONG, Study, estimated, incoherent_shares, needed_s
 from scenarios.nifo_sweep import NOISE_M, Point, ideal_range, shown
+from tests.running import environment
 
 STUDY = Study(settings=LONG, block_s=(1.0, 2.5))
 
@@ -53,10 +54,10 @@ def test_noise_spoils_weak_contact():
         assert spoiled.spread_percent > 2 * clean.spread_percent
 
 
-def test_the_table_and_the_figure(outcome, tmp_path, capsys, monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
+def test_the_table_and_the_figure(outcome, tmp_path, capsys):
     points = [Point(1 / e.block_s, e, outcome.closed[0], outcome.free) for e in outcome.estimates]
-    shown("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
+    with environment(COLUMNS="160"):
+        shown("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("a title", "resolution, Hz", "0.4", "weak form", "contact 2"))
     assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000

@@ -33,7 +33,7 @@ class Viewer:
 
 
 @pytest.fixture
-def shot(monkeypatch, tmp_path, capsys):
+def shot(monkeypatch, in_folder, capsys):
     @contextmanager
     def opened(_):
         yield Viewer()
@@ -43,7 +43,7 @@ def shot(monkeypatch, tmp_path, capsys):
         screenshot.main()
         return capsys.readouterr().out
 
-    monkeypatch.chdir(tmp_path)
+    del in_folder
     monkeypatch.setattr(screenshot, "_opened", opened)
     monkeypatch.setattr(screenshot, "SETTLE_S", 0.0)
     return run

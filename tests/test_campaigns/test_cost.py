@@ -10,11 +10,8 @@ def test_the_exponent_is_that_of_the_power_law():
     assert cost._exponent(series, "root") == pytest.approx(0.5)
 
 
-def test_every_step_is_timed_printed_and_drawn(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(cost, "SERIES", {"length of the record, s": (12.0, 16.0)})
-    monkeypatch.setattr(cost, "RUNS", 1)
-    monkeypatch.setattr(cost, "BLOCK_S", 1.0)
-    cost.cost(tmp_path)
+def test_every_step_is_timed_printed_and_drawn(tmp_path, capsys):
+    cost.cost_table(tmp_path, cost.Plan(series={"length of the record, s": (12.0, 16.0)}, runs=1, block_s=1.0))
     printed = capsys.readouterr().out
     steps = (
         "plant",

@@ -28,7 +28,7 @@ def rig(capsys):
     """Runs the command in this process: exit status, standard output, standard error."""
 
     def command(*words, **environment):
-        return exit_status("rig", *words, columns=80, environment=environment), *capsys.readouterr()
+        return exit_status("rig", *words, columns=80, **environment), *capsys.readouterr()
 
     return command
 

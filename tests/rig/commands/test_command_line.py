@@ -1,12 +1,11 @@
 """Conventions of all commands: failure and progress."""
 
-import sys
-
 import pytest
 import typer
 
 from rig.commands.command_line import StoppedError, progress_bar, run, working
 from rig.errors import RigError
+from tests.running import environment, exit_status
 
 
 @pytest.mark.parametrize(
@@ -18,17 +17,14 @@ from rig.errors import RigError
         (StoppedError("interrupted; half is there"), 130, "interrupted; half is there"),
     ],
 )
-def test_every_command_fails_in_the_same_way(monkeypatch, capsys, error, status, said):
+def test_every_command_fails_in_the_same_way(capsys, error, status, said):
     app = typer.Typer(pretty_exceptions_enable=False)
 
     @app.command()
     def fail():
         raise error
 
-    monkeypatch.setattr(sys, "argv", ["rig"])
-    with pytest.raises(SystemExit) as stopped:
-        run(app, "rig")
-    assert stopped.value.code == status
+    assert exit_status("rig", main=lambda: run(app, "rig")) == status
     err = capsys.readouterr().err
     assert err.startswith("rig: ")
     assert said in err
@@ -36,11 +32,8 @@ def test_every_command_fails_in_the_same_way(monkeypatch, capsys, error, status,
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_progress_is_for_terminals(monkeypatch, capsys, terminal):
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    if terminal:
-        monkeypatch.setenv("FORCE_COLOR", "1")
-    with progress_bar("weighing") as progress:
+def test_progress_is_for_terminals(capsys, terminal):
+    with environment(**{"FORCE_COLOR": "1"} if terminal else {}), progress_bar("weighing") as progress:
         progress(0.37)
     out, err = capsys.readouterr()
     assert out == ""
@@ -51,15 +44,13 @@ def test_progress_is_for_terminals(monkeypatch, capsys, terminal):
         assert err == ""
 
 
-def test_a_sign_of_life_is_silent_when_piped(capsys, monkeypatch):
-    monkeypatch.delenv("FORCE_COLOR", raising=False)
-    with working("weighing"):
+def test_a_sign_of_life_is_silent_when_piped(capsys):
+    with environment(), working("weighing"):
         pass
     assert capsys.readouterr() == ("", "")
 
 
-def test_a_sign_of_life_is_shown_on_a_terminal(capsys, monkeypatch):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    with working("weighing"):
+def test_a_sign_of_life_is_shown_on_a_terminal(capsys):
+    with environment(FORCE_COLOR="1"), working("weighing"):
         pass
     assert "weighing" in capsys.readouterr().err

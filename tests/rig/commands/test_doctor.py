@@ -11,6 +11,7 @@ import pytest
 import rig.viewer
 from rig.commands import doctor
 from rig.commands.cli import main
+from tests.running import environment, exit_status
 
 SCRIPTS = Path(sys.executable).parent
 LACKING = {
@@ -50,12 +51,12 @@ def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
     monkeypatch.setattr(doctor.sysconfig, "get_path", lambda _: str(SCRIPTS))
-    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{SCRIPTS}")
-    (said,) = doctor.taken_commands()
+    with environment(PATH=f"{tmp_path}{os.pathsep}{SCRIPTS}"):
+        (said,) = doctor.taken_commands()
     assert said.startswith(f"the command identify is {program}, another program")
     assert said.endswith("or say rig-identify identify")
-    monkeypatch.setenv("PATH", f"{SCRIPTS}{os.pathsep}{tmp_path}")
-    assert list(doctor.taken_commands()) == []
+    with environment(PATH=f"{SCRIPTS}{os.pathsep}{tmp_path}"):
+        assert list(doctor.taken_commands()) == []
 
 
 def test_extras_are_those_of_the_installation():
@@ -66,17 +67,14 @@ def test_extras_are_those_of_the_installation():
 
 
 @pytest.mark.parametrize("package", LACKING)
-def test_what_lacks_an_extra_says_which(package, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
+@pytest.mark.usefixtures("in_folder")
+def test_what_lacks_an_extra_says_which(package, monkeypatch, capsys):
     Path("r.mcap").touch()
     monkeypatch.setattr(rig, "viewer", rig.viewer)  # the import below binds another module to this name
     for name in [n for n in sys.modules if n.partition(".")[0] == package or n.startswith("rig.viewer")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, package, None)
-    monkeypatch.setattr(sys, "argv", list(LACKING[package]))
-    with pytest.raises(SystemExit) as stopped:
-        main()
-    assert stopped.value.code == 1
+    assert exit_status(*LACKING[package], main=main) == 1
     extra = {"exudyn": "simulate", "rerun": "view"}[package]
     assert f"pip install 'rig-identify[{extra}]'" in capsys.readouterr().err
 

@@ -24,6 +24,12 @@ def plan(folder, number=0, world="wide", nulls_only=False):
     return planned(folder, world, 1, number + 1, 1.5, nulls_only)[number]
 
 
+@pytest.fixture
+def measure_by(monkeypatch):
+    """Puts another function in the place of the instruments of the worlds."""
+    return lambda function: monkeypatch.setattr(making, "measured", function)
+
+
 def test_a_case_leaves_two_recordings_and_no_truth(tmp_path):
     number = first_of("outside")
     case = made(plan(tmp_path, number))
@@ -54,7 +60,7 @@ def test_levels_and_closed_contacts_are_told(tmp_path):
         assert all(0 <= share <= 1 for share in told.closed_fraction.values())
 
 
-def test_a_draw_that_cannot_be_simulated_is_drawn_again(tmp_path, monkeypatch):
+def test_a_draw_that_cannot_be_simulated_is_drawn_again(tmp_path, measure_by):
     calls, real = [], making.measured
 
     def failing(*given):
@@ -63,18 +69,18 @@ def test_a_draw_that_cannot_be_simulated_is_drawn_again(tmp_path, monkeypatch):
             raise RigError("diverged")
         return real(*given)
 
-    monkeypatch.setattr(making, "measured", failing)
+    measure_by(failing)
     case = made(plan(tmp_path))
     assert case.draw == 2
     assert [r.rpartition(": ")[2] for r in case.refused] == ["diverged", "diverged"]
     assert case.drawn == drawn_case("wide", 1, 0, 2).drawn
 
 
-def test_a_case_that_never_runs_is_one_clear_sentence(tmp_path, monkeypatch):
+def test_a_case_that_never_runs_is_one_clear_sentence(tmp_path, measure_by):
     def failing(*_):
         raise RigError("diverged")
 
-    monkeypatch.setattr(making, "measured", failing)
+    measure_by(failing)
     with pytest.raises(RigError, match=r"case_000: none of 20 draws could be simulated, the last: .*diverged"):
         made(plan(tmp_path))
 
