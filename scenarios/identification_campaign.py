@@ -124,7 +124,7 @@ def one_rig(task: Task) -> RigOutcome:
         record(
             both,
             settings.force(),
-            plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes=40),
+            plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes_per_beam=40),
             duration_s=settings.duration_s,
             step_s=settings.step_s,
             path=path,

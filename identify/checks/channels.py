@@ -35,7 +35,7 @@ class Explanation:
 def channel_finding(
     rig: Rig,
     check: LinearCheck,
-    channel: int,
+    channel_index: int,
     predicted: Prediction,
     delays_over_time: Callable[[], Float[np.ndarray, " parts"] | None],
 ) -> Finding:
@@ -43,9 +43,9 @@ def channel_finding(
 
     delays_over_time gives its delays in each part of the record, or None if these are alike.
     """
-    spectra, weight = check.spectra, 1 / check.scale[channel]
-    measured, omega, name = spectra.acceleration[channel], spectra.omega, spectra.sensors[channel].name
-    expected = predicted.acceleration[channel]
+    spectra, weight = check.spectra, 1 / check.scale[channel_index]
+    measured, omega, name = spectra.acceleration[channel_index], spectra.omega, spectra.sensors[channel_index].name
+    expected = predicted.acceleration[channel_index]
     to_expected = relation(omega, measured, expected, weight)
     power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
 
@@ -53,8 +53,8 @@ def channel_finding(
         return float(np.sum(np.abs((measured - explained) * weight) ** 2)) / power
 
     explanations = [*_gain_or_delay(name, to_expected, omega, expected, unexplained_by)]
-    explanations += _wrong_station(rig, spectra, channel, predicted, weight, unexplained_by)
-    explanations += _wrong_derivative(spectra, channel, expected, weight)
+    explanations += _wrong_station(rig, spectra, channel_index, predicted, weight, unexplained_by)
+    explanations += _wrong_derivative(spectra, channel_index, expected, weight)
     if (filtered := _filtered(name, omega, measured, expected, weight)) is not None:
         explanations.append(filtered)
     best = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.allowance)
@@ -107,13 +107,13 @@ def gain_finding(name: str, gain: float) -> Finding:
             evidence=f"{name} has the opposite sign of what {REFERENCE} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
-    units = unit_mistake(gain)
+    unit_words = unit_mistake(gain)
     return Finding(
-        cause="units" if units else "gain",
+        cause="units" if unit_words else "gain",
         channels=(name,),
         evidence=f"{name} delivers {gain:.4g} times what {REFERENCE} predict",
-        mend=f"correct its unit or scale in the import map, it looks like {units}"
-        if units
+        mend=f"correct its unit or scale in the import map, it looks like {unit_words}"
+        if unit_words
         else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
     )
 
@@ -121,16 +121,18 @@ def gain_finding(name: str, gain: float) -> Finding:
 def _wrong_station(
     rig: Rig,
     spectra: Spectra,
-    channel: int,
+    channel_index: int,
     predicted: Prediction,
     weight: Float[np.ndarray, " lines"],
     unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
     """Explanations: the sensor shows what another one should, or stands at another place of its body."""
-    sensor = spectra.sensors[channel]
+    sensor = spectra.sensors[channel_index]
     for k, other_sensor in enumerate(spectra.sensors):
-        if k != channel and other_sensor.station != sensor.station:
-            to_other = relation(spectra.omega, spectra.acceleration[channel], predicted.acceleration[k], weight, 0.0)
+        if k != channel_index and other_sensor.station != sensor.station:
+            to_other = relation(
+                spectra.omega, spectra.acceleration[channel_index], predicted.acceleration[k], weight, 0.0
+            )
             if 0.8 < abs(to_other.gain) < 1.25:
                 yield Explanation(
                     1 - to_other.coherence,
@@ -172,13 +174,15 @@ def _wrong_station(
 
 
 def _wrong_derivative(
-    spectra: Spectra, channel: int, expected: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+    spectra: Spectra, channel_index: int, expected: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
 ) -> Iterator[Explanation]:
     """Explanations: the channel is a derivative or an integral of the predicted motion."""
-    name, omega = spectra.sensors[channel].name, spectra.omega
+    name, omega = spectra.sensors[channel_index].name, spectra.omega
     operations = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
     for order, operation in operations.items():
-        to_expected = relation(omega, spectra.acceleration[channel] * (1j * omega) ** -order, expected, weight, 0.0)
+        to_expected = relation(
+            omega, spectra.acceleration[channel_index] * (1j * omega) ** -order, expected, weight, 0.0
+        )
         if not (0.5 < abs(to_expected.gain) < 2 or unit_mistake(to_expected.gain)):
             continue
         yield Explanation(
@@ -233,13 +237,13 @@ def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Findin
 
 
 def force_finding(
-    spectra: Spectra, number: int, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+    spectra: Spectra, force_index: int, implied: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
 ) -> Finding:
     """Finding on one measured force, by the one that all sensors, and the other forces, imply."""
-    name, has_other_forces = spectra.force_names[number], len(spectra.forces) > 1
+    name, has_other_forces = spectra.force_names[force_index], len(spectra.forces) > 1
     subject = force_in_words(name)
-    lines = driven_lines(spectra.forces)[number]
-    omega, measured, implied, weight = (x[lines] for x in (spectra.omega, spectra.forces[number], implied, weight))
+    lines = driven_lines(spectra.forces)[force_index]
+    omega, measured, implied, weight = (x[lines] for x in (spectra.omega, spectra.forces[force_index], implied, weight))
     to_implied = relation(omega, measured, implied, weight)
     gains, unexplained_share, centres = gain_by_band(omega, measured, implied, weight)
     gain_sizes = np.abs(gains)

@@ -15,18 +15,20 @@ QUIET_SHARE = 0.02
 """Added to the power of a part's motion, as a share of the mean power, so that residuals at rest do not count."""
 
 
-def discontinuity_findings(rig: Rig, spectra: Spectra, channels: list[int]) -> list[Finding]:
+def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int]) -> list[Finding]:
     """Finding: a discontinuity in all channels, or in the one channel without which there is none.
 
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    ratio, at_s = discontinuity_ratio(rig, spectra, channels)
-    if ratio < BREAK_RATIO or len(channels) < len(rig.contacts) + 3:
+    ratio, at_s = discontinuity_ratio(rig, spectra, channel_indices)
+    if ratio < BREAK_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     force_count = len(spectra.forces) if len(spectra.forces) > 1 else 0
-    if any(discontinuity_ratio(rig, spectra, channels, force)[0] < BREAK_RATIO for force in range(force_count)):
+    if any(discontinuity_ratio(rig, spectra, channel_indices, force)[0] < BREAK_RATIO for force in range(force_count)):
         return []
-    ratio_without = {k: discontinuity_ratio(rig, spectra, [i for i in channels if i != k])[0] for k in channels}
+    ratio_without = {
+        k: discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0] for k in channel_indices
+    }
     worst = min(ratio_without, key=lambda k: ratio_without[k])
     if ratio_without[worst] < BREAK_RATIO:
         name = spectra.sensors[worst].name
@@ -41,7 +43,7 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channels: list[int]) -> l
     return [
         Finding(
             cause="jump",
-            channels=tuple(spectra.sensors[i].name for i in channels),
+            channels=tuple(spectra.sensors[i].name for i in channel_indices),
             evidence=f"all channels together leave the linear model at {at_s:.2f} s, and only there",
             mend="samples were lost there, records were joined, or something struck the rig: use the part before it",
         )
@@ -49,12 +51,14 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channels: list[int]) -> l
 
 
 def discontinuity_ratio(
-    rig: Rig, spectra: Spectra, channels: list[int], doubted_force: int | None = None
+    rig: Rig, spectra: Spectra, channel_indices: list[int], doubted_force_index: int | None = None
 ) -> tuple[float, float]:
     """Largest residual power over the motion's in any part, over the 30 % quantile of all parts; and its time, s."""
-    check = linear_check(rig, spectra, channels)
-    residual = Projector(check, channels, doubted_force)((spectra.acceleration - check.by_force)[channels])
-    acceleration = spectra.in_time((spectra.acceleration / check.scale)[channels])
+    check = linear_check(rig, spectra, channel_indices)
+    residual = Projector(check, channel_indices, doubted_force_index)(
+        (spectra.acceleration - check.by_force)[channel_indices]
+    )
+    acceleration = spectra.in_time((spectra.acceleration / check.scale)[channel_indices])
     residual_share = _part_powers(residual, spectra.per_s)
     motion_power = _part_powers(acceleration, spectra.per_s)
     residual_share = residual_share / (motion_power + QUIET_SHARE * motion_power.mean())

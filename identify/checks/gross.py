@@ -92,38 +92,40 @@ def _model_finding(misfit: float) -> Finding:
 
 def _channel_trials(rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
-    for channel in usable:
-        channels = [i for i in usable if i != channel]
-        without_channel = check.with_spectra(check.spectra, channels)
-        prediction = without_channel.prediction(channels)
+    for channel_index in usable:
+        other_indices = [i for i in usable if i != channel_index]
+        without_channel = check.with_spectra(check.spectra, other_indices)
+        prediction = without_channel.prediction(other_indices)
         if np.isfinite(prediction.misfit):
-            findings = partial(_channel_findings, rig, without_channel, prediction, channel, channels, full_spectra)
-            yield Trial(prediction.misfit, channels, findings, allowance=ALLOWANCE)
+            findings = partial(
+                _channel_findings, rig, without_channel, prediction, channel_index, other_indices, full_spectra
+            )
+            yield Trial(prediction.misfit, other_indices, findings, allowance=ALLOWANCE)
 
 
 def _channel_findings(
     rig: Rig,
     check: LinearCheck,
     prediction: Prediction,
-    channel: int,
-    channels: list[int],
+    channel_index: int,
+    channel_indices: list[int],
     full_spectra: FullSpectra,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
 
     def delays_over_time() -> Float[np.ndarray, " parts"] | None:
-        return _delays_over_time(rig, full_spectra(), channel, channels)
+        return _delays_over_time(rig, full_spectra(), channel_index, channel_indices)
 
-    return (channel_finding(rig, check, channel, prediction, delays_over_time),)
+    return (channel_finding(rig, check, channel_index, prediction, delays_over_time),)
 
 
 def _delays_over_time(
-    rig: Rig, spectra: Spectra, channel: int, channels: list[int]
+    rig: Rig, spectra: Spectra, channel_index: int, channel_indices: list[int]
 ) -> Float[np.ndarray, " parts"] | None:
     """Delays of a channel against its prediction in each part of the record; None if they are alike or unknown."""
-    check = linear_check(rig, spectra, channels)
-    expected = check.prediction(channels).acceleration[channel]
-    signals = spectra.in_time(np.stack([spectra.acceleration[channel], expected]) / check.scale[channel])
+    check = linear_check(rig, spectra, channel_indices)
+    expected = check.prediction(channel_indices).acceleration[channel_index]
+    signals = spectra.in_time(np.stack([spectra.acceleration[channel_index], expected]) / check.scale[channel_index])
     delays = []
     for measured, predicted in np.array_split(signals, PARTS, axis=1):
         window = np.hanning(measured.size)
@@ -138,21 +140,23 @@ def _delays_over_time(
 
 def _force_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
     """Trials that estimate one force from the sensors."""
-    for number in range(len(check.spectra.forces)):
-        prediction = check.prediction(usable, doubted_force=number)
+    for force_index in range(len(check.spectra.forces)):
+        prediction = check.prediction(usable, doubted_force_index=force_index)
         if np.isfinite(prediction.misfit):
-            findings = partial(_force_findings, check, usable, number, prediction)
+            findings = partial(_force_findings, check, usable, force_index, prediction)
             yield Trial(prediction.misfit, usable, findings, False, ALLOWANCE)
 
 
-def _force_findings(check: LinearCheck, usable: list[int], number: int, prediction: Prediction) -> tuple[Finding, ...]:
+def _force_findings(
+    check: LinearCheck, usable: list[int], force_index: int, prediction: Prediction
+) -> tuple[Finding, ...]:
     """Finding on a force by its estimate."""
-    by_force = check.accelerance[number][usable]
+    by_force = check.accelerance[force_index][usable]
     response = by_force / check.scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        response = check.projection(usable).of(by_force)[0]
+        response = check.unknown_input_projection(usable).of(by_force)[0]
     weight = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
-    return (force_finding(check.spectra, number, prediction.forces[number], weight),)
+    return (force_finding(check.spectra, force_index, prediction.forces[force_index], weight),)
 
 
 def _swap_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
@@ -193,7 +197,7 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Tr
     rows = spectra.acceleration
     for _ in range(3):
         check = check.with_spectra(spectra.with_rows(rows), usable)
-        projection = check.projection(usable)
+        projection = check.unknown_input_projection(usable)
         columns = np.array([projection.of(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
         target = projection.of(check.by_force[usable])[0].ravel()
         normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ target).real

@@ -93,11 +93,11 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     return float(max(clock_pull, *np.abs(errors / deviation)))
 
 
-def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
+def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the open passages; None if they have too few samples, or no force acts in them."""
     best: MassFit | None = None
     for quantile in OPEN_QUANTILES:
-        fit = _fit_below(quantile, rig, motion, row)
+        fit = _fit_below(quantile, rig, motion, station_index)
         if fit is None or (best and fit.explained < best.explained):
             break
         best = fit
@@ -106,12 +106,16 @@ def open_fit(rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
     return best
 
 
-def _fit_below(quantile: float, rig: Rig, motion: Kinematics, row: int) -> MassFit | None:
+def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the samples below a quantile of the distance from the middle; None as in `open_fit`."""
     high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / (RATE_BY_FORCE_HZ * high_hz)))
     rate_hz = motion.sample_rate_hz / factor
-    rows = (motion.acceleration_m_per_s2[row], motion.velocity_m_per_s[row], motion.displacement_m[row])
+    rows = (
+        motion.acceleration_m_per_s2[station_index],
+        motion.velocity_m_per_s[station_index],
+        motion.displacement_m[station_index],
+    )
     signals = decimated(np.stack([motion.forces_n.sum(axis=0), *rows]), factor)
     passages = _passages(_open(rig, motion, factor, quantile), motion.excited_from // factor + 1)
     if sum(p.stop - p.start for p in passages) < 50:
@@ -128,11 +132,11 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, row: int) -> MassF
         scaled = samples[1:] / deviations[:, None]
         if not np.isfinite(scaled).all():
             raise RigError("while contacts are open nothing moves, or by more than any machine")
-        inverse = np.linalg.pinv(scaled.T)
-        values = inverse @ samples[0] / deviations
+        pseudo_inverse = np.linalg.pinv(scaled.T)
+        values = pseudo_inverse @ samples[0] / deviations
         residual = samples[0] - values @ samples[1:]
         boundaries = np.cumsum([s.shape[1] for s in centred])[:-1]
-        by_segment = zip(np.split(inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
+        by_segment = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
         scores = [influence @ error for influence, error in by_segment]
         errors = np.sqrt(np.sum(np.square(scores), axis=0)) / deviations
         return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), values, errors, residual
@@ -298,9 +302,9 @@ def _gain_finding(body: Body, channels: tuple[str, ...], ratio: float) -> Findin
         return Finding(
             cause="polarity", channels=channels, evidence=evidence, mend="turn it, or the force, with scale = -1"
         )
-    units = unit_mistake(1 / ratio)
-    if units:
-        mend = f"correct the unit of the sensor or of the force in the import map, it looks like {units}"
+    unit_words = unit_mistake(1 / ratio)
+    if unit_words:
+        mend = f"correct the unit of the sensor or of the force in the import map, it looks like {unit_words}"
         return Finding(cause="units", channels=channels, evidence=evidence, mend=mend)
     return Finding(
         cause="gain",

@@ -62,11 +62,13 @@ class LinearCheck:
     def contact_accelerance(self) -> Complex[np.ndarray, "contacts sensors lines"]:
         return self.accelerance[len(self.spectra.forces) :]
 
-    def unknown_inputs(self, doubted_force: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
+    def unknown_inputs(self, doubted_force_index: int | None = None) -> Complex[np.ndarray, "inputs sensors lines"]:
         """Accelerances of the unknown inputs: of the doubted force, if there is one, and of the contacts."""
-        if doubted_force is None:
+        if doubted_force_index is None:
             return self.contact_accelerance
-        return np.concatenate([self.accelerance[doubted_force : doubted_force + 1], self.contact_accelerance])
+        return np.concatenate(
+            [self.accelerance[doubted_force_index : doubted_force_index + 1], self.contact_accelerance]
+        )
 
     @property
     def by_each_force(self) -> Complex[np.ndarray, "forces sensors lines"]:
@@ -77,66 +79,68 @@ class LinearCheck:
         """Accelerations by all measured forces."""
         return np.asarray(self.by_each_force.sum(axis=0))
 
-    def with_spectra(self, spectra: Spectra, channels: list[int]) -> "LinearCheck":
+    def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
-        return LinearCheck(spectra, self.accelerance, _scale(spectra, channels), driven_lines(spectra.forces))
+        return LinearCheck(spectra, self.accelerance, _scale(spectra, channel_indices), driven_lines(spectra.forces))
 
-    def projection(self, channels: list[int], doubted_force: int | None = None) -> Projection:
+    def unknown_input_projection(
+        self, channel_indices: list[int], doubted_force_index: int | None = None
+    ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        unknown, scale = self.unknown_inputs(doubted_force)[:, channels], self.scale[channels]
+        unknown, scale = self.unknown_inputs(doubted_force_index)[:, channel_indices], self.scale[channel_indices]
         return projection(unknown / scale, scale, len(unknown))
 
-    def prediction(self, channels: list[int], doubted_force: int | None = None) -> Prediction:
+    def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
-        spectra, unknown = self.spectra, self.unknown_inputs(doubted_force)
+        spectra, unknown = self.spectra, self.unknown_inputs(doubted_force_index)
         by_each_force = self.by_each_force
-        if doubted_force is not None:
-            by_each_force = np.delete(by_each_force, doubted_force, axis=0)
+        if doubted_force_index is not None:
+            by_each_force = np.delete(by_each_force, doubted_force_index, axis=0)
         by_known_forces = np.asarray(by_each_force.sum(axis=0))
-        unexplained = (spectra.acceleration - by_known_forces)[channels]
-        residual, inputs = self.projection(channels, doubted_force).of(unexplained)
-        freedom = len(channels) - len(unknown)
-        per_line, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channels)
+        unexplained = (spectra.acceleration - by_known_forces)[channel_indices]
+        residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).of(unexplained)
+        freedom = len(channel_indices) - len(unknown)
+        per_line, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channel_indices)
         misfit_by_force = (per_line[lines & informative] for lines in self.driven_lines if np.any(lines & informative))
         worst = max(float(np.median(x)) for x in (per_line[informative], *misfit_by_force))
         misfit = worst / freedom if freedom > 0 else np.nan
         forces, contacts = spectra.forces, inputs
-        if doubted_force is not None:
+        if doubted_force_index is not None:
             forces, contacts = forces.copy(), inputs[1:]
-            forces[doubted_force] = inputs[0]
+            forces[doubted_force_index] = inputs[0]
         return Prediction(misfit, by_known_forces + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
 
-    def misfit(self, spectra: Spectra, channels: list[int]) -> float:
+    def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
-        return self.with_spectra(spectra, channels).prediction(channels).misfit
+        return self.with_spectra(spectra, channel_indices).prediction(channel_indices).misfit
 
-    def _informative_lines(self, channels: list[int]) -> Bool[np.ndarray, " lines"]:
+    def _informative_lines(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
-        noise = np.mean((self.spectra.noise[channels] / self.scale[channels]) ** 2, axis=0)
+        noise = np.mean((self.spectra.noise[channel_indices] / self.scale[channel_indices]) ** 2, axis=0)
         informative = noise < NOISE_SHARE
         return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
 
 
 def linear_check(
-    rig: Rig, spectra: Spectra, channels: list[int] | None = None, cache: ResponseCache | None = None
+    rig: Rig, spectra: Spectra, channel_indices: list[int] | None = None, cache: ResponseCache | None = None
 ) -> LinearCheck:
     """Spectra and accelerances of a rig, in the scale of these channels (all by default).
 
     To try many rigs, share one `cache`.
     """
-    channels = list(range(len(spectra.sensors))) if channels is None else channels
+    channel_indices = list(range(len(spectra.sensors))) if channel_indices is None else channel_indices
     accelerance = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
-    return LinearCheck(spectra, accelerance, _scale(spectra, channels), driven_lines(spectra.forces))
+    return LinearCheck(spectra, accelerance, _scale(spectra, channel_indices), driven_lines(spectra.forces))
 
 
-def _scale(spectra: Spectra, channels: list[int]) -> Float[np.ndarray, "sensors lines"]:
-    """Scale of the median channel of each body, among `channels` if it has any, so that no single one rules it."""
+def _scale(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
+    """Scale of the median channel of each body, among channel_indices if any, so that no single one rules it."""
     bodies = [s.station.body for s in spectra.sensors]
     scale = np.empty(spectra.noise.shape)
     for body in dict.fromkeys(bodies):
         on_body = [i for i, b in enumerate(bodies) if b == body]
-        reference = [i for i in on_body if i in channels] or on_body
-        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.level[reference], axis=0)
+        averaged_channels = [i for i in on_body if i in channel_indices] or on_body
+        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.level[averaged_channels], axis=0)
     scale = np.hypot(scale, spectra.noise)
     return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
 
@@ -155,8 +159,8 @@ def acceleration_by_forces(
 
 def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
     """Mask of the lines on which each force has a share of its largest level."""
-    level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED, axis=1), 0.0))
-    return np.asarray(level > DRIVEN_SHARE * level.max(axis=1, keepdims=True))
+    force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED, axis=1), 0.0))
+    return np.asarray(force_level > DRIVEN_SHARE * force_level.max(axis=1, keepdims=True))
 
 
 def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
@@ -171,15 +175,15 @@ class Projector:
     The contact forces, and a doubted force, are projected out; COUNTED_HZ samples a second count as independent.
     """
 
-    def __init__(self, check: LinearCheck, channels: list[int], doubted_force: int | None = None) -> None:
-        noise = check.spectra.noise[channels]
-        level = np.sqrt(np.maximum(check.scale[channels] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
-        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * level, noise)
+    def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
+        noise = check.spectra.noise[channel_indices]
+        signal_level = np.sqrt(np.maximum(check.scale[channel_indices] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
+        self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * signal_level, noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
-        unknown = check.unknown_inputs(doubted_force)[:, channels]
+        unknown = check.unknown_inputs(doubted_force_index)[:, channel_indices]
         self._projection = projection(unknown / self._scale, self._scale, len(unknown))
         self._spectra = check.spectra
-        motion = self._spectra.in_time(check.spectra.acceleration[channels] / self._scale)
+        motion = self._spectra.in_time(check.spectra.acceleration[channel_indices] / self._scale)
         duration_s = motion_duration_s(motion, self._spectra.per_s)
         self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
 

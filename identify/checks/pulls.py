@@ -84,7 +84,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
     }[parameter.kind]
-    name = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
+    name = parameter.of + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Suspect(parameter.kind, name, unit)
 
 
@@ -98,35 +98,35 @@ class BrokenTolerance:
 
 
 def broken_tolerances(
-    rig: Rig, check: LinearCheck, channels: list[int], tolerances: Tolerances
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
 ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Parameters beyond their tolerances, at most four, the highest score first; and all nuisance parameters' pulls.
 
     A pull is the estimate in standard deviations, with the broken parameters free.
     """
-    if len(channels) <= check.contacts:
+    if len(channel_indices) <= check.contacts:
         return [], np.zeros(0)
-    observed = _observed(rig, check, channels, tolerances)
-    project = Projector(check, channels)
+    observed = _observed(rig, check, channel_indices, tolerances)
+    project = Projector(check, channel_indices)
     parameters, columns = [], []
     for change in changes_of(observed):
         parameters.append(change.parameter)
-        columns.append(_Column.of(project(change.at_all_sensors(len(channels)))))
+        columns.append(_Column.of(project(change.at_all_sensors(len(channel_indices)))))
     if not parameters:
         return [], np.zeros(0)
     candidates, added = suspects_of(
         parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
     )
     columns += [_Column.of(project(spectra)) for spectra in added]
-    residual = project((check.spectra.acceleration - check.by_force)[channels])
+    residual = project((check.spectra.acceleration - check.by_force)[channel_indices])
     return _free_the_violated(residual, columns, len(parameters), candidates, tolerances)
 
 
-def _observed(rig: Rig, check: LinearCheck, channels: list[int], tolerances: Tolerances) -> Observed:
+def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> Observed:
     """Motion as these channels show it, with the contact forces that explain it best."""
-    sensors, omega = tuple(check.spectra.sensors[i] for i in channels), check.spectra.omega
-    prediction, cache = check.prediction(channels), ResponseCache(omega, 0)
-    explained = prediction.acceleration[channels]
+    sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
+    prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
+    explained = prediction.acceleration[channel_indices]
     return Observed(
         sensors=sensors,
         displaced_by=sensors,
@@ -134,10 +134,10 @@ def _observed(rig: Rig, check: LinearCheck, channels: list[int], tolerances: Tol
         omega=omega,
         sensor_response=np.ones_like(explained),
         explained=explained,
-        by_force=check.by_each_force[:, channels],
+        by_force=check.by_each_force[:, channel_indices],
         displaced=np.zeros_like(explained),
         bodies=tuple(
-            _body_motion(rig, response_of(rig, body, cache), check, channels, prediction) for body in rig.bodies
+            _body_motion(rig, response_of(rig, body, cache), check, channel_indices, prediction) for body in rig.bodies
         ),
     )
 
@@ -217,11 +217,11 @@ def _scores(
         products += rows @ rows.T
         correlations += rows @ (residual[:, batch] * weights[batch]).reshape(-1)
     prior = np.r_[np.ones(prior_count), np.full(len(free_columns), 1e-9)]
-    inverse = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
+    covariance = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
     to_fitted = products[:, fitted]
-    estimates = inverse @ correlations[fitted]
+    estimates = covariance @ correlations[fitted]
     unexplained = correlations - to_fitted @ estimates
-    variance = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", to_fitted, inverse, to_fitted), 1e-12)
+    variance = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", to_fitted, covariance, to_fitted), 1e-12)
     sizes, pulls, free_sizes = unexplained / variance, estimates[:prior_count], estimates[prior_count:]
     return _Scores(unexplained / np.sqrt(variance), sizes, pulls, free_sizes)
 
@@ -237,12 +237,12 @@ def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) 
 
 
 def _body_motion(
-    rig: Rig, response: Response, check: LinearCheck, channels: list[int], prediction: Prediction
+    rig: Rig, response: Response, check: LinearCheck, channel_indices: list[int], prediction: Prediction
 ) -> BodyMotion:
     """Modal accelerations by the forces and the contact forces; as many elastic modes as sensors may be off."""
     inputs = input_shapes(rig, response, rig.forces)
     forces = np.concatenate([prediction.forces, prediction.contacts])
-    sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channels)
+    sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channel_indices)
     elastic = elastic_modes(response, min(sensor_count, response.count))
     return BodyMotion(response, response.accelerance * times(inputs.T, forces), elastic)
 

@@ -190,10 +190,10 @@ def _moving_mean(values: Row, width: int) -> Row:
 def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
     thinned = [r[:: max(1, r.size // 8192)] for r in rows]
-    units = [
+    unit_vectors = [
         (t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thinned
     ]
-    correlation = np.abs(np.array(units) @ np.array(units).T)
+    correlation = np.abs(np.array(unit_vectors) @ np.array(unit_vectors).T)
     for i, name in enumerate(names):
         for k in range(i):
             if correlation[i, k] > 1 - 1e-9:

@@ -133,7 +133,9 @@ def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], ma
     """
     kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
     body_and_force_pulls = {
-        of: abs(p) for p, of in zip(estimate.pulls, parameters, strict=True) if of.kind in kinds and of.mode is None
+        of: abs(p)
+        for p, of in zip(estimate.pulls, parameters, strict=True)
+        if of.kind in kinds and of.mode_number is None
     }
     largest_pull = max(body_and_force_pulls.values(), default=0.0)
     single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
@@ -159,7 +161,7 @@ def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nu
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    of = parameter.of + ("" if parameter.mode is None else f" {parameter.mode}")
+    of = parameter.of + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
         channels=(parameter.of,) if parameter.kind in SENSOR_KINDS else (),

@@ -203,21 +203,21 @@ def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: st
     axes = figure.subplots(2, count, squeeze=False, sharex=True)
     for i, j in enumerate(result.weak.contacts):
         contact = result.rig.contacts[j]
-        mean = result.weak.mean_n_per_m[i]
-        reference = marks.get(contact.name, (np.nan, mean))[1]
+        mean_n_per_m = result.weak.mean_n_per_m[i]
+        reference_n_per_m = marks.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
             (result.paper, GREY, "the paper's form"),
             (result.weak, BLUE, "weak form"),
         ):
             values = nifo.stiffness_n_per_m[i].real
             axes[0][i].plot(nifo.frequency_hz, values, color=colour, lw=1.0, label=label)
-            deviation = 100 * np.abs(nifo.stiffness_n_per_m[i] / reference - 1)
+            deviation = 100 * np.abs(nifo.stiffness_n_per_m[i] / reference_n_per_m - 1)
             axes[1][i].semilogy(nifo.frequency_hz, np.maximum(deviation, 1e-6), color=colour, lw=1.0)
-        axes[0][i].axhline(mean, color=RED, lw=1.0, label=f"spectral mean {number(mean, 5)} N/m")
+        axes[0][i].axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
         if contact.name in marks:
-            axes[0][i].axhline(reference, color="k", ls=":", lw=1.0, label=marks_name)
+            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=marks_name)
         limits = np.quantile(result.weak.stiffness_n_per_m[i].real, [0.02, 0.98])
-        margin = max(np.ptp(limits), 0.02 * abs(mean))
+        margin = max(np.ptp(limits), 0.02 * abs(mean_n_per_m))
         axes[0][i].set(ylim=(limits[0] - margin, limits[1] + margin), title=contact.name)
         axes[1][i].set(xlabel="frequency, Hz")
         axes[0][i].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)

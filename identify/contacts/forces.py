@@ -181,7 +181,7 @@ def separated_forces(
     initial = None
     for modes_hidden in (True, False) if any(has_hidden_modes(r, motion) for r in responses) else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        errors = StationErrors(noise_power, floor, changes, lines.similar_lines)
+        errors = StationErrors(noise_power, floor, changes, lines.correlated_line_count)
         to_force = force_weights(by_input[force_count:] * sensor_response, errors)
         unexplained = measured - sensor_response * observed.by_force.sum(axis=0)
         if not from_rest:

@@ -264,7 +264,7 @@ def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Cleara
 
 
 def _transformation_result(transform: Transformation) -> results.TransformationResult:
-    modes, stations = transform.inverse.shape
+    modes, stations = transform.inverse_shapes.shape
     return results.TransformationResult(
         transform.body.name, stations, modes, transform.condition, tuple(float(x) for x in transform.lost)
     )

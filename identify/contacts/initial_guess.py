@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
 from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, Touched, clearly_closed, touched_stops
-from identify.contacts.law_form import LAW, Law, NominalLaws, by_stiffness_and_damping
+from identify.contacts.law_form import LAW, LawParameters, NominalLaws, by_stiffness_and_damping
 from identify.contacts.linearization import Guess, ground_force_n
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline, spline
@@ -126,11 +126,14 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
 
 
 def _refined_guess(
-    record: ContactRecord, curve: Spline, law: Law, knots: Float[np.ndarray, " knots"]
+    record: ContactRecord, curve: Spline, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"]
 ) -> tuple[float, Guess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
-    at_force, laws = slice(None, record.force_n.size * record.factor, record.factor), law.reshape(-1, len(LAW)).copy()
+    at_force, laws = (
+        slice(None, record.force_n.size * record.factor, record.factor),
+        law_parameters.reshape(-1, len(LAW)).copy(),
+    )
     eta = (record.eta_m + curve.value @ knots)[at_force]
     rate = (record.velocity_m_per_s + curve.rate @ knots)[at_force]
     columns = np.stack([row for single in laws for row in by_stiffness_and_damping(single, eta, rate)], axis=1)

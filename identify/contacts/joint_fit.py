@@ -12,7 +12,7 @@ from scipy.stats import norm, t
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, Touched, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
 from identify.contacts.law_fit import chosen_form, dead_zone_fit, misfit_covariance, tie_of
-from identify.contacts.law_form import DEAD_ZONE, LAW, STIFFNESS, FormName, Law, LawForm, NominalLaws, Signal
+from identify.contacts.law_form import DEAD_ZONE, LAW, STIFFNESS, FormName, LawForm, LawParameters, NominalLaws, Signal
 from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
@@ -43,7 +43,7 @@ class JointEstimate:
     stiffness of a power law is the force over the depth at the reference depth of its form.
     """
 
-    values: Law
+    values: LawParameters
     covariance: Float[np.ndarray, "4 4"]
     of_tolerances: Float[np.ndarray, "4 4"]
     of_drift: Float[np.ndarray, "4 4"]
@@ -60,20 +60,20 @@ class JointEstimate:
     exponent_error: float = 0.0
 
     @property
-    def law(self) -> Law:
+    def law_parameters(self) -> LawParameters:
         """Parameters as the form takes them: values, then the exponent of a power law."""
         return np.concatenate([self.values, np.full(self.form.shapes, self.exponent)])
 
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        return self.form.force_n(self.law, eta_m, rate_m_per_s)
+        return self.form.force_n(self.law_parameters, eta_m, rate_m_per_s)
 
     def spring_m(self, eta_m: Signal) -> Signal:
         """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
-        unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law[len(LAW) :]])
+        unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
         return self.form.force_n(unit, eta_m, np.zeros_like(eta_m))
 
     @property
-    def clearance(self) -> Law:
+    def clearance(self) -> LawParameters:
         """Clearance as a linear function of the parameters: half the total play, or that of the only touched stop."""
         return _clearance(self.touched)
 
@@ -90,15 +90,15 @@ class JointEstimate:
         return float(STIFFNESS @ self.values)
 
     @property
-    def errors(self) -> Law:
+    def errors(self) -> LawParameters:
         """Standard error of every parameter."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
-    def error(self, gradient: Law) -> float:
+    def error(self, gradient: LawParameters) -> float:
         """Standard error of a linear function of the parameters, such as `STIFFNESS`."""
         return float(np.sqrt(gradient @ self.covariance @ gradient))
 
-    def own_error(self, gradient: Law) -> float:
+    def own_error(self, gradient: LawParameters) -> float:
         """Standard error of a linear function by the record's own scatter and drift, which differ in other records."""
         return float(np.sqrt(gradient @ (self.covariance - self.of_tolerances - self.of_misfit) @ gradient))
 
@@ -120,7 +120,7 @@ class JointEstimate:
         )
 
 
-def _clearance(touched: tuple[bool, bool]) -> Law:
+def _clearance(touched: tuple[bool, bool]) -> LawParameters:
     lower, upper = np.array(touched) / sum(touched)
     return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
 
@@ -161,9 +161,9 @@ def fit_joint(
     fit = chosen_form(fit, forms if is_single else ())
     state = fit.state
     derivatives, equations, to_law = fit.linearized
-    pulls, free = state.pulls.size, to_law.shape[1]
-    by_knots, by_dense = equations.solved(np.zeros((curve.knots, free)), np.eye(pulls + free, free, -pulls))
-    in_law = np.concatenate([by_dense[:pulls], to_law @ by_dense[pulls:]])
+    pull_count, free = state.pulls.size, to_law.shape[1]
+    by_knots, by_dense = equations.solved(np.zeros((curve.knots, free)), np.eye(pull_count + free, free, -pull_count))
+    in_law = np.concatenate([by_dense[:pull_count], to_law @ by_dense[pull_count:]])
     influence = derivatives.times(by_knots, in_law) * fit.weights[:, None] ** 2  # of residuals on parameters
     degrees_of_freedom = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
@@ -171,7 +171,7 @@ def fit_joint(
     by_parts = part_scores(influence, state.residual, part_starts)
     of_rows = (
         small_sample_factor * by_parts,
-        record.sample_ratio * by_dense[:pulls],
+        record.sample_ratio * by_dense[:pull_count],
         curve.curvature @ by_knots,
     )
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
@@ -179,12 +179,12 @@ def fit_joint(
     covariance = of_scatter + of_tolerances + of_drift + of_misfit
     drift_m, drift_m_per_s = drift_signals(record, curve, state.knots, state.pulls)
     if not is_single:
-        _check_separable(state.law, covariance, touched, record.eta_m + drift_m)
+        _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
     def estimate_at(first: int, lower: bool, upper: bool) -> JointEstimate:
         block = slice(first, first + len(LAW))
         return JointEstimate(
-            values=state.law[block],
+            values=state.law_parameters[block],
             covariance=covariance[block, block],
             of_tolerances=of_tolerances[block, block],
             of_drift=of_drift[block, block],
@@ -197,7 +197,7 @@ def fit_joint(
             unexplained=_unexplained(record, state),
             halves=_halves(by_parts @ to_law[block].T, (_clearance((lower, upper)), STIFFNESS)),
             form=state.form,
-            exponent=state.form.exponent(state.law),
+            exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.shapes else 0.0,
         )
 
@@ -218,7 +218,9 @@ def _unexplained(record: ContactRecord, state: State) -> float:
     return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
 
 
-def _halves(by_parts: Float[np.ndarray, "parts 4"], gradients: tuple[Law, Law]) -> tuple[float, float]:
+def _halves(
+    by_parts: Float[np.ndarray, "parts 4"], gradients: tuple[LawParameters, LawParameters]
+) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     influence = by_parts @ np.stack(gradients, axis=1)
     scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
@@ -247,17 +249,20 @@ def _check_bridged(record: ContactRecord, state: State) -> None:
 
 
 def _check_separable(
-    law: Law, covariance: Float[np.ndarray, "laws laws"], touched: Touched, eta_m: Float[np.ndarray, " samples"]
+    law_parameters: LawParameters,
+    covariance: Float[np.ndarray, "laws laws"],
+    touched: Touched,
+    eta_m: Float[np.ndarray, " samples"],
 ) -> None:
     """Raises ContactRefusedError if a stop is hardly ever reached, or two knees differ by less than their 95 %
     interval."""
-    laws = law.reshape(-1, len(LAW))
+    laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
         touching = np.flatnonzero(touched[:, side])
         if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching):
             raise refused(RefusalCode.NOT_SEPARABLE)
         for i, j in combinations(touching, 2):
-            difference = np.zeros_like(law)
+            difference = np.zeros_like(law_parameters)
             difference[[len(LAW) * i + side, len(LAW) * j + side]] = 1, -1
-            if abs(difference @ law) < COVERED * np.sqrt(difference @ covariance @ difference):
+            if abs(difference @ law_parameters) < COVERED * np.sqrt(difference @ covariance @ difference):
                 raise refused(RefusalCode.NOT_SEPARABLE)

@@ -82,9 +82,9 @@ class LawFit:
 
     def with_form(self, form: LawForm) -> "LawFit":
         """Fit of another form with the same weights, from this state and an exponent of one."""
-        numbers = self.state.form.contacts(self.state.law).ravel()
-        law = np.concatenate([numbers, np.ones(form.shapes)])
-        start = state_at(self.record, self.curve, form, law, self.state.knots, self.state.pulls)
+        contact_values = self.state.form.contacts(self.state.law_parameters).ravel()
+        law_parameters = np.concatenate([contact_values, np.ones(form.shapes)])
+        start = state_at(self.record, self.curve, form, law_parameters, self.state.knots, self.state.pulls)
         return replace(self, state=_minimum(self.record, self.curve, start, self.tie, self.weights))
 
 
@@ -130,7 +130,7 @@ def _minimum(
         knots, dense = equations.solved(*right_hand_side)
 
         def state_after(share: float) -> State | None:
-            law = current.law + share * to_law @ dense[current.pulls.size :, 0]
+            law = current.law_parameters + share * to_law @ dense[current.pulls.size :, 0]
             if not current.form.is_possible(law):
                 return None
             pulls = current.pulls + share * dense[: current.pulls.size, 0]
@@ -157,7 +157,7 @@ def _with_cost(record: ContactRecord, curve: Spline, state: State, weights: Weig
 
 def _to_law(state: State, tie: Float[np.ndarray, "laws free"]) -> Float[np.ndarray, "numbers sizes"]:
     """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is free."""
-    lower, upper, stiffness, _ = state.form.contacts(state.law).T
+    lower, upper, stiffness, _ = state.form.contacts(state.law_parameters).T
     gap = np.maximum(np.minimum(lower, upper), 1e-9)
     sizes = np.stack([gap, gap, stiffness, 1e-3 * stiffness], axis=1).ravel()
     scaled = tie * np.max(tie * sizes[:, None], axis=0)
@@ -248,8 +248,8 @@ def misfit_covariance(
 
         D D' / 4 max(0, 1 - T0^2 / T^2).
     """
-    law = fit.state.law
-    covariance = np.zeros((law.size, law.size))
+    law_parameters = fit.state.law_parameters
+    covariance = np.zeros((law_parameters.size, law_parameters.size))
     to_law = fit.linearized[2]
     for halves in _splits(fit):
         half_scores = [_half_scores(fit, derivatives.by_law @ to_law, samples, part_starts) for samples in halves]
@@ -279,7 +279,7 @@ def _splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarr
     record, state = fit.record, fit.state
     eta, rate = (row[:: record.factor][: state.residual.size] for row in _motion(fit))
     depth = _depth_m(fit, eta)
-    closed = state.form.slopes(state.law, eta, rate)[0] > 0
+    closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
     deep = np.abs(depth) > np.median(np.abs(depth[closed])) if closed.any() else closed
     grows = depth * rate > 0
     return [(closed & deep, closed & ~deep), (closed & grows, closed & ~grows)]
@@ -320,5 +320,5 @@ def _motion(fit: LawFit) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarra
 
 
 def _depth_m(fit: LawFit, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
-    lower, upper, _, _ = fit.state.form.contacts(fit.state.law)[0]
+    lower, upper, _, _ = fit.state.form.contacts(fit.state.law_parameters)[0]
     return np.asarray(eta_m - np.clip(eta_m, -lower, upper))

@@ -32,7 +32,7 @@ DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
 OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
 """Distance of the middle of the play from zero, m."""
 
-Law = Float[np.ndarray, " laws"]
+LawParameters = Float[np.ndarray, " laws"]
 """Values of the parameters of `LAW`, contact by contact."""
 NominalLaws = Float[np.ndarray, "contacts 4"]
 """Values of the parameters of `LAW` in rig.json."""
@@ -56,39 +56,39 @@ class LawForm:
         """Number of further parameters behind those of `LAW`: 1 for a power law, else 0."""
         return int(self.name == "power law")
 
-    def contacts(self, law: Law) -> Float[np.ndarray, "contacts 4"]:
+    def contacts(self, law_parameters: LawParameters) -> Float[np.ndarray, "contacts 4"]:
         """Parameters of `LAW` by contact."""
-        return law[: law.size - self.shapes].reshape(-1, len(LAW))
+        return law_parameters[: law_parameters.size - self.shapes].reshape(-1, len(LAW))
 
-    def exponent(self, law: Law) -> float:
-        return float(law[-1]) if self.shapes else 1.0
+    def exponent(self, law_parameters: LawParameters) -> float:
+        return float(law_parameters[-1]) if self.shapes else 1.0
 
-    def is_possible(self, law: Law) -> bool:
+    def is_possible(self, law_parameters: LawParameters) -> bool:
         """True if every parameter lies in its range and each stiffness is positive."""
-        contacts, (lowest, highest) = self.contacts(law), EXPONENTS
-        inside = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
-        return bool(inside and lowest <= self.exponent(law) <= highest)
+        contacts, (lowest, highest) = self.contacts(law_parameters), EXPONENTS
+        within_bounds = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
+        return bool(within_bounds and lowest <= self.exponent(law_parameters) <= highest)
 
-    def force_n(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    def force_n(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
         each."""
         force = np.zeros_like(eta_m)
-        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
             force += contribution.force_n
         return force
 
-    def slopes(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
+    def slopes(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
         """Derivatives of the force by displacement (N/m) and by velocity (N s/m)."""
         by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
-        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
             by_stiffness += contribution.slope_n_per_m
             by_damping += contribution.damping_n_s_per_m * contribution.closed
         return by_stiffness, by_damping
 
-    def derivatives(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
+    def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
         rows, by_exponent = [], np.zeros_like(eta_m)
-        for contribution in self._contributions(law, eta_m, rate_m_per_s):
+        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
             lower = contribution.slope_n_per_m * (contribution.depth_m < 0)
             rows += [
                 lower,
@@ -101,12 +101,16 @@ class LawForm:
                 by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(share)
         return [*rows, by_exponent] if self.shapes else rows
 
-    def _contributions(self, law: Law, eta_m: Signal, rate_m_per_s: Signal) -> "list[_Contribution]":
-        exponent = self.exponent(law)
-        return [self._contribution(row, exponent, eta_m, rate_m_per_s) for row in self.contacts(law)]
+    def _contributions(
+        self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
+    ) -> "list[_Contribution]":
+        exponent = self.exponent(law_parameters)
+        return [self._contribution(row, exponent, eta_m, rate_m_per_s) for row in self.contacts(law_parameters)]
 
-    def _contribution(self, row: Law, exponent: float, eta_m: Signal, rate_m_per_s: Signal) -> "_Contribution":
-        lower, upper, stiffness, damping = row.tolist()
+    def _contribution(
+        self, contact_parameters: LawParameters, exponent: float, eta_m: Signal, rate_m_per_s: Signal
+    ) -> "_Contribution":
+        lower, upper, stiffness, damping = contact_parameters.tolist()
         spring, damper = (
             DeadZone(
                 lower_clearance_m=lower,
@@ -147,7 +151,9 @@ class _Contribution:
 DEAD_ZONE = LawForm()
 
 
-def by_stiffness_and_damping(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
+def by_stiffness_and_damping(
+    law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
+) -> tuple[Signal, Signal]:
     """Forces of a dead zone of unit stiffness and of one of unit damping, for a contact's motion."""
-    (contribution,) = DEAD_ZONE._contributions(law, eta_m, rate_m_per_s)
+    (contribution,) = DEAD_ZONE._contributions(law_parameters, eta_m, rate_m_per_s)
     return contribution.spring_m, contribution.damper

@@ -11,7 +11,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.sparse import csr_matrix, diags, spmatrix
 
 from identify.contacts.contact_record import ContactRecord
-from identify.contacts.law_form import Law, LawForm
+from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
 from identify.signals.law_evaluation import evaluated
@@ -24,7 +24,7 @@ BAND = 3
 
 Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
-Guess = tuple[Law, Knots]
+Guess = tuple[LawParameters, Knots]
 """Start of a fit: the law, and the drift's knots."""
 
 
@@ -32,7 +32,7 @@ Guess = tuple[Law, Knots]
 class State:
     """Parameters of a fit with residual and cost there; by_eta is the low-passed stiffness of the law, N/m."""
 
-    law: Law
+    law_parameters: LawParameters
     knots: Knots
     pulls: Pulls
     residual: Float[np.ndarray, " fewer"]
@@ -43,7 +43,7 @@ class State:
     @property
     def stiffness_n_per_m(self) -> float:
         """Stiffness of the contact that closes first, N/m."""
-        lower, upper, stiffness, _ = self.form.contacts(self.law).T
+        lower, upper, stiffness, _ = self.form.contacts(self.law_parameters).T
         return float(stiffness[np.argmin(np.minimum(lower, upper))])
 
 
@@ -72,15 +72,24 @@ def chunks(samples: int) -> Iterator[slice]:
     return (slice(first, first + CHUNK_SAMPLES) for first in range(0, samples, CHUNK_SAMPLES))
 
 
-def state_at(record: ContactRecord, curve: Spline, form: LawForm, law: Law, knots: Knots, pulls: Pulls) -> State:
+def state_at(
+    record: ContactRecord, curve: Spline, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls
+) -> State:
     """State at some parameters; its cost, which needs weights, is left infinite."""
     eta, velocity = corrected_motion(record, curve, knots, pulls)
-    fitted = evaluated(partial(form.force_n, law), np.stack([eta, velocity]), record.sample_rate_hz, record.factor)
+    fitted = evaluated(
+        partial(form.force_n, law_parameters), np.stack([eta, velocity]), record.sample_rate_hz, record.factor
+    )
     unfitted = record.force_n - _weighted_sum(pulls, record.nuisance_n) - fitted[: record.force_n.size]
     force_residual = unfitted / (1 - pulls @ record.noise_in_n)
-    stiffness, _ = form.slopes(law, eta, velocity)
+    stiffness, _ = form.slopes(law_parameters, eta, velocity)
     return State(
-        law, knots, pulls, force_residual - ground_force_n(record, curve) @ knots, _low_passed(record, stiffness), form
+        law_parameters,
+        knots,
+        pulls,
+        force_residual - ground_force_n(record, curve) @ knots,
+        _low_passed(record, stiffness),
+        form,
     )
 
 
@@ -115,8 +124,8 @@ def _weighted_sum(
 def jacobian(record: ContactRecord, curve: Spline, state: State) -> Jacobian:
     """Jacobian of the fitted force at a state."""
     eta, velocity = corrected_motion(record, curve, state.knots, state.pulls)
-    by_stiffness, by_damping = state.form.slopes(state.law, eta, velocity)
-    by_law = state.form.derivatives(state.law, eta, velocity)
+    by_stiffness, by_damping = state.form.slopes(state.law_parameters, eta, velocity)
+    by_law = state.form.derivatives(state.law_parameters, eta, velocity)
     by_drift = diags(state.by_eta) @ curve.value[:: record.factor][: record.force_n.size]
     force_residual, slow_n = state.residual + ground_force_n(record, curve) @ state.knots, by_drift @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
@@ -181,10 +190,10 @@ def normal_equations(
 
     Raises ContactRefusedError if they are singular.
     """
-    pulls, free = state.pulls.size, to_law.shape[1]
-    dense_block = np.diag(np.r_[np.full(pulls, record.sample_ratio), np.zeros(free)])
+    pull_count, free = state.pulls.size, to_law.shape[1]
+    dense_block = np.diag(np.r_[np.full(pull_count, record.sample_ratio), np.zeros(free)])
     gradient = np.r_[-record.sample_ratio * state.pulls, np.zeros(free)]
-    mixed, weighted_residual = np.zeros((curve.knots, pulls + free)), weights * state.residual
+    mixed, weighted_residual = np.zeros((curve.knots, pull_count + free)), weights * state.residual
     by_knots = csr_matrix(diags(weights) @ derivatives.by_knots)
     for chunk in chunks(weighted_residual.size):
         rows = np.concatenate([derivatives.by_pulls[chunk], derivatives.by_law[chunk] @ to_law], axis=1)
@@ -205,8 +214,8 @@ def normal_equations(
 
 def _banded(matrix: spmatrix) -> Float[np.ndarray, "band knots"]:
     """Cholesky factor of a symmetric matrix with `BAND` diagonals on either side."""
-    knots = matrix.shape[0]
-    upper = np.zeros((BAND + 1, knots))
-    for diagonal in range(min(BAND + 1, knots)):
+    knot_count = matrix.shape[0]
+    upper = np.zeros((BAND + 1, knot_count))
+    for diagonal in range(min(BAND + 1, knot_count)):
         upper[BAND - diagonal, diagonal:] = matrix.diagonal(diagonal)
-    return np.asarray(cholesky_banded(upper)) if knots else upper
+    return np.asarray(cholesky_banded(upper)) if knot_count else upper

@@ -251,7 +251,7 @@ def _values(result: Identification, laws: Laws, laws_name: str) -> str:
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
-    for name, estimate, reference, unit, scale in (
+    for name, estimate, reference_value, unit, scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
         ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
@@ -259,8 +259,8 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
     ):
         if estimate is not None:
-            difference = f"{100 * (estimate.value / reference - 1):+.3f} %" if reference else ""
-            yield f"{name}, {unit}", _interval(estimate, "1", scale), number(scale * reference), difference
+            difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if reference_value else ""
+            yield f"{name}, {unit}", _interval(estimate, "1", scale), number(scale * reference_value), difference
 
 
 def _refusals(result: Identification) -> str:

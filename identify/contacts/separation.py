@@ -68,12 +68,12 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     if motion.zero_known:
         _check_displacements(rig, motion)
     noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
-    places = joined(rig)
+    joined_rig = joined(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
-    forces = separated_forces(places, motion, factor, noise, tolerances, from_rest)
+    forces = separated_forces(joined_rig, motion, factor, noise, tolerances, from_rest)
     if recording.start_s > 0 or not from_rest:
-        motion, forces = _without_start(recording, places, motion, forces, from_rest)
-    records = _records(places, motion, noise, forces, tolerances)
+        motion, forces = _without_start(recording, joined_rig, motion, forces, from_rest)
+    records = _records(joined_rig, motion, noise, forces, tolerances)
     return Separation(rig, motion, forces, joined_contacts(rig), records, pull)
 
 
@@ -111,14 +111,14 @@ def vibrates_to_hz(motion: Kinematics) -> float:
 
 
 def _without_start(
-    recording: Recording, places: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
+    recording: Recording, joined_rig: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
 ) -> tuple[Kinematics, ContactForces]:
     """Motion and contact forces without the start, in which the beams ring of what was before.
 
     Raises ContactRefusedError if too little is left.
     """
     rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
-    at_start_s = RING_S if from_rest else start_left_out_s(places, forces.slow_n_per_m)
+    at_start_s = RING_S if from_rest else start_left_out_s(joined_rig, forces.slow_n_per_m)
     skipped = round(at_start_s * rate_hz / forces.factor)
     if (samples - skipped) * forces.factor < SHORTEST_S * rate_hz:
         raise _too_short(recording, at_start_s, samples * forces.factor, motion.zero_known)
@@ -215,10 +215,10 @@ def _records(
 def drift_of(
     rig: Rig,
     motion: Kinematics,
-    contact: int,
+    contact_index: int,
     noise: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
-    samples: int,
+    sample_count: int,
 ) -> Drift | None:
     """Drift of a contact: prior of the slow part of its relative displacement; None where no slow motion is lost.
 
@@ -226,19 +226,19 @@ def drift_of(
     """
     if motion.zero_known:
         return None
-    stations = contact_stations(rig.contacts[contact])
+    stations = contact_stations(rig.contacts[contact_index])
     missing = [s for s in stations if motion.row(s) is None]
     if missing:
         raise refused(
             RefusalCode.NO_ACCELEROMETER,
-            contact=rig.contacts[contact].name,
+            contact=rig.contacts[contact_index].name,
             position_m=missing[0].position_m,
             body=missing[0].body,
         )
     slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
     densities = [_density(motion, s, noise, tolerances) for s in stations]
     return Drift(
-        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:samples],
+        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )

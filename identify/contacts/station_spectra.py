@@ -67,7 +67,7 @@ class SpectralLines:
         return np.asarray(np.fft.irfft(real_at_zero, self.length // self.factor)[..., :samples] / self.factor)
 
     @property
-    def similar_lines(self) -> int:
+    def correlated_line_count(self) -> int:
         """Number of neighbouring lines over which errors are averaged."""
         return max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))
 
@@ -75,24 +75,26 @@ class SpectralLines:
 @dataclass(frozen=True)
 class StationErrors:
     """Errors of the stations: variance of the sensors' noise on each line, at least a floor, and the changes by one
-    standard deviation of every tolerance at the measured response, averaged over `similar_lines`."""
+    standard deviation of every tolerance at the measured response, averaged over `correlated_line_count`."""
 
     noise: Float[np.ndarray, "stations lines"]
     floor: float
     changes: tuple[Change, ...]
-    similar_lines: int
+    correlated_line_count: int
 
     def covariance(self, start: int, stop: int) -> Complex[np.ndarray, "some stations stations"]:
         """Covariance of the stations' errors on the lines from `start` to before `stop`."""
-        stations, lines = self.noise.shape
-        first, last = max(start - self.similar_lines, 0), min(stop + self.similar_lines, lines)
+        station_count, line_count = self.noise.shape
+        first, last = max(start - self.correlated_line_count, 0), min(stop + self.correlated_line_count, line_count)
         interior = slice(start - first, stop - first)
-        covariance = np.zeros((stations, stations, stop - start), dtype=complex)
-        index = np.arange(stations)
+        covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
+        index = np.arange(station_count)
         covariance[index, index] = self.noise[:, start:stop] + max(LEAST_VARIANCE_SHARE * self._mean, self.floor)
         for change in self.changes:
             rows, delivered = np.array(change.sensors), change.delivered[:, first:last]
-            products = uniform_filter1d(delivered[:, None] * delivered[None].conj(), self.similar_lines, axis=-1)
+            products = uniform_filter1d(
+                delivered[:, None] * delivered[None].conj(), self.correlated_line_count, axis=-1
+            )
             covariance[rows[:, None], rows[None]] += products[..., interior]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
@@ -104,9 +106,9 @@ class StationErrors:
 
     def chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
         """Lines from `start` on, chunk by chunk, with their covariance."""
-        lines = self.noise.shape[1]
-        for first in range(start, lines, CHUNK_LINES):
-            last = min(first + CHUNK_LINES, lines)
+        line_count = self.noise.shape[1]
+        for first in range(start, line_count, CHUNK_LINES):
+            last = min(first + CHUNK_LINES, line_count)
             yield slice(first, last), self.covariance(first, last)
 
 
@@ -128,7 +130,7 @@ def observed_motion(
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
-    modal_accelerations = times(transform.inverse, accelerations[list(transform.rows)])
+    modal_accelerations = times(transform.inverse_shapes, accelerations[list(transform.rows)])
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
@@ -151,15 +153,15 @@ def full_motion(
 
     and are subtracted from the stations' accelerations before the others are determined.
     """
-    observed_modes = len(transformation(rig, response.body, motion).inverse)
+    observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
     modal_force = times(input_shapes(rig, response, rig.forces).T, np.concatenate([forces, contact_forces]))
-    hidden = response.accelerance[observed_modes:] * modal_force[observed_modes:]
-    visible = accelerations - times(response.shapes(motion.stations)[:, observed_modes:], hidden)
+    hidden = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
+    visible = accelerations - times(response.shapes(motion.stations)[:, observed_mode_count:], hidden)
     observed = observed_motion(rig, response, motion, visible)
     return replace(
         observed,
         acceleration=np.concatenate([observed.acceleration, hidden]),
-        elastic=elastic_modes(response, max(observed_modes, _modes_near_band(response))),
+        elastic=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
     )
 
 
@@ -200,7 +202,7 @@ def initial_states(
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
     untapered = replace(lines, tapered=False)
-    samples, silent_samples, forces = motion.samples, lines.length - motion.samples, len(motion.forces_n)
+    samples, silent_samples, force_count = motion.samples, lines.length - motion.samples, len(motion.forces_n)
     motions, at_start, at_end = free_motions(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
     orders = [s.measures.order for s in motion.sensors]
 
@@ -215,9 +217,9 @@ def initial_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
         np.concatenate([at_start[0], at_end[0]]),
         np.concatenate([at_start[1], at_end[1]]),
-        measured - np.sum(by_input[:forces] * untapered.spectra(motion.forces_n)[:, None], axis=0),
-        by_input[forces:],
+        measured - np.sum(by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
+        by_input[force_count:],
         errors.chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
-        alike=lines.similar_lines,
+        correlated_line_count=lines.correlated_line_count,
     )
     return states.initial_states(spectra_of(lines, samples), np.flatnonzero(is_held))

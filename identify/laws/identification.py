@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.contacts.acceptance import Contacts, checked_contacts
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import Law, LawForm
+from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate, unanswered
 from identify.laws.fitted_laws import (
@@ -301,10 +301,12 @@ def _drift_corrected(
     return ForceSamples(eta, force, contact_record.sample_rate_hz, contact_record.factor), velocity
 
 
-def _damping_force_n(law: Law, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+def _damping_force_n(law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
     """Part of a joint estimate's force that vanishes at rest."""
     form = LawForm()
-    return form.force_n(law, eta_m, rate_m_per_s) - form.force_n(law, eta_m, np.zeros_like(rate_m_per_s))
+    return form.force_n(law_parameters, eta_m, rate_m_per_s) - form.force_n(
+        law_parameters, eta_m, np.zeros_like(rate_m_per_s)
+    )
 
 
 def _evenly_spread(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:

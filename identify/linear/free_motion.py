@@ -95,7 +95,7 @@ def free_motions(
     moves as a free one: the part that integration loses.
     """
     time_s = np.arange(max(motion.samples, length - motion.samples)) / motion.sample_rate_hz
-    motions, mean, deviation, wide_deviation = list[FreeMotion](), list[float](), list[float](), list[float]()
+    motions, prior_mean, deviation, wide_deviation = list[FreeMotion](), list[float](), list[float](), list[float]()
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
@@ -115,10 +115,10 @@ def free_motions(
             for order in range(2):
                 rows = free_motion(float(hz[m]), float(zeta[m]), order, time_s)
                 motions.append(FreeMotion(rows, shapes[:, m], m not in response.dynamics.high_passed))
-                mean.append(float(coordinates[order, m, 0]) if is_measured else 0.0)
+                prior_mean.append(float(coordinates[order, m, 0]) if is_measured else 0.0)
                 wide_deviation.append(WIDE_PRIOR * (amplitude * omega**order))
                 deviation.append(MEASURED_PRIOR * (amplitude * omega**order) if is_measured else wide_deviation[-1])
-    return motions, (np.array(mean), np.array(deviation)), (np.zeros(len(mean)), np.array(wide_deviation))
+    return motions, (np.array(prior_mean), np.array(deviation)), (np.zeros(len(prior_mean)), np.array(wide_deviation))
 
 
 @dataclass(frozen=True)
@@ -172,60 +172,60 @@ def free_spectra(
 
 def estimated_states(
     spectra: Complex[np.ndarray, "values stations lines"],
-    mean: Float[np.ndarray, " values"],
-    deviation: Float[np.ndarray, " values"],
+    prior_mean: Float[np.ndarray, " values"],
+    prior_deviation: Float[np.ndarray, " values"],
     unexplained: Complex[np.ndarray, "stations lines"],
     by_contacts: Complex[np.ndarray, "contacts stations lines"],
     errors: Covariances,
-    alike: int,
+    correlated_line_count: int,
 ) -> StateEstimate:
     """Initial values theta by generalised least squares, and their covariance.
 
     unexplained = sum_i theta_i spectra_i + sum_j by_contacts_j f_j + error, with contact forces f_j free at every line
-    and the prior mean and deviation of theta. errors are the lines used, batch by batch, with their covariances;
-    `alike` neighbouring lines have correlated errors and count as one. Poorly determined directions shrink to the mean.
+    and the prior mean and deviation of theta. errors are the lines used, batch by batch, with their covariances; the
+    errors of `correlated_line_count` neighbouring lines count as one. Poorly determined directions shrink to the mean.
     """
-    normal, gradient = np.diag(deviation**-2), np.zeros_like(mean)
-    unexplained = unexplained - np.einsum("i,isf->sf", mean, spectra)
+    normal, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
+    unexplained = unexplained - np.einsum("i,isf->sf", prior_mean, spectra)
     for rows in without_free_inputs([spectra, unexplained[None]], by_contacts, errors):
         flat = np.concatenate([rows.real, rows.imag])
-        normal += 2 / alike * flat[:, :-1].T @ flat[:, :-1]
-        gradient += 2 / alike * flat[:, :-1].T @ flat[:, -1]
-    information, directions = np.linalg.eigh(normal * deviation[:, None] * deviation)
-    root = deviation[:, None] * directions
+        normal += 2 / correlated_line_count * flat[:, :-1].T @ flat[:, :-1]
+        gradient += 2 / correlated_line_count * flat[:, :-1].T @ flat[:, -1]
+    information, directions = np.linalg.eigh(normal * prior_deviation[:, None] * prior_deviation)
+    root = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    shrinkage = (information - 1) / (information + SHRINKAGE)
-    return StateEstimate(mean + root @ (shrinkage / information * (root.T @ gradient)), (root / information) @ root.T)
+    shrunk = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
+    return StateEstimate(prior_mean + root @ shrunk, (root / information) @ root.T)
 
 
 @dataclass(frozen=True, eq=False)
 class FreeMode:
     """Free motion of one mode (counted from 0) of a body, with its shape at the sensors.
 
-    units are the accelerations of its coordinate per unit of its initial displacement and velocity, sensed_units the
-    same as sampled sensors show them. state holds both initial values times the sample rate, as spectra are sums.
+    unit_accelerations are its coordinate's per unit of initial displacement and velocity, the sensed ones those that
+    sampled sensors show. initial_state holds both initial values times the sample rate, as spectra are sums.
     """
 
-    body: int
-    mode: int
+    body_index: int
+    mode_index: int
     shape: Float[np.ndarray, " sensors"]
-    units: Complex[np.ndarray, "2 lines"]
-    sensed_units: Complex[np.ndarray, "2 lines"]
-    state: Float[np.ndarray, " 2"]
+    unit_accelerations: Complex[np.ndarray, "2 lines"]
+    sensed_unit_accelerations: Complex[np.ndarray, "2 lines"]
+    initial_state: Float[np.ndarray, " 2"]
 
     @property
     def acceleration(self) -> Complex[np.ndarray, " lines"]:
-        return np.asarray(self.state @ self.units)
+        return np.asarray(self.initial_state @ self.unit_accelerations)
 
     @property
     def sensed(self) -> Complex[np.ndarray, "sensors lines"]:
         """Acceleration by the free motion that the sensors show."""
-        return np.outer(self.shape, self.state @ self.sensed_units)
+        return np.outer(self.shape, self.initial_state @ self.sensed_unit_accelerations)
 
     @property
     def not_sensed(self) -> Complex[np.ndarray, "sensors lines"]:
         """Acceleration by the free motion that the sensors miss."""
-        return np.outer(self.shape, self.state @ (self.units - self.sensed_units))
+        return np.outer(self.shape, self.initial_state @ (self.unit_accelerations - self.sensed_unit_accelerations))
 
 
 @dataclass(frozen=True)
@@ -235,25 +235,25 @@ class Sampling:
     order: int
     rate_hz: float
     samples: int
-    fading: int
+    fading_samples: int
 
 
 def free_modes(
     responses: Sequence[Response],
     modes: Sequence[Int[np.ndarray, "_"]],
-    places: Sequence[Station | None],
+    sensor_stations: Sequence[Station | None],
     sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
     """Free modes of each body at zero amplitude; without a sampling the sensors miss nothing of them."""
     free = []
-    for body, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
-        dynamics, shapes = response.dynamics, response.shapes(places)
+    for body_index, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
+        dynamics, shapes = response.dynamics, response.shapes(sensor_stations)
         for m in chosen.tolist():
             hz, zeta = float(dynamics.natural_hz[m]), float(dynamics.damping_ratios[m])
             accelerance = response.accelerance[m]
-            units = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
-            sensed_units = _sampled_units(hz, zeta, dynamics.omega, sampling) if sampling and hz else units
-            free.append(FreeMode(body, m, shapes[:, m], units, sensed_units, np.zeros(2)))
+            accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
+            sensed = _sampled_accelerations(hz, zeta, dynamics.omega, sampling) if sampling and hz else accelerations
+            free.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
     return tuple(free)
 
 
@@ -265,9 +265,9 @@ def tapered_sum(pole: complex, omega: Float[np.ndarray, " lines"], sampling: Sam
         g(z, M) - 1/2 + z^M [ g(z, F) / 2 + (c g(c z, F) + c* g(c* z, F)) / 4 ],   c = exp(i pi / F)
     """
     exponent = (pole - 1j * omega) / sampling.rate_hz
-    constant, phase = sampling.samples - sampling.fading, 1j * np.pi / sampling.fading
-    fading = 0.5 * _geometric(exponent, sampling.fading) + 0.25 * sum(
-        np.exp(c) * _geometric(exponent + c, sampling.fading) for c in (phase, -phase)
+    constant, phase = sampling.samples - sampling.fading_samples, 1j * np.pi / sampling.fading_samples
+    fading = 0.5 * _geometric(exponent, sampling.fading_samples) + 0.25 * sum(
+        np.exp(c) * _geometric(exponent + c, sampling.fading_samples) for c in (phase, -phase)
     )
     return np.asarray(_geometric(exponent, constant) - 0.5 + np.exp(constant * exponent) * fading)
 
@@ -278,7 +278,7 @@ def _geometric(exponent: Complex[np.ndarray, " lines"], count: int) -> Complex[n
     return np.divide(np.expm1(count * exponent), step, out=np.full(exponent.shape, count, complex), where=step != 0)
 
 
-def _sampled_units(
+def _sampled_accelerations(
     natural_hz: float, damping_ratio: float, omega: Float[np.ndarray, " lines"], sampling: Sampling
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
@@ -293,12 +293,12 @@ def tuning_derivative(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Derivative of a mode's sensed acceleration by the logarithm of its frequency or of its damping ratio."""
     dynamics = response.dynamics
-    hz, zeta = float(dynamics.natural_hz[motion.mode]), float(dynamics.damping_ratios[motion.mode])
+    hz, zeta = float(dynamics.natural_hz[motion.mode_index]), float(dynamics.damping_ratios[motion.mode_index])
     if not hz:
         return np.zeros_like(motion.sensed)
     factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
     tuned = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in factors)
-    below, above = (motion.state @ _sampled_units(*mode, dynamics.omega, sampling) for mode in tuned)
+    below, above = (motion.initial_state @ _sampled_accelerations(*mode, dynamics.omega, sampling) for mode in tuned)
     return np.outer(motion.shape, above - below) / (2 * RELATIVE_STEP)
 
 
@@ -313,19 +313,19 @@ def fitted_modes(
     With the sensors' response S to acceleration, in standard deviations (scaled_response), their shapes Phi and the
     projection B T, the accelerations of any two modes are weighted line by line by N = Phi S* (1 - B T) S Phi'.
     """
-    shapes, units = np.array([m.shape for m in motions]), np.array([m.sensed_units for m in motions])
+    shapes, per_unit = np.array([m.shape for m in motions]), np.array([m.sensed_unit_accelerations for m in motions])
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
-    weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *units.shape[::2]).astype(complex)
+    weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *per_unit.shape[::2]).astype(complex)
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
         weights -= times(shapes, scaled_response.conj() * by_input)[:, None] * times(shapes, scaled_response * to_input)
-    weighted_units = (weights[:, :, None] * units).reshape(len(units), -1, units.shape[2])
+    weighted = (weights[:, :, None] * per_unit).reshape(len(per_unit), -1, per_unit.shape[2])
     weighted_residual = times(shapes, scaled_response.conj() * residual)[:, None]
-    normal = np.concatenate([_products(unit, rows) for unit, rows in zip(units, weighted_units, strict=True)])
-    gradient = np.concatenate([_products(unit, row) for unit, row in zip(units, weighted_residual, strict=True)])
+    normal = np.concatenate([_products(rows, columns) for rows, columns in zip(per_unit, weighted, strict=True)])
+    gradient = np.concatenate([_products(rows, row) for rows, row in zip(per_unit, weighted_residual, strict=True)])
     norms = np.sqrt(np.diag(normal))
     scale = np.divide(1.0, norms, out=np.zeros_like(norms), where=norms > 0)
     states = scale * (np.linalg.pinv(scale[:, None] * normal * scale, hermitian=True) @ (scale * gradient[:, 0]))
-    return tuple(replace(m, state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
+    return tuple(replace(m, initial_state=state) for m, state in zip(motions, states.reshape(-1, 2), strict=True))
 
 
 def _products(
@@ -343,8 +343,8 @@ def state_changes(
 ) -> Iterator[Change]:
     """Changes by each mode's initial displacement and velocity, scaled so that the sensors deliver this norm."""
     for motion in motions:
-        parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body], motion.mode + 1)
-        for unit in motion.sensed_units:
-            delivered = sensor_response * np.outer(motion.shape, unit)
+        parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body_index], motion.mode_index + 1)
+        for unit_acceleration in motion.sensed_unit_accelerations:
+            delivered = sensor_response * np.outer(motion.shape, unit_acceleration)
             scale = norm / max(float(np.linalg.norm(delivered)), 1e-300)
             yield Change(parameter, list(range(len(delivered))), delivered * scale)

@@ -17,7 +17,7 @@ NEARLY_INVISIBLE = 0.15
 
 @dataclass(frozen=True)
 class Transformation:
-    """Transformation from station displacements to modal coordinates of one body: q = inverse @ u (kg^1/2 m).
+    """Transformation from station displacements to modal coordinates of one body: q = inverse_shapes @ u (kg^1/2 m).
 
     lost is, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
     exciting force shake the body with a white spectrum up to the highest fitted frequency.
@@ -25,7 +25,7 @@ class Transformation:
 
     body: Body
     rows: tuple[int, ...]
-    inverse: Float[np.ndarray, "modes stations"]
+    inverse_shapes: Float[np.ndarray, "modes stations"]
     condition: float
     lost: Float[np.ndarray, " modes"]
 
@@ -67,50 +67,54 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
     if not rows:
         raise RigError(f"body {body.name!r} has no measured station; put a sensor on it")
-    places = np.array([motion.stations[i].position_m for i in rows])
-    modes = min(len(rows), body.max_modes)
-    shapes = body.shapes(places, modes)
+    positions_m = np.array([motion.stations[i].position_m for i in rows])
+    mode_count = min(len(rows), body.max_modes)
+    shapes = body.shapes(positions_m, mode_count)
     condition = float(np.linalg.cond(shapes))
     if condition > 1e3:
         raise RigError(
-            f"the stations of {body.name!r} do not tell {modes} modes apart (condition number {condition:.2g}); "
+            f"the stations of {body.name!r} do not tell {mode_count} modes apart (condition number {condition:.2g}); "
             "spread them over the body"
         )
-    inverse = np.linalg.pinv(shapes)
-    return Transformation(body, rows, inverse, condition, _truncation_error(rig, body, places, inverse))
+    inverse_shapes = np.linalg.pinv(shapes)
+    return Transformation(
+        body, rows, inverse_shapes, condition, _truncation_error(rig, body, positions_m, inverse_shapes)
+    )
 
 
 def modal_equations(
     rig: Rig,
     motion: Kinematics,
     body: Body,
-    modes: int = 4,
+    mode_count: int = 4,
     contact_force_n: Float[np.ndarray, "contacts samples"] | None = None,
 ) -> tuple[ModalEquation, ...]:
-    """First `modes` modal equations of a body, with their coordinates from the measured motion.
+    """First `mode_count` modal equations of a body, with their coordinates from the measured motion.
 
     Given the contact forces, the motion by the modes beyond the fitted ones is subtracted from the stations: the
     response of each is its receptance, as the rig's description has it, times its modal force. The last quarter second
     is then left out (`correctable_samples`), as the contact forces after the record's end are unknown.
     """
     transform = transformation(rig, body, motion)
-    modes = min(modes, transform.inverse.shape[0])
+    mode_count = min(mode_count, transform.inverse_shapes.shape[0])
     coordinates = [
-        transform.inverse[:modes] @ rows[list(transform.rows)]
+        transform.inverse_shapes[:mode_count] @ rows[list(transform.rows)]
         for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
-    at_forces = np.array([shape_at(body, station, modes) for station in rig.forces])
-    at_force = at_forces[np.argmax(np.abs(at_forces), axis=0), np.arange(modes)]
-    at_contacts = np.array([contact_shapes(rig, body, j, modes) for j in range(len(rig.contacts))]).reshape(-1, modes)
-    largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), modes)).max(axis=0)
+    at_forces = np.array([shape_at(body, station, mode_count) for station in rig.forces])
+    at_force = at_forces[np.argmax(np.abs(at_forces), axis=0), np.arange(mode_count)]
+    at_contacts = np.array([contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]).reshape(
+        -1, mode_count
+    )
+    largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
     return tuple(
         ModalEquation(
             body=body.name,
             index=i + 1,
-            frequency_hz=float(body.frequencies_hz(modes)[i]),
-            damping_ratio=float(body.damping_ratios(modes)[i]),
+            frequency_hz=float(body.frequencies_hz(mode_count)[i]),
+            damping_ratio=float(body.damping_ratios(mode_count)[i]),
             shape_at_force=float(at_force[i]),
             shape_at_contacts=at_contacts[:, i],
             visibility=tuple(float(abs(a) / largest[i]) for a in at_contacts[:, i]),
@@ -118,7 +122,7 @@ def modal_equations(
             velocity=coordinates[1][i],
             acceleration=coordinates[2][i],
         )
-        for i in range(modes)
+        for i in range(mode_count)
     )
 
 
@@ -146,12 +150,12 @@ def _without_higher_modes(
     contact_force_n: Float[np.ndarray, "contacts samples"],
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
-    body, fitted, keep = transform.body, len(transform.inverse), correctable_samples(motion)
+    body, fitted, keep = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
     length = next_fast_len(motion.samples, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
     forces = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
-    places = np.array([motion.stations[i].position_m for i in transform.rows])
-    in_coordinates = transform.inverse[: len(coordinates[0])] @ body.shapes(places, body.max_modes)
+    positions_m = np.array([motion.stations[i].position_m for i in transform.rows])
+    in_coordinates = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
     contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
     drive = np.stack([*(shape_at(body, s, body.max_modes) for s in rig.forces), *contacts])
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
@@ -181,11 +185,11 @@ def receptance(
     return np.reciprocal(stiff, out=stiff)
 
 
-def contact_shapes(rig: Rig, body: Body, contact: int, modes: int) -> Float[np.ndarray, " modes"]:
+def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Mode shapes in the relative displacement of a contact: that at its station minus that against it."""
-    both = rig.contacts[contact]
-    against = shape_at(body, both.against, modes) if both.against else 0.0
-    return np.asarray(shape_at(body, both.at, modes) - against)
+    contact = rig.contacts[contact_index]
+    against = shape_at(body, contact.against, mode_count) if contact.against else 0.0
+    return np.asarray(shape_at(body, contact.at, mode_count) - against)
 
 
 def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
@@ -209,22 +213,29 @@ def _relative(
             return rows[row]
         body = rig.body(station.body)
         transform = transformation(rig, body, motion)
-        shape = shape_at(body, station, transform.inverse.shape[0])
-        return np.asarray(shape @ transform.inverse @ rows[list(transform.rows)])
+        shape = shape_at(body, station, transform.inverse_shapes.shape[0])
+        return np.asarray(shape @ transform.inverse_shapes @ rows[list(transform.rows)])
 
     return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
-def shape_at(body: Body, station: Station, modes: int) -> Float[np.ndarray, " modes"]:
+def shape_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Shapes of a body at a station; zero at a station of another body."""
-    return body.shapes(np.array([station.position_m]), modes)[0] if station.body == body.name else np.zeros(modes)
+    return (
+        body.shapes(np.array([station.position_m]), mode_count)[0]
+        if station.body == body.name
+        else np.zeros(mode_count)
+    )
 
 
 def _truncation_error(
-    rig: Rig, body: Body, positions_m: Float[np.ndarray, " stations"], inverse: Float[np.ndarray, "modes stations"]
+    rig: Rig,
+    body: Body,
+    positions_m: Float[np.ndarray, " stations"],
+    inverse_shapes: Float[np.ndarray, "modes stations"],
 ) -> Float[np.ndarray, " modes"]:
     """Share of each fitted coordinate that the higher modes contribute (`Transformation.lost`)."""
-    fitted, all_modes = inverse.shape[0], body.max_modes
+    fitted, all_modes = inverse_shapes.shape[0], body.max_modes
     if fitted >= all_modes:
         return np.zeros(fitted)
     natural_hz = body.frequencies_hz(all_modes)
@@ -234,5 +245,5 @@ def _truncation_error(
     loaded += [s for s in rig.forces if s.body == body.name]
     drive = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
-    error = inverse @ body.shapes(positions_m, all_modes) - np.eye(fitted, all_modes)
+    error = inverse_shapes @ body.shapes(positions_m, all_modes) - np.eye(fitted, all_modes)
     return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted]))

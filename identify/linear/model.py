@@ -191,8 +191,8 @@ def accelerances(
     rig: Rig, responses: Sequence[Response], forces: Sequence[Station], stations: Sequence[Station | None]
 ) -> Complex[np.ndarray, "inputs stations lines"]:
     """Accelerations at some stations per newton of each force, then of each contact force f_j (-G_j)."""
-    lines = responses[0].cache.omega.size
-    accelerance = np.zeros((len(forces) + len(rig.contacts), len(stations), lines), dtype=complex)
+    line_count = responses[0].cache.omega.size
+    accelerance = np.zeros((len(forces) + len(rig.contacts), len(stations), line_count), dtype=complex)
     for response in responses:
         rows = [i for i, s in enumerate(stations) if s is not None and s.body == response.body.name]
         inputs = input_shapes(rig, response, forces)
@@ -214,15 +214,15 @@ def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
 
 
 def weights_of(
-    response: Response, places: list[Station | None], stations: list[Station | None]
+    response: Response, sensor_stations: list[Station | None], stations: list[Station | None]
 ) -> Float[np.ndarray, "stations sensors"]:
-    """Weights from a body's sensors to other places on it, by as many of its modes as it has sensors."""
-    rows = [i for i, place in enumerate(places) if place is not None and place.body == response.body.name]
-    weights = np.zeros((len(stations), len(places)))
+    """Weights from a body's sensors to other stations on it, by as many of its modes as it has sensors."""
+    rows = [i for i, place in enumerate(sensor_stations) if place is not None and place.body == response.body.name]
+    weights = np.zeros((len(stations), len(sensor_stations)))
     if rows:
         modes = min(len(rows), response.count)
-        inverse = np.linalg.pinv(response.shapes([places[i] for i in rows])[:, :modes])
-        weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse
+        inverse_shapes = np.linalg.pinv(response.shapes([sensor_stations[i] for i in rows])[:, :modes])
+        weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse_shapes
     return weights
 
 

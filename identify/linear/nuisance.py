@@ -40,15 +40,15 @@ class NuisanceKind(StrEnum):
 
 @dataclass(frozen=True)
 class Nuisance:
-    """One nuisance parameter of a sensor, a force, a record, a body or (mode counts from 1) a mode of a body."""
+    """One nuisance parameter of a sensor, a force, a record, a body, or a mode of a body (numbered from 1)."""
 
     kind: NuisanceKind
     of: str
-    mode: int | None = None
+    mode_number: int | None = None
 
     @property
     def name(self) -> str:
-        return f"{self.kind} of {self.of}" + ("" if self.mode is None else f" {self.mode}")
+        return f"{self.kind} of {self.of}" + ("" if self.mode_number is None else f" {self.mode_number}")
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ class Change:
         displaced = None if self.displaced is None else self.displaced.astype(np.complex64)
         return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
 
-    def at_all_sensors(self, sensors: int) -> Complex[np.ndarray, "sensors lines"]:
-        """Change at all sensors, of this number."""
-        delivered = np.zeros((sensors, self.delivered.shape[1]), dtype=complex)
+    def at_all_sensors(self, sensor_count: int) -> Complex[np.ndarray, "sensors lines"]:
+        """Change at all sensors."""
+        delivered = np.zeros((sensor_count, self.delivered.shape[1]), dtype=complex)
         delivered[self.sensors] = self.delivered
         return delivered
 

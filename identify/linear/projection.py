@@ -33,7 +33,7 @@ class Projection:
     by_input: Complex[np.ndarray, "inputs sensors lines"]
     to_inputs: Complex[np.ndarray, "inputs sensors lines"]
     deviation: Float[np.ndarray, "sensors lines"]
-    free: int
+    free_count: int
 
     def of(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
@@ -42,10 +42,10 @@ class Projection:
 
         The inputs with a prior are the residual's last rows.
         """
-        standard = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standard)
-        residual = unexplained(self.by_input, inputs, standard, sensors)
-        return np.concatenate([residual, inputs[self.free :]]), inputs[: self.free]
+        standardised = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
+        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standardised)
+        residual = unexplained(self.by_input, inputs, standardised, sensors)
+        return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
     def single(self) -> "Projection":
         """Projection in single precision, half as large: enough for derivatives."""
@@ -53,37 +53,41 @@ class Projection:
 
 
 def projection(
-    by_input: Complex[np.ndarray, "inputs sensors lines"], deviation: Float[np.ndarray, "sensors lines"], free: int
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    deviation: Float[np.ndarray, "sensors lines"],
+    free_count: int,
 ) -> Projection:
     """Projection of unknown inputs, with `by_input` in standard deviations."""
-    to_inputs = _solved(_normal(by_input, by_input, free), by_input.conj())
-    return Projection(by_input, to_inputs, deviation, free)
+    to_inputs = _solved(_normal(by_input, by_input, free_count), by_input.conj())
+    return Projection(by_input, to_inputs, deviation, free_count)
 
 
 def estimated_inputs(
-    by_input: Complex[np.ndarray, "inputs sensors lines"], standard: Complex[np.ndarray, "sensors lines"], free: int
+    by_input: Complex[np.ndarray, "inputs sensors lines"],
+    standardised: Complex[np.ndarray, "sensors lines"],
+    free_count: int,
 ) -> tuple[Complex[np.ndarray, "inputs lines"], float]:
     """Inputs of one set of accelerations, both in standard deviations; and ln(det N / det N of the free inputs alone).
 
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
-    normal = _normal(by_input, by_input, free)
-    inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standard)[:, None])[:, 0]
-    if free == len(by_input):
+    normal = _normal(by_input, by_input, free_count)
+    inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
+    if free_count == len(by_input):
         return inputs, 0.0
-    wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free, :free]))
+    wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count]))
     return inputs, float(wide - narrow)
 
 
 def unexplained(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
-    standard: Complex[np.ndarray, "some lines"],
+    standardised: Complex[np.ndarray, "some lines"],
     sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Residual r = y - B x of accelerations that some sensors deliver."""
     residual = -np.einsum("isl,il->sl", by_input, inputs)
-    residual[sensors] += standard
+    residual[sensors] += standardised
     return residual
 
 
@@ -115,15 +119,15 @@ def without_free_inputs(
 
     With C = L L^H, those of y = L^-1 column and B = L^-1 by_input.
     """
-    inputs = len(by_input)
+    input_count = len(by_input)
     for lines, covariance in covariances:
         root = np.linalg.cholesky(covariance)
         rows = _line_by_line(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
-        standard = np.linalg.solve(root, rows)
-        standard_inputs, standard_columns = standard[..., :inputs], standard[..., inputs:]
-        products = (standard_inputs.conj().transpose(0, 2, 1) @ standard_columns).transpose(1, 2, 0)
-        normal = _normal(standard_inputs.transpose(2, 1, 0), standard_inputs.transpose(2, 1, 0), inputs)
-        residual = standard_columns - standard_inputs @ _solved(normal, products).transpose(2, 0, 1)
+        standardised = np.linalg.solve(root, rows)
+        standardised_inputs, standardised_columns = standardised[..., :input_count], standardised[..., input_count:]
+        products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
+        normal = _normal(standardised_inputs.transpose(2, 1, 0), standardised_inputs.transpose(2, 1, 0), input_count)
+        residual = standardised_columns - standardised_inputs @ _solved(normal, products).transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
 
@@ -131,27 +135,27 @@ def complement(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
 ) -> Complex[np.ndarray, "lines rows sensors"]:
     """Orthonormal rows that no input reaches, line by line: |rows y|^2 = |r|^2 for free inputs."""
-    inputs, sensors, lines = by_input.shape
-    if not inputs:
-        return np.broadcast_to(np.eye(sensors, dtype=complex), (lines, sensors, sensors))
-    if inputs >= sensors:
-        return np.zeros((lines, 0, sensors), dtype=complex)
+    input_count, sensor_count, line_count = by_input.shape
+    if not input_count:
+        return np.broadcast_to(np.eye(sensor_count, dtype=complex), (line_count, sensor_count, sensor_count))
+    if input_count >= sensor_count:
+        return np.zeros((line_count, 0, sensor_count), dtype=complex)
     unitary = np.linalg.qr(by_input.transpose(2, 1, 0), mode="complete")[0]
-    return np.ascontiguousarray(unitary[:, :, inputs:].conj().transpose(0, 2, 1))
+    return np.ascontiguousarray(unitary[:, :, input_count:].conj().transpose(0, 2, 1))
 
 
 def _normal(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     weighted: Complex[np.ndarray, "inputs sensors lines"],
-    free: int,
+    free_count: int,
 ) -> Complex[np.ndarray, "lines inputs inputs"]:
     """N = weighted^H B + P, weighted = C^-1 B, line by line."""
-    inputs, _, lines = by_input.shape
-    normal = np.empty((lines, inputs, inputs), dtype=complex)
+    input_count, _, line_count = by_input.shape
+    normal = np.empty((line_count, input_count, input_count), dtype=complex)
     for i, column in enumerate(weighted.conj()):
         normal[:, i, i:] = np.einsum("sl,jsl->lj", column, by_input[i:])
         normal[:, i:, i] = normal[:, i, i:].conj()
-        normal[:, i, i] += RIDGE_SHARE * normal[:, i, i].real + MIN_RIDGE + (i >= free)
+        normal[:, i, i] += RIDGE_SHARE * normal[:, i, i].real + MIN_RIDGE + (i >= free_count)
     return normal
 
 

@@ -87,7 +87,7 @@ def nifo(
             spectra[0] += rate * spectra[-2]
         return spectra
 
-    weights, inverse = line_by_line(channel_spectra, len(blocks.starts))
+    weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
     frf = weights[:, 0]
     stiffness = -weights[:, 1 : 1 + len(active)] / frf[:, None]
 
@@ -100,7 +100,7 @@ def nifo(
         return stiffness_changes.real.sum(axis=0) / frf.size
 
     variance = variance_of_sum(
-        lambda chosen: influences(channel_spectra, chosen, weights, inverse, mean_stiffness_influence),
+        lambda chosen: influences(channel_spectra, chosen, weights, inverse_normal, mean_stiffness_influence),
         len(blocks.starts),
     )
     return Nifo(

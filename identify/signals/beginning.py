@@ -46,7 +46,7 @@ def excitation_start(
     return 0 if is_moving else onset
 
 
-def lead_in(signal: Float[np.ndarray, " samples"], samples: int) -> Float[np.ndarray, " before"]:
+def lead_in(signal: Float[np.ndarray, " samples"], sample_count: int) -> Float[np.ndarray, " before"]:
     """Lead-in that keeps a signal's value and slope continuous at its start: its point reflection, faded in."""
-    reflection = 2 * signal[0] - signal[samples:0:-1]
-    return np.asarray(reflection * np.sin(np.pi / 2 * (np.arange(samples) + 0.5) / samples) ** 2)
+    reflection = 2 * signal[0] - signal[sample_count:0:-1]
+    return np.asarray(reflection * np.sin(np.pi / 2 * (np.arange(sample_count) + 0.5) / sample_count) ** 2)

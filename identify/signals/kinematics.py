@@ -103,35 +103,35 @@ class Kinematics:
 class _PaddedTransform:
     """Fourier transform of a record: its samples times `ending`, zeros after them, `length` samples in all.
 
-    The zeros keep the record's end, which integration falsifies, from wrapping round to its start. usable is the number
-    of right samples of the motion, lead that of made-up samples before the first for differentiation.
+    The zeros keep the record's end, which integration falsifies, from wrapping round to its start. usable_count is the
+    number of right samples of the motion, lead_samples that of made-up samples before the first for differentiation.
     """
 
     corner_hz: float
     ending: Float[np.ndarray, " samples"]
     length: int
     omega: Float[np.ndarray, " lines"]
-    usable: int
+    usable_count: int
     excited_from: int
-    lead: int
+    lead_samples: int
 
     def spectrum(
-        self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead: int
+        self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead_samples: int
     ) -> Complex[np.ndarray, " lines"]:
         """Spectrum of the motion behind a sensor's signal: its chain divided out, where it lets anything pass.
 
-        `lead` samples of a lead-in stand before the first sample, at the end of the transform's input.
+        `lead_samples` of a lead-in stand before the first sample, at the end of the transform's input.
         """
         padded = np.zeros(self.length)
         padded[: delivered.size] = delivered * self.ending
-        if lead:
-            padded[-lead:] = lead_in(padded[: delivered.size], lead)
+        if lead_samples:
+            padded[-lead_samples:] = lead_in(padded[: delivered.size], lead_samples)
         passes = self.omega >= PASSED_SHARE * 2 * np.pi * sensor.high_pass_hz
         response = sensor.response(self.omega)
         return np.divide(rfft(padded), response, out=np.zeros(self.omega.size, dtype=complex), where=passes)
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
-        return np.asarray(irfft(spectrum, self.length)[: self.usable])
+        return np.asarray(irfft(spectrum, self.length)[: self.usable_count])
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def kinematics(
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
-        forces_n=recording.forces_n[:, : transform.usable],
+        forces_n=recording.forces_n[:, : transform.usable_count],
         displacement_m=displacement,
         velocity_m_per_s=velocity,
         acceleration_m_per_s2=acceleration,
@@ -226,9 +226,9 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
         ending=ending,
         length=length,
         omega=2 * np.pi * np.fft.rfftfreq(length, 1 / rate),
-        usable=usable,
+        usable_count=usable,
         excited_from=excited_from,
-        lead=0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate),
+        lead_samples=0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate),
     )
 
 
@@ -239,16 +239,18 @@ def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransfo
     below_corner = 1 - _high_pass(omega, corner_hz)
     at_contacts = {s for c in recording.rig.contacts for s in contact_stations(c)}
     derivatives = tuple(
-        np.empty((len(stations) if order >= least_order else 0, transform.usable)) for order in range(3)
+        np.empty((len(stations) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
-    lost = np.zeros((len(stations), transform.usable))
+    lost = np.zeros((len(stations), transform.usable_count))
     channels: dict[str, None] = {}
     for row, (station, by_order) in enumerate(stations.items()):
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
             sensor = _nearest(by_order, order)
             differentiations = order - sensor.measures.order
-            lead = transform.lead if differentiations > 0 else 0  # nothing may precede the record in an integral
+            lead = (
+                transform.lead_samples if differentiations > 0 else 0
+            )  # nothing may precede the record in an integral
             if (sensor.name, lead) not in spectra:
                 spectra[sensor.name, lead] = transform.spectrum(sensor, recording.values_of(sensor), lead)
             spectrum = spectra[sensor.name, lead] * powers(differentiations)
@@ -269,12 +271,12 @@ def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:
     return min(by_order.values(), key=cost)
 
 
-def integrated(omega: Float[np.ndarray, " lines"], power: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
-    """(i omega)^power; a negative power integrates, with a high-pass from half the corner to the corner."""
-    if power >= 0:
-        return np.asarray((1j * omega) ** power)
+def integrated(omega: Float[np.ndarray, " lines"], exponent: int, corner_hz: float) -> Complex[np.ndarray, " lines"]:
+    """(i omega)^exponent; a negative exponent integrates, with a high-pass from half the corner to the corner."""
+    if exponent >= 0:
+        return np.asarray((1j * omega) ** exponent)
     safe = np.where(omega > 0, omega, 1.0)
-    return np.asarray(_high_pass(omega, corner_hz) * (1j * safe) ** power)
+    return np.asarray(_high_pass(omega, corner_hz) * (1j * safe) ** exponent)
 
 
 def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
@@ -282,8 +284,10 @@ def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np
     return np.sin(np.pi / 2 * np.clip(2 * omega / (2 * np.pi * corner_hz) - 1, 0, 1)) ** 2
 
 
-def taper(samples: int, fall: int) -> Float[np.ndarray, " samples"]:
-    """Weights of one that fall smoothly to zero over the last `fall` samples."""
-    weights = np.ones(samples)
-    weights[samples - fall :] = 0.5 * (1 + np.cos(np.pi * (np.arange(fall) + 1) / fall))
+def taper(sample_count: int, fading_samples: int) -> Float[np.ndarray, " samples"]:
+    """Weights of one that fall smoothly to zero over the last `fading_samples`."""
+    weights = np.ones(sample_count)
+    weights[sample_count - fading_samples :] = 0.5 * (
+        1 + np.cos(np.pi * (np.arange(fading_samples) + 1) / fading_samples)
+    )
     return weights

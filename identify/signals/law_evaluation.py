@@ -84,21 +84,21 @@ def penetration(
     return evaluated(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
 
 
-def _finer(blocks: Float[np.ndarray, "rows blocks length"], times: int) -> Float[np.ndarray, "rows blocks fine"]:
-    """Blocks at `times` their rate."""
-    lines = rfft(blocks) * times
+def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Float[np.ndarray, "rows blocks fine"]:
+    """Blocks at `factor` times their rate."""
+    lines = rfft(blocks) * factor
     lines[..., -1] /= 2  # half the rate stands for both signs
-    return np.asarray(irfft(lines, PADDED_SAMPLES * times))
+    return np.asarray(irfft(lines, PADDED_SAMPLES * factor))
 
 
-def _coarser(fine: Float[np.ndarray, "*results fine"], times: int) -> Float[np.ndarray, "*results length"]:
-    """Rows at 1 / times the rate."""
-    lines = rfft(fine)[..., : PADDED_SAMPLES // 2 + 1] / times
+def _coarser(fine: Float[np.ndarray, "*results fine"], factor: int) -> Float[np.ndarray, "*results length"]:
+    """Rows at 1 / factor times the rate."""
+    lines = rfft(fine)[..., : PADDED_SAMPLES // 2 + 1] / factor
     lines[..., -1] *= 2
     return np.asarray(irfft(lines, PADDED_SAMPLES))
 
 
-def _taper(length: int, start: int, rise: int) -> Float[np.ndarray, " length"]:
-    """Taper that is zero up to `start`, rises to one over `rise` samples, and falls likewise at the end."""
-    rising = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - start) / rise, 0, 1)) ** 2
+def _taper(length: int, zero_samples: int, rise_samples: int) -> Float[np.ndarray, " length"]:
+    """Taper of `zero_samples` zeros and a rise to one over `rise_samples`, and the same backwards at the end."""
+    rising = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - zero_samples) / rise_samples, 0, 1)) ** 2
     return np.asarray(rising * rising[::-1])

@@ -18,7 +18,7 @@ MAX_PAIRS = 20
 
 
 def line_by_line(
-    spectra: Spectra, blocks: int
+    spectra: Spectra, block_count: int
 ) -> tuple[Complex[np.ndarray, "lines inputs"], Complex[np.ndarray, "lines inputs inputs"]]:
     """Weights of the inputs in the response at each line, and the inverse of the inputs' normal matrix.
 
@@ -27,39 +27,41 @@ def line_by_line(
 
     Raises RigError if the inputs are linearly dependent at a line.
     """
-    normal = np.zeros((0, 0, 0), dtype=complex)
-    for first in range(0, blocks, BLOCKS_AT_ONCE):
-        block_spectra = spectra(range(first, min(first + BLOCKS_AT_ONCE, blocks)))
-        channels, _, lines = block_spectra.shape
+    normal_matrix = np.zeros((0, 0, 0), dtype=complex)
+    for first in range(0, block_count, BLOCKS_AT_ONCE):
+        block_spectra = spectra(range(first, min(first + BLOCKS_AT_ONCE, block_count)))
+        channel_count, _, line_count = block_spectra.shape
         if first == 0:
-            normal = np.zeros((lines, channels, channels), dtype=complex)
-        for chunk in _chunks(lines):
+            normal_matrix = np.zeros((line_count, channel_count, channel_count), dtype=complex)
+        for chunk in _chunks(line_count):
             rows = _by_line(block_spectra, chunk)
-            normal[chunk] += rows.conj().transpose(0, 2, 1) @ rows
-    inputs = normal.shape[1] - 1
-    weights = np.empty((len(normal), inputs), dtype=complex)
-    inverse = normal[:, :inputs, :inputs]
-    for chunk in _chunks(len(normal)):
-        scale = np.sqrt(np.einsum("lii->li", normal[chunk]).real[:, :inputs])
+            normal_matrix[chunk] += rows.conj().transpose(0, 2, 1) @ rows
+    input_count = normal_matrix.shape[1] - 1
+    weights = np.empty((len(normal_matrix), input_count), dtype=complex)
+    inverse_normal = normal_matrix[:, :input_count, :input_count]
+    for chunk in _chunks(len(normal_matrix)):
+        scale = np.sqrt(np.einsum("lii->li", normal_matrix[chunk]).real[:, :input_count])
         scale[scale == 0] = 1.0
         scales = scale[:, :, None] * scale[:, None, :]
         try:
-            scaled_inverse = np.linalg.inv(normal[chunk, :inputs, :inputs] / scales)
+            scaled_inverse = np.linalg.inv(normal_matrix[chunk, :input_count, :input_count] / scales)
         except np.linalg.LinAlgError as error:
             raise RigError(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        weights[chunk] = (scaled_inverse @ (normal[chunk, :inputs, inputs:] / scale[:, :, None]))[:, :, 0] / scale
-        inverse[chunk] = scaled_inverse / scales
-    return weights, inverse
+        weights[chunk] = (scaled_inverse @ (normal_matrix[chunk, :input_count, input_count:] / scale[:, :, None]))[
+            :, :, 0
+        ] / scale
+        inverse_normal[chunk] = scaled_inverse / scales
+    return weights, inverse_normal
 
 
 def influences(
     spectra: Spectra,
     block_numbers: Sequence[int],
     weights: Complex[np.ndarray, "lines inputs"],
-    inverse: Complex[np.ndarray, "lines inputs inputs"],
+    inverse_normal: Complex[np.ndarray, "lines inputs inputs"],
     quantities_of: Callable[[Complex[np.ndarray, "some blocks inputs"], slice], Float[np.ndarray, "blocks quantities"]],
 ) -> Float[np.ndarray, "chosen quantities"]:
     """Influence of each block on the estimate: the change if it is left out, to first order (jackknife).
@@ -73,7 +75,7 @@ def influences(
         for chunk in _chunks(len(weights)):
             rows = _by_line(block_spectra, chunk)
             inputs, response = rows[:, :, :-1], rows[:, :, -1]
-            weight_changes = inputs.conj() @ inverse[chunk].transpose(0, 2, 1)
+            weight_changes = inputs.conj() @ inverse_normal[chunk].transpose(0, 2, 1)
             leverage = np.sum(inputs * weight_changes, axis=2).real
             residual = response - (inputs @ weights[chunk, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
@@ -83,26 +85,26 @@ def influences(
 
 
 def variance_of_sum(
-    influence: Callable[[Sequence[int]], Float[np.ndarray, "chosen quantities"]], blocks: int
+    influence: Callable[[Sequence[int]], Float[np.ndarray, "chosen quantities"]], block_count: int
 ) -> Float[np.ndarray, " quantities"]:
     """Jackknife variance of quantities that all blocks influence, where each block correlates with the next.
 
     From all blocks, or from pairs of neighbours spread evenly over the record.
     """
-    pair_starts = np.unique(np.linspace(0, blocks - 2, min(MAX_PAIRS, blocks - 1)).round().astype(int))
+    pair_starts = np.unique(np.linspace(0, block_count - 2, min(MAX_PAIRS, block_count - 1)).round().astype(int))
     block_numbers = np.union1d(pair_starts, pair_starts + 1)
     block_influences = influence([int(block) for block in block_numbers])
     index = np.searchsorted(block_numbers, pair_starts)
-    independent = blocks * np.mean(block_influences**2, axis=0)
-    with_neighbours = independent + 2 * (blocks - 1) * np.mean(
+    independent = block_count * np.mean(block_influences**2, axis=0)
+    with_neighbours = independent + 2 * (block_count - 1) * np.mean(
         block_influences[index] * block_influences[index + 1], axis=0
     )
     return np.maximum(with_neighbours, independent / 4)
 
 
-def _chunks(lines: int) -> list[slice]:
+def _chunks(line_count: int) -> list[slice]:
     """Slices of the lines."""
-    return [slice(first, min(first + CHUNK_LINES, lines)) for first in range(0, lines, CHUNK_LINES)]
+    return [slice(first, min(first + CHUNK_LINES, line_count)) for first in range(0, line_count, CHUNK_LINES)]
 
 
 def _by_line(

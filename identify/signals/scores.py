@@ -25,9 +25,11 @@ def part_scores(
     return np.array([influence[start:stop].T @ residual[start:stop] for start, stop in zip(starts, stops, strict=True)])
 
 
-def even_parts(samples: int) -> Int[np.ndarray, " parts"]:
+def even_parts(sample_count: int) -> Int[np.ndarray, " parts"]:
     """First samples of sixteenths of the record."""
-    return np.array([indices[0] if indices.size else samples for indices in np.array_split(np.arange(samples), PARTS)])
+    return np.array(
+        [indices[0] if indices.size else sample_count for indices in np.array_split(np.arange(sample_count), PARTS)]
+    )
 
 
 def informative_parts(influence: Float[np.ndarray, " samples"]) -> Int[np.ndarray, " parts"]:

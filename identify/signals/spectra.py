@@ -142,11 +142,11 @@ def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "
     )
 
 
-def oversampled(signals: Float[np.ndarray, "*rows samples"], times: int) -> Float[np.ndarray, "*rows more"]:
-    """Band-limited signals at `times` their rate."""
+def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
+    """Band-limited signals at `factor` times their rate."""
     ramps = _ramped(signals, 1)
-    fine = resample(ramps, times * ramps.shape[-1], axis=-1)
-    return np.asarray(fine[..., times * RAMP_SAMPLES : times * (RAMP_SAMPLES + signals.shape[-1])])
+    fine = resample(ramps, factor * ramps.shape[-1], axis=-1)
+    return np.asarray(fine[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:

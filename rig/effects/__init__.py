@@ -1,4 +1,4 @@
-"""The library of unmodelled effects. One file each: adding an effect is adding a file, which is found by itself."""
+"""Library of unmodelled effects, one file each, which are found by themselves (what else one needs: CONTRIBUTING)."""
 
 import msgspec
 

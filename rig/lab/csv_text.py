@@ -64,8 +64,8 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
         raise RigError(f"{path}: has no line after the first {form.lines_before_names}; check lines_before_names")
     names = [cell.strip() for cell in _cells(head, form.delimiter)]
     named = not all(_is_number(name, form.decimal) for name in names if name)
-    skipped = form.lines_before_names + (1 if named else 0) + form.lines_after_names
-    body = _counted(path, form, skipped)
+    skipped_lines = form.lines_before_names + (1 if named else 0) + form.lines_after_names
+    body = _counted(path, form, skipped_lines)
     width = body.width
     used = _used_columns(path, names, width, body.empty_at_end) if named else width
     for cells, line in body.first_line_of.items():  # of last columns without a name there may be any number
@@ -74,7 +74,9 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
                 f"{path}: the number of columns changed from {width} to {cells} in line {line}; check delimiter"
             )
     column_names = tuple(names[:used]) if named else tuple(f"column {k}" for k in range(1, used + 1))
-    yield ColumnBlock(column_names, body.samples, partial(_columns, path, form, skipped, column_names, body.samples))
+    yield ColumnBlock(
+        column_names, body.samples, partial(_columns, path, form, skipped_lines, column_names, body.samples)
+    )
 
 
 def _lines(path: Path, encoding: str) -> Iterator[str]:
@@ -97,50 +99,52 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
         raise unknown from error
 
 
-def _samples(path: Path, form: TextForm, skipped: int) -> Iterator[tuple[int, str]]:
+def _samples(path: Path, form: TextForm, skipped_lines: int) -> Iterator[tuple[int, str]]:
     """Lines that are not blank, after the skipped ones, with their numbers from 1."""
-    for number, line in enumerate(islice(_lines(path, form.encoding), skipped, None), start=skipped + 1):
+    for number, line in enumerate(islice(_lines(path, form.encoding), skipped_lines, None), start=skipped_lines + 1):
         if not line.isspace():
             yield number, line.rstrip("\n")
 
 
-def _counted(path: Path, form: TextForm, skipped: int) -> _Body:
+def _counted(path: Path, form: TextForm, skipped_lines: int) -> _Body:
     delimiter = form.delimiter
-    lines = _samples(path, form, skipped)
+    lines = _samples(path, form, skipped_lines)
     number, first = next(lines, (0, ""))
     if not first:
         raise RigError(f"{path}: holds no samples; export it again")
     first_line_of, samples = {len(_cells(first, delimiter)): number}, 1
-    empty = _empty_at_end(first, delimiter)
+    empty_count = _empty_at_end(first, delimiter)
     for number, line in lines:
         count = line.count(delimiter) + 1 if '"' not in line else len(_cells(line, delimiter))
         if count not in first_line_of:
             first_line_of[count] = number
-        if empty:
-            empty = min(empty, _empty_at_end(line, delimiter))
+        if empty_count:
+            empty_count = min(empty_count, _empty_at_end(line, delimiter))
         samples += 1
-    width = len(_cells(first.rsplit(delimiter, empty)[0] if empty else first, delimiter))
+    width = len(_cells(first.rsplit(delimiter, empty_count)[0] if empty_count else first, delimiter))
     surplus = next(iter(first_line_of)) - width
-    return _Body(width, samples, {count - surplus: number for count, number in first_line_of.items()}, empty)
+    return _Body(width, samples, {count - surplus: number for count, number in first_line_of.items()}, empty_count)
 
 
 def _columns(
-    path: Path, form: TextForm, skipped: int, names: Sequence[str], samples: int, places: Sequence[int]
+    path: Path, form: TextForm, skipped_lines: int, names: Sequence[str], samples: int, column_indices: Sequence[int]
 ) -> list[Column]:
-    values = np.empty((len(places), samples))
+    values = np.empty((len(column_indices), samples))
     start = 0
-    lines_left = _samples(path, form, skipped)
+    lines_left = _samples(path, form, skipped_lines)
     while lines := list(islice(lines_left, LINES_AT_ONCE)):
         if form.decimal != ".":
-            _check_decimal(path, form, names, places, lines)
+            _check_decimal(path, form, names, column_indices, lines)
         plain = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
         try:
-            rows = np.loadtxt(plain, delimiter=form.delimiter, ndmin=2, comments=None, quotechar='"', usecols=places)
+            rows = np.loadtxt(
+                plain, delimiter=form.delimiter, ndmin=2, comments=None, quotechar='"', usecols=column_indices
+            )
         except ValueError as error:
-            raise _no_number(path, form, names, places, lines) from error
+            raise _no_number(path, form, names, column_indices, lines) from error
         values[:, start : start + len(rows)] = rows.T
         start += len(rows)
-    return [Column(names[k], row) for k, row in zip(places, values, strict=True)]
+    return [Column(names[k], row) for k, row in zip(column_indices, values, strict=True)]
 
 
 def _check_decimal(
@@ -183,12 +187,12 @@ def _empty_at_end(line: str, delimiter: str) -> int:
     return line.count(delimiter, len(line.rstrip(" \t" + delimiter)))
 
 
-def _used_columns(path: Path, names: list[str], width: int, empty: int) -> int:
+def _used_columns(path: Path, names: list[str], column_count: int, empty_count: int) -> int:
     """Number of leading columns with a name and values; raises RigError if any but trailing columns lack either."""
     named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
-    if width > len(names) or named > width + empty or not named:
-        raise RigError(f"{path}: {named} names for {width} columns; check the line of names")
-    return min(named, width)
+    if column_count > len(names) or named > column_count + empty_count or not named:
+        raise RigError(f"{path}: {named} names for {column_count} columns; check the line of names")
+    return min(named, column_count)
 
 
 def _is_number(cell: str, decimal: str) -> bool:

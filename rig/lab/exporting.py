@@ -42,7 +42,7 @@ def export(
         WRITERS[form](recording, part_path, progress)
     if map_path is not None:
         groups = {name: signals.channels for name, signals in recording.signals.items()}
-        write_bytes(map_of(groups, form).encode(), map_path)
+        write_bytes(import_map(groups, form).encode(), map_path)
         write_bytes(to_json(recording.rig), map_path.with_name(RIG_NAME))
 
 
@@ -162,28 +162,30 @@ WRITERS: dict[str, Writer] = {
 }
 
 
-def map_of(groups: Mapping[str, Channels], form: str) -> str:
+def import_map(channels_by_group: Mapping[str, Channels], file_format: str) -> str:
     """Import map, in TOML, of an exported file with these channels; JSON strings are valid TOML strings.
 
     A column is named by its number if the format may change its name, or if the name occurs twice.
     """
     lines = [f"rig = {json.dumps(RIG_NAME)}"]
-    times = Counter([TIME_COLUMN, *(name.strip() for channels in groups.values() for name in channels.names)])
-    if form == "csv":
+    times = Counter(
+        [TIME_COLUMN, *(name.strip() for channels in channels_by_group.values() for name in channels.names)]
+    )
+    if file_format == "csv":
         lines.append(
             'time = { column = 1, unit = "s" }'
             if times[TIME_COLUMN] > 1
             else f'time = {{ column = "{TIME_COLUMN}", unit = "s" }}'
         )
     else:
-        lines.append(f"sample_rate_hz = {groups['force'].sample_rate_hz!r}")
+        lines.append(f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}")
     forces, sensors = [], []
-    place = 1 if form == "csv" else 0
-    for group, channels in groups.items():
+    column_number = 1 if file_format == "csv" else 0
+    for group, channels in channels_by_group.items():
         for number, name in enumerate(channels.names, start=1):
-            place += 1
-            column: str | int = place
-            if form == "mat":
+            column_number += 1
+            column: str | int = column_number
+            if file_format == "mat":
                 column = group if len(channels.names) == 1 else f"{group}[{number}]"
             elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME:
                 column = name

@@ -94,11 +94,11 @@ class _Version5:
             self._count("at its top", (1,))
             kind, body, offset = self._element(self._content, offset)
             if kind == _COMPRESSED:
-                yield from self._of_compressed(body)
+                yield from self._compressed_blocks(body)
             elif kind == _MATRIX:
-                yield from self._of_array(body, "", 0)
+                yield from self._array_blocks(body, "", 0)
 
-    def _of_compressed(self, compressed: memoryview) -> Iterator[ColumnBlock]:
+    def _compressed_blocks(self, compressed: memoryview) -> Iterator[ColumnBlock]:
         """Blocks of a compressed array; only the head of a numeric one is decompressed, structs and cells wholly."""
         beginning = memoryview(zlib.decompressobj().decompress(compressed, _HEAD_BYTES))
         kind, length, first, _ = self._tag(beginning, 0)
@@ -107,33 +107,33 @@ class _Version5:
         size = first + length
         head = self._head(beginning[first:])
         if head.is_real:
-            yield from self._of_numbers(
+            yield from self._numeric_blocks(
                 head, beginning[first:], head.name, lambda: memoryview(_unpacked(compressed, size))[first:], size
             )
         elif head.kind in (_CELL, _STRUCT):
             label = f"{self._path}: its variable {head.name!r}"
             check_decoded_size(PROGRAM_BYTES + len(self._content) + size, len(self._content), label)
-            yield from self._of_array(memoryview(_unpacked(compressed, size))[first:], "", 0)
+            yield from self._array_blocks(memoryview(_unpacked(compressed, size))[first:], "", 0)
 
-    def _of_array(self, body: memoryview, prefix: str, depth: int) -> Iterator[ColumnBlock]:
+    def _array_blocks(self, body: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
         if not body:
             return
         head = self._head(body)
-        name = prefix or head.name
+        name = enclosing_name or head.name
         if depth > MAX_DEPTH or len(name) > MAX_NAME:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters"
             )
         if head.kind == _CELL:
             names = (f"{name}{{{k}}}" for k in range(1, self._count(name, head.shape) + 1))
-            yield from self._of_elements(body, head.data_offset, names, depth + 1)
+            yield from self._element_blocks(body, head.data_offset, names, depth + 1)
         elif head.kind == _STRUCT:
-            yield from self._of_struct(body, head, name, depth + 1)
+            yield from self._struct_blocks(body, head, name, depth + 1)
         elif head.is_real:
-            yield from self._of_numbers(head, body, name, lambda: body, 0)
+            yield from self._numeric_blocks(head, body, name, lambda: body, 0)
 
-    def _of_struct(self, body: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _struct_blocks(self, body: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
         _, length, offset = self._element(body, head.data_offset)
         _, text, offset = self._element(body, offset)
         (size,) = struct.unpack(f"{self._order}i", length)
@@ -142,17 +142,17 @@ class _Version5:
         fields = [decoded(bytes(text[k : k + size]).partition(b"\0")[0]) for k in range(0, len(text), size)]
         count = self._count(name, (*head.shape, len(fields))) // max(1, len(fields))
         elements = (name if count == 1 else f"{name}({k})" for k in range(1, count + 1))
-        yield from self._of_elements(body, offset, (f"{e}.{field}" for e in elements for field in fields), depth)
+        yield from self._element_blocks(body, offset, (f"{e}.{field}" for e in elements for field in fields), depth)
 
-    def _of_elements(self, body: memoryview, offset: int, names: Iterator[str], depth: int) -> Iterator[ColumnBlock]:
+    def _element_blocks(self, body: memoryview, offset: int, names: Iterator[str], depth: int) -> Iterator[ColumnBlock]:
         """Blocks of consecutive arrays with these names."""
         for name in names:
             kind, element, offset = self._element(body, offset)
             if kind != _MATRIX:
                 raise UnreadableError(f"its array {name!r} is of the unknown type {kind}")
-            yield from self._of_array(element, name, depth)
+            yield from self._array_blocks(element, name, depth)
 
-    def _of_numbers(
+    def _numeric_blocks(
         self, head: _Head, beginning: memoryview, name: str, body: Callable[[], memoryview], working_bytes: int
     ) -> Iterator[ColumnBlock]:
         """Block of a numeric array from its first bytes; `body` returns all of it."""

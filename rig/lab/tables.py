@@ -103,11 +103,13 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
     return Table(tuple(names), columns)
 
 
-def _may_select(refused: Refused, columns: int, keys: Collection[Key] | None) -> bool:
-    """True if a key may select refused content: by its name, one of its channels, or a number beyond `columns`."""
+def _may_select(refused: Refused, column_count: int, keys: Collection[Key] | None) -> bool:
+    """True if a key may select refused content: by its name, one of its channels, or a number beyond `column_count`."""
     if keys is None:
         return True
-    return any(key > columns if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys)
+    return any(
+        key > column_count if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys
+    )
 
 
 READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {

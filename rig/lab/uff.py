@@ -51,7 +51,7 @@ class _History:
     name: str
     unit: str | None
     kind: int
-    points: int
+    point_count: int
     even: bool
     interval_s: float
     order: str
@@ -60,8 +60,8 @@ class _History:
     stop: int
 
     @property
-    def numbers(self) -> int:
-        return self.points if self.even else 2 * self.points
+    def value_count(self) -> int:
+        return self.point_count if self.even else 2 * self.point_count
 
 
 def uff_blocks(path: Path) -> Blocks:
@@ -154,7 +154,7 @@ def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
         name=name,
         unit=unit if unit and unit != "NONE" else None,
         kind=kind,
-        points=_integer(lines[6], 10, 20),
+        point_count=_integer(lines[6], 10, 20),
         even=_integer(lines[6], 20, 30) == EVEN,
         interval_s=interval_s,
         order=("<" if _integer(head, 7, 13) == 1 else ">") if dataset.binary else "",
@@ -163,18 +163,18 @@ def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
     )
     size = (4 if kind == SINGLE else 8) if dataset.binary else min(WIDTHS[kind, history.even])
     room = (dataset.stop - start) // size
-    if history.points < 0 or (room != history.numbers if dataset.binary else room < history.numbers):
-        raise _wrong_length(name, room, history.even, history.points)
+    if history.point_count < 0 or (room != history.value_count if dataset.binary else room < history.value_count):
+        raise _wrong_length(name, room, history.even, history.point_count)
     names = (name,) if history.even else (f"{name} time", name)
     return ColumnBlock(
-        names, history.points, partial(_columns, content, history), 0 if history.even else 16 * history.points
+        names, history.point_count, partial(_columns, content, history), 0 if history.even else 16 * history.point_count
     )
 
 
 def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> list[Column]:
     values = _binary(content, history) if history.order else _text(content, history)
     if history.even:
-        rate = 1 / history.interval_s if history.interval_s > 0 and history.points > 1 else None
+        rate = 1 / history.interval_s if history.interval_s > 0 and history.point_count > 1 else None
         return [Column(history.name, values, history.unit, rate)]
     columns = (
         Column(f"{history.name} time", values[::2].copy(), "s"),
@@ -185,12 +185,12 @@ def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> li
 
 def _binary(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     kind = f"{history.order}f{4 if history.kind == SINGLE else 8}"
-    return np.frombuffer(content, kind, history.numbers, history.start).astype(float)
+    return np.frombuffer(content, kind, history.value_count, history.start).astype(float)
 
 
 def _text(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"]:
     cuts = list(pairwise(accumulate(WIDTHS[history.kind, history.even], initial=0)))
-    values, count = np.empty(history.numbers), 0
+    values, count = np.empty(history.value_count), 0
     lines = (match[1] for match in LINE.finditer(content, history.start, history.stop))
     while batch := list(islice(lines, LINES_AT_ONCE)):
         numbers = [float(cell) for line in batch for first, last in cuts if (cell := line[first:last].strip())]
@@ -198,9 +198,11 @@ def _text(content: mmap.mmap, history: _History) -> Float[np.ndarray, " numbers"
             values[count : count + len(numbers)] = numbers
         count += len(numbers)
     if count != values.size:
-        raise _wrong_length(history.name, count, history.even, history.points)
+        raise _wrong_length(history.name, count, history.even, history.point_count)
     return values
 
 
-def _wrong_length(name: str, numbers: int, even: bool, points: int) -> UnreadableError:
-    return UnreadableError(f"its dataset {name!r} holds {numbers if even else numbers // 2} of {points} samples")
+def _wrong_length(name: str, value_count: int, even: bool, point_count: int) -> UnreadableError:
+    return UnreadableError(
+        f"its dataset {name!r} holds {value_count if even else value_count // 2} of {point_count} samples"
+    )

@@ -85,14 +85,14 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         """Positions (m), `count` of them, evenly spaced from end to end."""
         return np.linspace(0, self.length_m, count)
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
         """Natural frequencies beta_i^2 sqrt(E I / rho A) / 2 pi; zero for rigid modes."""
-        beta = self._wavenumbers(modes) / self.length_m
+        beta = self._wavenumbers(count) / self.length_m
         return beta**2 * np.sqrt(self.bending_stiffness_n_m2 / self.mass_per_length_kg_per_m) / (2 * np.pi)
 
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
         """Modal damping ratios: the same for every elastic mode, zero for rigid ones."""
-        return np.where(np.arange(modes) < self.rigid_modes, 0.0, self.damping_ratio)
+        return np.where(np.arange(count) < self.rigid_modes, 0.0, self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Beam":
         """Beam with the damping ratio times a factor."""
@@ -111,7 +111,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         )
 
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         """Mass-normalised mode shapes phi_i(x), in 1/sqrt(kg), for positions 0 <= x <= length.
 
@@ -120,11 +120,11 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         cosh and sinh are never formed: the shapes are written with decaying exponentials, so they stay exact to
         rounding up to mode 40 (Gonçalves, Brennan and Elliott, J. Sound Vib. 301, 2007, treat the problem).
         """
-        self._check_modes(modes)
+        self._check_modes(count)
         relative = np.asarray(positions_m, dtype=float)[:, None] / self.length_m
         turning = np.sqrt(12) * np.array([relative - 0.5, np.ones_like(relative), np.zeros_like(relative)])[order]
         rigid = np.concatenate([np.full_like(relative, order == 0), turning], axis=1)[:, : self.rigid_modes]
-        beta = self._wavenumbers(modes)[self.rigid_modes :]
+        beta = self._wavenumbers(count)[self.rigid_modes :]
         sign = -1.0 if self.ends == "clamped-free" else 1.0  # of the trigonometric part
         decay, sine, cosine = np.exp(-beta), np.sin(beta), np.cos(beta)
         denominator = 1 - decay**2 - sign * 2 * sine * decay  # 2 e^-b (sinh b -+ sin b)
@@ -137,16 +137,16 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             + (-1.0) ** order * (1 + sigma) / 2 * np.exp(-argument)
             + sign * (waves[order] - sigma * waves[order - 1])
         )
-        derivatives = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :modes]
+        derivatives = np.concatenate([rigid, beta**order * elastic], axis=1)[:, :count]
         return derivatives / (self.length_m**order * np.sqrt(self.mass_kg))
 
-    def _wavenumbers(self, modes: int) -> Float[np.ndarray, " modes"]:
-        self._check_modes(modes)
-        return np.array(_roots(self.ends)[:modes])
+    def _wavenumbers(self, count: int) -> Float[np.ndarray, " modes"]:
+        self._check_modes(count)
+        return np.array(_roots(self.ends)[:count])
 
-    def _check_modes(self, modes: int) -> None:
-        if not 1 <= modes <= MAX_MODES:
-            raise RigError(f"beam {self.name!r}: {modes} modes asked for; a beam has 1 to {MAX_MODES} here")
+    def _check_modes(self, count: int) -> None:
+        if not 1 <= count <= MAX_MODES:
+            raise RigError(f"beam {self.name!r}: {count} modes asked for; a beam has 1 to {MAX_MODES} here")
 
 
 @lru_cache

@@ -23,10 +23,10 @@ ELEMENTS = 80
 class Modes(Protocol):
     """Modes of a body as a plant needs them; every `Body` implements this protocol."""
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]: ...
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]: ...
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]: ...
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]: ...
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]: ...
 
 
@@ -39,19 +39,19 @@ class FiniteElementModes:
     natural_hz: Float[np.ndarray, " all"]
     vectors: Float[np.ndarray, "coordinates all"]
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
-        if not 1 <= modes <= len(self.natural_hz):
-            raise RigError(f"beam {self.beam.name!r}: {modes} modes asked for; it has 1 to {len(self.natural_hz)} here")
-        return self.natural_hz[:modes]
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
+        if not 1 <= count <= len(self.natural_hz):
+            raise RigError(f"beam {self.beam.name!r}: {count} modes asked for; it has 1 to {len(self.natural_hz)} here")
+        return self.natural_hz[:count]
 
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return self.beam.damping_ratios(modes)
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
+        return self.beam.damping_ratios(count)
 
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         rows = [hermite(self.nodes_m, float(x), order) for x in positions_m]
-        return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :modes]
+        return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :count]
 
 
 @dataclass(frozen=True)
@@ -62,29 +62,29 @@ class CoupledModes:
     natural_hz: Float[np.ndarray, " all"]
     vectors: Float[np.ndarray, "all all"]
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
-        if not 1 <= modes <= len(self.natural_hz):
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
+        if not 1 <= count <= len(self.natural_hz):
             raise RigError(
-                f"structure {self.structure.name!r}: {modes} modes asked for; it has 1 to {len(self.natural_hz)}"
+                f"structure {self.structure.name!r}: {count} modes asked for; it has 1 to {len(self.natural_hz)}"
             )
-        return self.natural_hz[:modes]
+        return self.natural_hz[:count]
 
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return self.structure.damping_ratios(modes)
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
+        return self.structure.damping_ratios(count)
 
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        return self.structure.shapes(positions_m, self.structure.max_modes, order) @ self.vectors[:, :modes]
+        return self.structure.shapes(positions_m, self.structure.max_modes, order) @ self.vectors[:, :count]
 
 
 Meshed = Beam | Oscillator
 """Bodies whose mass and stiffness are known, not only their modes."""
 
 
-def mode_count(body: Body, modes: int) -> int:
-    """Number of modes taken of a body: `modes` of a beam, of other bodies at most as many as they have."""
-    return modes if isinstance(body, Beam) else min(modes, body.max_modes)
+def mode_count(body: Body, modes_per_beam: int) -> int:
+    """Number of modes taken of a body: `modes_per_beam` of a beam, of other bodies at most as many as they have."""
+    return modes_per_beam if isinstance(body, Beam) else min(modes_per_beam, body.max_modes)
 
 
 def modes_of(rig: Rig, body: Body) -> Modes:

@@ -65,11 +65,11 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         """Positions at which its shapes are known: 0 m alone."""
         return np.zeros(1)
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._checked(modes), self.frequency_hz)
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
+        return np.full(self._checked(count), self.frequency_hz)
 
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.full(self._checked(modes), self.damping_ratio)
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
+        return np.full(self._checked(count), self.damping_ratio)
 
     def scale_damping(self, factor: float) -> "Oscillator":
         """Mass with the damping ratio times a factor."""
@@ -84,12 +84,12 @@ class Oscillator(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return msgspec.structs.replace(self, mass_kg=self.mass_kg * factor)
 
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         """Mode shape 1/sqrt(mass) at every position; its derivatives along the body are zero."""
-        return np.full((len(positions_m), self._checked(modes)), (order == 0) / np.sqrt(self.mass_kg))
+        return np.full((len(positions_m), self._checked(count)), (order == 0) / np.sqrt(self.mass_kg))
 
-    def _checked(self, modes: int) -> int:
-        if modes != 1:
-            raise RigError(f"oscillator {self.name!r}: {modes} modes asked for; it has exactly one")
-        return modes
+    def _checked(self, count: int) -> int:
+        if count != 1:
+            raise RigError(f"oscillator {self.name!r}: {count} modes asked for; it has exactly one")
+        return count

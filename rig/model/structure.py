@@ -114,11 +114,11 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Positions at which the shapes are given, m."""
         return self.positions_m
 
-    def frequencies_hz(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.array(self.natural_hz[: self._checked(modes)])
+    def frequencies_hz(self, count: int) -> Float[np.ndarray, " modes"]:
+        return np.array(self.natural_hz[: self._checked(count)])
 
-    def damping_ratios(self, modes: int) -> Float[np.ndarray, " modes"]:
-        return np.array(self.ratios[: self._checked(modes)])
+    def damping_ratios(self, count: int) -> Float[np.ndarray, " modes"]:
+        return np.array(self.ratios[: self._checked(count)])
 
     def scale_damping(self, factor: float) -> "Structure":
         """Structure with all damping ratios times a factor."""
@@ -135,14 +135,14 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return msgspec.structs.replace(self, rows=tuple(rows))
 
     def shapes(
-        self, positions_m: Float[np.ndarray, " stations"], modes: int, order: int = 0
+        self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
         """Shapes at places, in 1/sqrt(kg): as given where they are given, else by the spline.
 
         Of order 1 or 2 the spline's derivatives along the body, per m or m^2: as good as the places are dense; zero if
         only one place is given.
         """
-        return self._interpolated(positions_m, order)[:, : self._checked(modes)]
+        return self._interpolated(positions_m, order)[:, : self._checked(count)]
 
     def has_shapes_at(self, position_m: float) -> bool:
         """True if the modal basis gives shapes at this position."""
@@ -184,10 +184,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             shapes[exact] = values[distances.argmin(axis=1)[exact]]
         return shapes
 
-    def _checked(self, modes: int) -> int:
-        if not 1 <= modes <= self.max_modes:
-            raise self._wrong(f"{modes} modes asked for; its modal basis has 1 to {self.max_modes}")
-        return modes
+    def _checked(self, count: int) -> int:
+        if not 1 <= count <= self.max_modes:
+            raise self._wrong(f"{count} modes asked for; its modal basis has 1 to {self.max_modes}")
+        return count
 
     def _wrong(self, sentence: str) -> RigError:
         return RigError(f"structure {self.name!r}: {sentence}")

@@ -64,7 +64,7 @@ class Chunk:
 
     def add(
         self,
-        channel: int,
+        channel_id: int,
         time_ns: int,
         sequence: int,
         head: bytes,
@@ -74,17 +74,17 @@ class Chunk:
         """Append a message: its head and the doubles, channel by channel; published_ns defaults to the log time."""
         published_at_ns = time_ns if published_ns is None else published_ns
         length = _MESSAGE.size - _HEAD.size + len(head) + 8 * values.size
-        record_head = _MESSAGE.pack(Opcode.MESSAGE, length, channel, sequence, time_ns, published_at_ns) + head
-        self._index.setdefault(channel, []).append(_PLACE.pack(time_ns, self.size))
+        record_head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, published_at_ns) + head
+        self._index.setdefault(channel_id, []).append(_PLACE.pack(time_ns, self.size))
         self._times_ns.append(time_ns)
-        self.counts[channel] += 1
+        self.counts[channel_id] += 1
         self._append(record_head)
         offset = self._reserve(8 * values.size)
         np.ndarray(values.shape, "<f8", self._bytes, offset)[:] = values
 
     def add_many(
         self,
-        channel: int,
+        channel_id: int,
         times_ns: UInt[np.ndarray, " messages"],
         head: bytes,
         values: Float[np.ndarray, "messages channels"],
@@ -93,12 +93,12 @@ class Chunk:
         record_type = _record_type(len(head), values.shape[1])
         places = np.empty((len(values), 2), "<u8")
         places[:, 0], places[:, 1] = times_ns, self.size + record_type.itemsize * np.arange(len(values))
-        self._index.setdefault(channel, []).append(places.tobytes())
+        self._index.setdefault(channel_id, []).append(places.tobytes())
         self._times_ns += [int(times_ns[0]), int(times_ns[-1])]
-        self.counts[channel] += len(values)
+        self.counts[channel_id] += len(values)
         offset = self._reserve(len(values) * record_type.itemsize)
         records = np.ndarray(len(values), record_type, self._bytes, offset)
-        start = _MESSAGE_START.pack(Opcode.MESSAGE, record_type.itemsize - _HEAD.size, channel, 0)
+        start = _MESSAGE_START.pack(Opcode.MESSAGE, record_type.itemsize - _HEAD.size, channel_id, 0)
         records["start"] = np.frombuffer(start, "u1")
         records["times"] = times_ns[:, None]  # logged and published
         records["head"] = np.frombuffer(head, "u1")

@@ -37,11 +37,11 @@ class Foreign:
                 self.messages.append(replace(record, data=bytes(record.data)))
             yield record
 
-    def numbered(self, schemas: int, channels: int) -> "Foreign":
-        """Content renumbered behind `schemas` and `channels` other ids; unused schemas are left out."""
+    def numbered(self, schema_count: int, channel_count: int) -> "Foreign":
+        """Content renumbered behind `schema_count` and `channel_count` other ids; unused schemas are left out."""
         used = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
-        schema_ids = {old_id: schemas + k for k, old_id in enumerate(used, start=1)}
-        ids = {old_id: channels + k for k, old_id in enumerate(self.channels, start=1)}
+        schema_ids = {old_id: schema_count + k for k, old_id in enumerate(used, start=1)}
+        ids = {old_id: channel_count + k for k, old_id in enumerate(self.channels, start=1)}
         return Foreign(
             self.front,
             {schema_ids[old_id]: replace(self.schemas[old_id], id=schema_ids[old_id]) for old_id in used},

@@ -67,12 +67,12 @@ def decode_block(data: bytes | memoryview) -> Block:
     )
 
 
-def preview_head(channels: int) -> bytes:
+def preview_head(value_count: int) -> bytes:
     """Bytes before the little-endian doubles of a Float64MultiArray in CDR: no dimensions, no offset, the count.
 
     Four bytes of alignment follow.
     """
-    return _CDR_EMPTY_LAYOUT + struct.pack("<II", channels, 0)
+    return _CDR_EMPTY_LAYOUT + struct.pack("<II", value_count, 0)
 
 
 _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulation, dim[0], data_offset
@@ -120,23 +120,23 @@ def _varint(value: int) -> bytes:
 
 def _block_type() -> tuple[Any, bytes]:
     """Message class of a block and its schema (a FileDescriptorSet), built in code."""
-    field = descriptor_pb2.FieldDescriptorProto
+    field_descriptor = descriptor_pb2.FieldDescriptorProto
     file = descriptor_pb2.FileDescriptorProto(
         name="rig/block.proto", package="rig", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
     )
     message = file.message_type.add(name="Block")
     for number, (name, kind, label) in enumerate(
         [
-            ("timestamp", field.TYPE_MESSAGE, field.LABEL_OPTIONAL),
-            ("first_sample", field.TYPE_UINT64, field.LABEL_OPTIONAL),
-            ("sample_rate_hz", field.TYPE_DOUBLE, field.LABEL_OPTIONAL),
-            ("channels", field.TYPE_UINT32, field.LABEL_OPTIONAL),
-            ("values", field.TYPE_DOUBLE, field.LABEL_REPEATED),
+            ("timestamp", field_descriptor.TYPE_MESSAGE, field_descriptor.LABEL_OPTIONAL),
+            ("first_sample", field_descriptor.TYPE_UINT64, field_descriptor.LABEL_OPTIONAL),
+            ("sample_rate_hz", field_descriptor.TYPE_DOUBLE, field_descriptor.LABEL_OPTIONAL),
+            ("channels", field_descriptor.TYPE_UINT32, field_descriptor.LABEL_OPTIONAL),
+            ("values", field_descriptor.TYPE_DOUBLE, field_descriptor.LABEL_REPEATED),
         ],
         start=1,
     ):
         added = message.field.add(name=name, number=number, type=kind, label=label)
-        if kind == field.TYPE_MESSAGE:
+        if kind == field_descriptor.TYPE_MESSAGE:
             added.type_name = ".google.protobuf.Timestamp"
     stamp = descriptor_pb2.FileDescriptorProto()
     timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)

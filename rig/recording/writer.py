@@ -45,7 +45,7 @@ class RecordingWriter:
         self._start_date_ns = start_date_ns(provenance)
         ids = count(1)
         self._ids = {name: (next(ids), [next(ids) for _ in group.names]) for name, group in groups.items()}
-        foreign_records = (foreign or Foreign()).numbered(schemas=2, channels=next(ids) - 1)
+        foreign_records = (foreign or Foreign()).numbered(schema_count=2, channel_count=next(ids) - 1)
         self._writer = ContainerWriter(
             stream,
             front=[
@@ -92,20 +92,20 @@ class RecordingWriter:
                 self._write(group, remainder, remainder.shape[1])
         self._writer.finish()
 
-    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], length: int) -> None:
-        """Write blocks of `length` samples and the previews of their channels."""
+    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
+        """Write blocks of `block_samples` and the previews of their channels."""
         rate, first = self._groups[group].sample_rate_hz, self._written[group]
         block_id, preview_ids = self._ids[group]
-        channels, samples = values.shape
-        for offset in range(0, samples, length):
+        channel_count, samples = values.shape
+        for offset in range(0, samples, block_samples):
             time_ns = round((first + offset) / rate * 1e9)
-            head = messages.block_head(time_ns, first + offset, rate, (channels, length))
+            head = messages.block_head(time_ns, first + offset, rate, (channel_count, block_samples))
             log_ns = self._start_date_ns + time_ns
             self._writer.chunk.add(
-                block_id, log_ns, (first + offset) // BLOCK_SAMPLES, head, values[:, offset : offset + length]
+                block_id, log_ns, (first + offset) // BLOCK_SAMPLES, head, values[:, offset : offset + block_samples]
             )
             self._write_full_chunk()
-        starts, rows = previews(values, rate, length)
+        starts, rows = previews(values, rate, block_samples)
         times_ns = np.rint((first + starts) / rate * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
         for preview_id, extremes in zip(preview_ids, rows, strict=True):
             self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
@@ -179,14 +179,16 @@ def preview_record(number: int, group: str, sensor: str, unit: str) -> ChannelRe
 
 
 def previews(
-    values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, length: int
+    values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, block_samples: int
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
-    """First samples of the parts (1/50 s) of blocks of `length` samples, and the extremes of every part."""
-    starts = _part_starts(values.shape[1], length, max(1, round(sample_rate_hz / PREVIEW_HZ)))
+    """First samples of the parts (1/50 s) of blocks of `block_samples`, and the extremes of every part."""
+    starts = _part_starts(values.shape[1], block_samples, max(1, round(sample_rate_hz / PREVIEW_HZ)))
     extremes = [extreme.reduceat(values, starts, axis=1) for extreme in (np.minimum, np.maximum)]
     return starts, np.stack(extremes, axis=2)
 
 
 @lru_cache(maxsize=16)
-def _part_starts(samples: int, length: int, step: int) -> Int[np.ndarray, " parts"]:
-    return np.concatenate([np.arange(block, block + length, step) for block in range(0, samples, length)])
+def _part_starts(sample_count: int, block_samples: int, part_samples: int) -> Int[np.ndarray, " parts"]:
+    return np.concatenate(
+        [np.arange(block, block + block_samples, part_samples) for block in range(0, sample_count, block_samples)]
+    )

@@ -45,7 +45,7 @@ def forces_of(rig: Rig, force_n: ForceSignal) -> Forces:
 
 
 @runtime_checkable
-class Rows(Protocol):
+class SignalRows(Protocol):
     """Signals by row, computed for the requested slice; an array implements this protocol."""
 
     def __len__(self) -> int: ...
@@ -84,8 +84,8 @@ class Motion:
     step_s: float
     forces_n: Float[np.ndarray, "forces samples"]
     sensed: Float[np.ndarray, "sensors samples"]
-    displacement_m: Rows
-    eta_m: Rows
+    displacement_m: SignalRows
+    eta_m: SignalRows
     contact_force_n: Float[np.ndarray, "contacts samples"]
 
     @property

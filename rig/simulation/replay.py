@@ -25,21 +25,25 @@ class _Interpolated:
     force_n: "scipy.interpolate.CubicSpline"
     last_s: float
     step_s: float
-    steps: int
+    step_count: int
 
     def __len__(self) -> int:
-        return self.steps
+        return self.step_count
 
     def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
-        time_s = np.arange(*span.indices(self.steps)) * self.step_s
+        time_s = np.arange(*span.indices(self.step_count)) * self.step_s
         return np.asarray(self.force_n(np.minimum(time_s, self.last_s)))
 
 
-def finer(forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, steps: int) -> Forces:
+def finer(
+    forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, step_count: int
+) -> Forces:
     """Forces at a plant's steps, by cubic splines through their samples; constant after the last one."""
     samples = forces_n.shape[1]
     splines = (scipy.interpolate.CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
-    return Forces(tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, steps) for spline in splines))
+    return Forces(
+        tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, step_count) for spline in splines)
+    )
 
 
 def replayed(
@@ -73,7 +77,7 @@ def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces sample
     """Replay by the plant `modal`, with 24 modes a beam at 32 kHz or more."""
     from rig.simulation.plants.modal import simulate
 
-    plant = partial(simulate, modes=24)
+    plant = partial(simulate, modes_per_beam=24)
     return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**15), seed)
 
 
@@ -81,7 +85,7 @@ def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples
     """Replay by the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 
-    plant = partial(simulate, elements=12)
+    plant = partial(simulate, element_count=12)
     return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**13), seed)
 
 

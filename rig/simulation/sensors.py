@@ -11,7 +11,7 @@ from rig.errors import RigError
 from rig.model.description import Rig, Sensor
 from rig.model.quantities import QuantityName
 from rig.model.sensing import quantities_of
-from rig.simulation.motion import Motion, Rows
+from rig.simulation.motion import Motion, SignalRows
 
 HALF_WIDTH = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
@@ -60,14 +60,14 @@ def decimated(
     filter_: Decimator, signals: Float[np.ndarray, "rows long"], samples: int
 ) -> Float[np.ndarray, "rows samples"]:
     """First `samples` filtered samples of every row; rows must hold at least `filter_.reach(samples)`."""
-    rows, count = len(signals), filter_.count
-    blocks = signals[:, filter_.start : filter_.reach(samples)].reshape(rows, -1, len(filter_.pieces))
-    products = (blocks @ filter_.pieces).reshape(rows, blocks.shape[1], count, BLOCK_OUTPUTS)
+    row_count, count = len(signals), filter_.count
+    blocks = signals[:, filter_.start : filter_.reach(samples)].reshape(row_count, -1, len(filter_.pieces))
+    products = (blocks @ filter_.pieces).reshape(row_count, blocks.shape[1], count, BLOCK_OUTPUTS)
     blocks_out = blocks.shape[1] - count + 1
     filtered = products[:, :blocks_out, 0].copy()
     for i in range(1, count):
         filtered += products[:, i : blocks_out + i, i]
-    return filtered.reshape(rows, -1)[:, :samples]
+    return filtered.reshape(row_count, -1)[:, :samples]
 
 
 @dataclass(frozen=True)
@@ -99,7 +99,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
 
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
-    streams, forces = rng.spawn(len(rig.sensors)), len(rig.forces)
+    streams, force_count = rng.spawn(len(rig.sensors)), len(rig.forces)
     filters: list[tuple[list[int], Decimator]] = []
     kept_steps, steps_done = np.zeros((0, 0)), 0
     truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
@@ -109,7 +109,7 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         reach = (HALF_WIDTH + _longest_delay(rig)) * factor
         if not filters:
             filters = _filters(rig, factor, reach)
-            kept_steps = np.zeros((forces + len(rig.sensors), reach))  # at rest before the record
+            kept_steps = np.zeros((force_count + len(rig.sensors), reach))  # at rest before the record
         instants = (slice(None), slice(-steps_done % factor, None, factor))
         steps_done += size
         fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
@@ -118,17 +118,17 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
         ready = max(0, (width - 2 * reach - 1) // factor + 1)
         queue = np.empty((len(kept_steps), max(width, *(filter_.reach(ready) for _, filter_ in filters))))
         queue[:, : kept_steps.shape[1]] = kept_steps
-        queue[:forces, kept_steps.shape[1] : width] = block.forces_n
-        queue[forces:, kept_steps.shape[1] : width] = block.sensed
+        queue[:force_count, kept_steps.shape[1] : width] = block.forces_n
+        queue[force_count:, kept_steps.shape[1] : width] = block.sensed
         queue[:, width:] = 0.0
         kept_steps = queue[:, ready * factor : width]
         if ready:
             filtered = _filtered(filters, queue, ready)
-            for row, high_pass in zip(filtered[forces:], high_passes, strict=True):
+            for row, high_pass in zip(filtered[force_count:], high_passes, strict=True):
                 if high_pass:
                     row[:] = high_pass.passed(row)
-            sensed = {q: _delivered_all(rig, q, filtered[forces:], streams) for q in quantities_of(rig)}
-            yield Samples(filtered[:forces], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
+            sensed = {q: _delivered_all(rig, q, filtered[force_count:], streams) for q in quantities_of(rig)}
+            yield Samples(filtered[:force_count], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
             truth = {name: rows[:, ready:] for name, rows in truth.items()}
 
 
@@ -231,7 +231,7 @@ def _longest_delay(rig: Rig) -> int:
     return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
 
 
-def _truth_of(block: Motion) -> dict[str, Rows]:
+def _truth_of(block: Motion) -> dict[str, SignalRows]:
     return {
         "displacement": block.displacement_m,
         "relative_displacement": block.eta_m,

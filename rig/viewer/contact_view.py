@@ -52,8 +52,8 @@ LawSource = Literal["true", "identified", "believed"]
 
 
 @dataclass(frozen=True)
-class Play:
-    """Motion of a contact over the record. Its law is drawn as walls and defines closure; walls is the law's source.
+class ContactMotion:
+    """Motion of a contact over the record. Its law is drawn as walls and defines closure; wall_source is the law's.
 
     overlaid are laws drawn over it, by source; force_n is the contact force where it is known. The samples may be a
     part of the record: identified motion begins later and ends at until_s. frames are drawn; the time series hold every
@@ -61,7 +61,7 @@ class Play:
     """
 
     contact: Contact
-    walls: LawSource
+    wall_source: LawSource
     overlaid: Mapping[LawSource, ContactLaw]
     time_s: Float[np.ndarray, " samples"]
     until_s: float | None
@@ -103,42 +103,48 @@ class Play:
         return np.where(self.closed[self.frames, None], CLOSED, FREE).astype(np.uint8)
 
 
-def send_close_up(stream: rr.RecordingStream, play: Play) -> None:
+def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send the close-up: relative displacement (mm, upwards) between the two walls, with its recent trail to the left.
 
     The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
     of labels: right, left and before the trail.
     """
-    path, law, across = entity("close_up", play.contact.name), play.contact.law, 1.1 * play.reach_mm
-    time_s = play.time_s[play.frames]
+    path, law, across = (
+        entity("close_up", contact_motion.contact.name),
+        contact_motion.contact.law,
+        1.1 * contact_motion.reach_mm,
+    )
+    time_s = contact_motion.time_s[contact_motion.frames]
     edges = np.linspace(-across, across, HATCHES + 1)
     for level, direction in _levels(law):
         hatches = [[[x, level], [x - 0.05 * across, level + direction * 0.05 * across]] for x in edges[1:]]
         walls = [[[-across, level], [across, level]], *hatches]
         style(stream, f"{path}/{SIDES[direction]}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
-    _send_levels(stream, f"{path}/{play.walls}", play, law, COLUMNS[0], STEEL)
-    for column, (name, overlaid_law) in zip(COLUMNS[1:], play.overlaid.items(), strict=False):
+    _send_levels(stream, f"{path}/{contact_motion.wall_source}", contact_motion, law, COLUMNS[0], STEEL)
+    for column, (name, overlaid_law) in zip(COLUMNS[1:], contact_motion.overlaid.items(), strict=False):
         dash_ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
         dashes = [[[a, level], [b, level]] for level, _ in _levels(overlaid_law) for a, b in dash_ends]
         drawn = rr.LineStrips2D(dashes, colors=[LAW_COLOURS[name]], radii=pixels(1.25), draw_order=40.0)
         style(stream, f"{path}/{name}", drawn)
-        _send_levels(stream, f"{path}/{name}", play, overlaid_law, column, LAW_COLOURS[name])
+        _send_levels(stream, f"{path}/{name}", contact_motion, overlaid_law, column, LAW_COLOURS[name])
     now_x = 0.15 * across
-    trail_offsets = np.linspace(-TRAIL_S * play.rate_hz, 0, TRAIL_POINTS).round().astype(int)
-    trail = np.empty((play.frames.size, TRAIL_POINTS, 2))
+    trail_offsets = np.linspace(-TRAIL_S * contact_motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
+    trail = np.empty((contact_motion.frames.size, TRAIL_POINTS, 2))
     trail[..., 0] = now_x + (across + now_x) * trail_offsets / -trail_offsets[0]
-    trail[..., 1] = -1e3 * play.relative_m[np.maximum(play.frames[:, None] + trail_offsets, 0)]
+    trail[..., 1] = -1e3 * contact_motion.relative_m[np.maximum(contact_motion.frames[:, None] + trail_offsets, 0)]
     middle = rr.LineStrips2D([[[-across, 0], [across, 0]]], colors=[FAINT], radii=pixels(0.5))
     style(stream, f"{path}/middle", middle)
     style(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[LINES[0]], radii=[pixels(0.75)]))
     send(stream, f"{path}/trail", time_s, rr.LineStrips2D, strips=trail)
     style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
-    send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail[:, -1], colors=play.colours)
-    above = [[0, -1.5 * play.reach_mm]]
+    send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail[:, -1], colors=contact_motion.colours)
+    above = [[0, -1.5 * contact_motion.reach_mm]]
     style(stream, f"{path}/reading", rr.Points2D.from_fields(positions=above, radii=[0]))
-    send(stream, f"{path}/reading", time_s, rr.Points2D, labels=_readings(play), colors=play.colours)
-    if play.until_s is not None:
-        stream.set_time(TIMELINE, duration=play.until_s)
+    send(
+        stream, f"{path}/reading", time_s, rr.Points2D, labels=_readings(contact_motion), colors=contact_motion.colours
+    )
+    if contact_motion.until_s is not None:
+        stream.set_time(TIMELINE, duration=contact_motion.until_s)
         for name_ in ("trail", "point"):
             stream.log(f"{path}/{name_}", rr.Clear(recursive=False))
         stream.log(f"{path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
@@ -150,56 +156,79 @@ def _levels(law: ContactLaw) -> list[tuple[float, int]]:
 
 
 def _send_levels(
-    stream: rr.RecordingStream, path: str, play: Play, law: ContactLaw, column: float, colour: Colour
+    stream: rr.RecordingStream, path: str, contact_motion: ContactMotion, law: ContactLaw, column: float, colour: Colour
 ) -> None:
     name = path.rpartition("/")[2]
     for level, direction in _levels(law):
-        place = [column * play.reach_mm, level - 0.28 * play.reach_mm * (direction < 0)]
+        place = [column * contact_motion.reach_mm, level - 0.28 * contact_motion.reach_mm * (direction < 0)]
         send_labels(stream, f"{path}/{SIDES[direction]}", [place], [f"{name} {-level:+.4g} mm"], colour)
 
 
-def _readings(play: Play) -> list[str]:
+def _readings(contact_motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
     words = []
-    for frame in play.frames:
-        force = "" if play.force_n is None else f", {play.force_n[frame]:+.1f} N"
-        deep = f"{1e3 * abs(play.depth_m[frame]):.2f} mm deep{force}, closed" if play.closed[frame] else "free"
-        words.append(f"{1e3 * play.relative_m[frame]:+.2f} mm, {deep}")
+    for frame in contact_motion.frames:
+        force = "" if contact_motion.force_n is None else f", {contact_motion.force_n[frame]:+.1f} N"
+        deep = (
+            f"{1e3 * abs(contact_motion.depth_m[frame]):.2f} mm deep{force}, closed"
+            if contact_motion.closed[frame]
+            else "free"
+        )
+        words.append(f"{1e3 * contact_motion.relative_m[frame]:+.2f} mm, {deep}")
     return words
 
 
-def send_over_time(stream: rr.RecordingStream, play: Play) -> None:
+def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
-    path, end_times_s = entity("relative_displacement", play.contact.name), play.time_s[[0, -1]]
-    legend = [(play.contact.name, LINES[0])]
-    for name, law in (("walls", play.contact.law), *play.overlaid.items()):
-        colour = LAW_COLOURS.get(name, CLOSED)
+    path, end_times_s = entity("relative_displacement", contact_motion.contact.name), contact_motion.time_s[[0, -1]]
+    legend = [(contact_motion.contact.name, LINES[0])]
+    for label, law in (("walls", contact_motion.contact.law), *contact_motion.overlaid.items()):
+        colour = LAW_COLOURS.get(label, CLOSED)
         limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
-        names = [f"{play.walls if name == 'walls' else name} {limit:+.5g} mm" for limit in limits]
-        send_lines(stream, f"{path}/{name}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
-        legend += [(name, colour) for name in names]
-    value = 1e3 * play.relative_m[None, play.plotted]
-    send_lines(stream, f"{path}/value", play.time_s[play.plotted], value, [play.contact.name], LINES)
-    for name, samples, colour in (("closes", _changes(play)[0], CLOSED), ("opens", _changes(play)[1], FREE)):
-        style(stream, f"{path}/{name}", rr.SeriesPoints(colors=[colour], names=[name], marker_sizes=[3.0]))
-        send(stream, f"{path}/{name}", play.time_s[samples], rr.Scalars, scalars=1e3 * play.relative_m[samples])
-        legend.append((f"● {name}", colour))
+        names = [f"{contact_motion.wall_source if label == 'walls' else label} {limit:+.5g} mm" for limit in limits]
+        send_lines(stream, f"{path}/{label}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
+        legend += [(label, colour) for label in names]
+    value = 1e3 * contact_motion.relative_m[None, contact_motion.plotted]
+    send_lines(
+        stream,
+        f"{path}/value",
+        contact_motion.time_s[contact_motion.plotted],
+        value,
+        [contact_motion.contact.name],
+        LINES,
+    )
+    for label, samples, colour in (
+        ("closes", _changes(contact_motion)[0], CLOSED),
+        ("opens", _changes(contact_motion)[1], FREE),
+    ):
+        style(stream, f"{path}/{label}", rr.SeriesPoints(colors=[colour], names=[label], marker_sizes=[3.0]))
+        send(
+            stream,
+            f"{path}/{label}",
+            contact_motion.time_s[samples],
+            rr.Scalars,
+            scalars=1e3 * contact_motion.relative_m[samples],
+        )
+        legend.append((f"● {label}", colour))
     send_legend(stream, path, legend)
 
 
-def send_events(stream: rr.RecordingStream, play: Play) -> None:
+def send_events(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send a log entry at every sample at which the contact closes or opens.
 
     Beyond MAX_CLOSINGS the number of further closings is stated.
     """
-    changes = _changes(play)
+    changes = _changes(contact_motion)
     closes, opens = (samples[:MAX_CLOSINGS] for samples in changes)
-    words = [f"{play.contact.name} closes at its {'upper' if play.depth_m[s] > 0 else 'lower'} stop" for s in closes]
+    words = [
+        f"{contact_motion.contact.name} closes at its {'upper' if contact_motion.depth_m[s] > 0 else 'lower'} stop"
+        for s in closes
+    ]
     starts = np.concatenate([[0], closes])[np.searchsorted(closes, opens)]  # an opening ends the closing before it
     for start, sample in zip(starts, opens, strict=True):
-        lasted_ms = 1e3 * (play.time_s[sample] - play.time_s[start])
-        deepest_mm = 1e3 * np.abs(play.depth_m[start:sample]).max()
-        words.append(f"{play.contact.name} opens after {lasted_ms:.3g} ms, at most {deepest_mm:.3g} mm deep")
+        lasted_ms = 1e3 * (contact_motion.time_s[sample] - contact_motion.time_s[start])
+        deepest_mm = 1e3 * np.abs(contact_motion.depth_m[start:sample]).max()
+        words.append(f"{contact_motion.contact.name} opens after {lasted_ms:.3g} ms, at most {deepest_mm:.3g} mm deep")
     if unlisted := changes[0].size - closes.size:
         words[closes.size - 1] += f"; it closes {unlisted} times more, which are not listed"
     samples = np.concatenate([closes, opens])
@@ -208,18 +237,18 @@ def send_events(stream: rr.RecordingStream, play: Play) -> None:
     colours = np.array([CLOSED] * closes.size + [FREE] * opens.size, dtype=np.uint8).reshape(-1, 3)
     send(
         stream,
-        entity("events", play.contact.name),
-        play.time_s[samples[order]],
+        entity("events", contact_motion.contact.name),
+        contact_motion.time_s[samples[order]],
         rr.TextLog,
-        text=[f"{play.time_s[samples[i]]:.4f} s: {words[i]}" for i in order],
+        text=[f"{contact_motion.time_s[samples[i]]:.4f} s: {words[i]}" for i in order],
         level=[str(levels[i]) for i in order],
         color=colours[order],
     )
 
 
-def _changes(play: Play) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
+def _changes(contact_motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
     """First samples at which the contact is closed, and at which it is free again."""
-    steps = np.diff(play.closed.astype(int))
+    steps = np.diff(contact_motion.closed.astype(int))
     return np.flatnonzero(steps == 1) + 1, np.flatnonzero(steps == -1) + 1
 
 
@@ -228,37 +257,37 @@ REST_SHARE = 0.01
 """Share of its range by which a contact has to leave its first position to count as moving."""
 
 
-def send_phase(stream: rr.RecordingStream, play: Play) -> None:
+def send_phase(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send the contact force (upwards) over relative displacement, frame by frame, over the laws.
 
     A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
     """
-    if play.force_n is None:
+    if contact_motion.force_n is None:
         return
-    path, reach = entity("phase", play.contact.name), play.reach_mm
-    largest_n = 1.1 * float(np.abs(play.force_n).max()) or 1.0
+    path, reach = entity("phase", contact_motion.contact.name), contact_motion.reach_mm
+    largest_n = 1.1 * float(np.abs(contact_motion.force_n).max()) or 1.0
     axes = Axes((-reach, reach), (-largest_n, largest_n), "relative displacement, mm", "force, N")
-    laws = {play.walls: play.contact.law, **play.overlaid}
-    colours = {name: STEEL if name == play.walls else LAW_COLOURS[name] for name in laws}
+    laws = {contact_motion.wall_source: contact_motion.contact.law, **contact_motion.overlaid}
+    colours = {name: STEEL if name == contact_motion.wall_source else LAW_COLOURS[name] for name in laws}
     axes.send(stream, path, {"force": LINES[1]} | {f"{name} law": colour for name, colour in colours.items()})
-    eta = np.linspace(play.relative_m.min(), play.relative_m.max(), 401)
+    eta = np.linspace(contact_motion.relative_m.min(), contact_motion.relative_m.max(), 401)
     for depth, (name, law) in enumerate(laws.items()):
         line = axes.points(1e3 * eta, law.force_n(eta, np.zeros(eta.size)))
         law_style = {"colors": [colours[name]], "radii": pixels(1.0), "draw_order": 10.0 + depth}
         style(stream, f"{path}/{name}", rr.LineStrips2D([line], **law_style))
     line_style = rr.LineStrips2D.from_fields(colors=[LINES[1]], radii=[pixels(1.25)], draw_order=50.0)
     style(stream, f"{path}/seen", line_style)
-    points = axes.points(1e3 * play.relative_m, play.force_n)[play.plotted]
-    frame_places = np.searchsorted(play.plotted, play.frames)
+    points = axes.points(1e3 * contact_motion.relative_m, contact_motion.force_n)[contact_motion.plotted]
+    frame_places = np.searchsorted(contact_motion.plotted, contact_motion.frames)
     strips = [points[a : b + 1] for a, b in pairwise(frame_places)]
-    send(stream, f"{path}/seen", play.time_s[play.frames[1:]], rr.LineStrips2D, strips=strips)
+    send(stream, f"{path}/seen", contact_motion.time_s[contact_motion.frames[1:]], rr.LineStrips2D, strips=strips)
 
 
-def send_histogram(stream: rr.RecordingStream, play: Play) -> None:
+def send_histogram(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
-    moved_m = np.abs(play.relative_m - play.relative_m[0])
-    moving_m = play.relative_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(play.relative_m))) :]
-    counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-play.reach_mm, play.reach_mm))
+    moved_m = np.abs(contact_motion.relative_m - contact_motion.relative_m[0])
+    moving_m = contact_motion.relative_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(contact_motion.relative_m))) :]
+    counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-contact_motion.reach_mm, contact_motion.reach_mm))
     share = 100 * counts / moving_m.size
     bars = rr.BarChart(share, abscissa=edges[:-1], widths=np.diff(edges), color=LINES[0])
-    style(stream, entity("histogram", play.contact.name), bars)
+    style(stream, entity("histogram", contact_motion.contact.name), bars)

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Bool, Float
 
-from rig.viewer.contact_view import Play
+from rig.viewer.contact_view import ContactMotion
 from rig.viewer.drawing import DIAGNOSIS, GAP, GAP_OVER_TIME, send, send_lines, style
 from rig.viewer.gap import Mark, ShownGap
 from rig.viewer.stage import Stage
@@ -15,7 +15,7 @@ MIN_LABELLED_SHARE = 0.1
 """Least share of the mismatch at a station that is labelled."""
 
 
-def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Sequence[Play]) -> None:
+def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_motions: Sequence[ContactMotion]) -> None:
     """Send a diagnosis: text, dots sized by the stations' shares of the mismatch, marks and mismatch over time.
 
     Marks are labelled dots whose size follows their strength over time.
@@ -29,7 +29,7 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Seq
         send(stream, path, scene.time_s, rr.Points3D, positions=scene.point(station))
     for number, mark in enumerate(gap.marks):
         path, positions = f"model/gap/mark_{number}", scene.point(mark.place)
-        strengths = _strengths(mark, gap, scene.time_s, _closed(scene, plays))
+        strengths = _strengths(mark, gap, scene.time_s, _closed(scene, contact_motions))
         radii = -14.0 * strengths  # negative: pixels
         style(stream, path, rr.Points3D.from_fields(colors=[GAP]))
         send(stream, path, scene.time_s, rr.Points3D, positions=positions, radii=radii)
@@ -48,11 +48,13 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, plays: Seq
     send_lines(stream, GAP_OVER_TIME, edges, percent[None], ["share of the gap"], (GAP,))
 
 
-def _closed(scene: Stage, plays: Sequence[Play]) -> Bool[np.ndarray, " frames"]:
+def _closed(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bool[np.ndarray, " frames"]:
     """Frames at which a contact is closed."""
     closed = np.zeros(scene.time_s.size, dtype=bool)
-    for play in plays:
-        closed[np.searchsorted(scene.time_s, play.time_s[play.frames] - 1e-9)] |= play.closed[play.frames]
+    for contact_motion in contact_motions:
+        closed[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frames] - 1e-9)] |= (
+            contact_motion.closed[contact_motion.frames]
+        )
     return closed
 
 

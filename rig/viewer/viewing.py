@@ -18,8 +18,8 @@ from rig.model.sensing import sensors_of
 from rig.recording import Recording
 from rig.viewer.blueprint import Layout, blueprint, plotted
 from rig.viewer.contact_view import (
+    ContactMotion,
     LawSource,
-    Play,
     send_close_up,
     send_events,
     send_histogram,
@@ -66,35 +66,41 @@ def write_rrd(
     motion = deflection(recording, truth)
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
     stride = max(1, -(-_series_scalars(recording, truth) // SCALARS))
-    plays = _plays(recording, truth, motion, identified, scene.frames, stride)
+    contact_motions = _contact_motions(recording, truth, motion, identified, scene.frames, stride)
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
-        contact_force=None if not plays or plays[0].force_n is None else "separated" if truth is None else "true",
+        contact_force=None
+        if not contact_motions or contact_motions[0].force_n is None
+        else "separated"
+        if truth is None
+        else "true",
         magnification=scene.magnification,
         approximate=motion.approximate,
         stride=stride,
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
         frame_rate_hz=scene.frame_rate_hz,
-        reach_mm={play.contact.name: play.reach_mm for play in plays},
-        spectra=tuple(spectra_of(recording, {p.contact.name: p.force_n for p in plays if p.force_n is not None})),
+        reach_mm={contact_motion.contact.name: contact_motion.reach_mm for contact_motion in contact_motions},
+        spectra=tuple(
+            spectra_of(recording, {p.contact.name: p.force_n for p in contact_motions if p.force_n is not None})
+        ),
         diagnosis=gap is not None,
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
         stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-        _send_model(stream, scene, recording, plays)
+        _send_model(stream, scene, recording, contact_motions)
         progress(0.3)
-        for count, play in enumerate(plays, start=1):
-            send_close_up(stream, play)
-            send_over_time(stream, play)
-            send_phase(stream, play)
-            send_histogram(stream, play)
-            send_events(stream, play)
-            progress(0.3 + 0.5 * count / len(plays))
+        for count, contact_motion in enumerate(contact_motions, start=1):
+            send_close_up(stream, contact_motion)
+            send_over_time(stream, contact_motion)
+            send_phase(stream, contact_motion)
+            send_histogram(stream, contact_motion)
+            send_events(stream, contact_motion)
+            progress(0.3 + 0.5 * count / len(contact_motions))
         if gap is not None:
-            send_gap(stream, gap, scene, plays)
-        _send_series(stream, recording, plays, stride)
+            send_gap(stream, gap, scene, contact_motions)
+        _send_series(stream, recording, contact_motions, stride)
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
         write_bytes(encoded.read() or b"", path)
@@ -113,14 +119,14 @@ def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
         encoded.read()
 
 
-def _plays(
+def _contact_motions(
     recording: Recording,
     truth: Recording | None,
     motion: Deflection,
     identified: Identified,
     frames: Int[np.ndarray, " frames"],
     stride: int,
-) -> list[Play]:
+) -> list[ContactMotion]:
     """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
     time_s = recording.signals["force"].time_s
     relative_m, force_n = motion.relative(), None
@@ -130,17 +136,17 @@ def _plays(
     if truth is None and identified.curves is not None:
         span = identified.curves.covered(time_s)
         relative_m, force_n = identified.curves.interpolated(time_s[span])
-    plays = []
+    contact_motions = []
     for j, believed in enumerate(recording.rig.contacts):
         laws: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
         laws |= {"identified": identified.laws[believed.name]} if believed.name in identified.laws else {}
         laws["believed"] = believed.law
-        walls = next(iter(laws))
-        overlaid = {name: law for name, law in laws.items() if name == "identified" or law != laws[walls]}
-        play = Play(
-            contact=replace(believed, law=laws[walls]),
-            walls=walls,
-            overlaid={name: law for name, law in overlaid.items() if name != walls},
+        wall_source = next(iter(laws))
+        overlaid = {name: law for name, law in laws.items() if name == "identified" or law != laws[wall_source]}
+        contact_motion = ContactMotion(
+            contact=replace(believed, law=laws[wall_source]),
+            wall_source=wall_source,
+            overlaid={name: law for name, law in overlaid.items() if name != wall_source},
             time_s=time_s[span],
             until_s=float(time_s[span.stop]) if span.stop < time_s.size else None,
             relative_m=relative_m[j],
@@ -148,8 +154,8 @@ def _plays(
             frames=frames[(frames >= span.start) & (frames < span.stop)] - span.start,
             stride=stride,
         )
-        plays.append(play)
-    return plays
+        contact_motions.append(contact_motion)
+    return contact_motions
 
 
 def open_viewer(path: Path) -> None:
@@ -170,7 +176,9 @@ def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))
 
 
-def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, plays: Sequence[Play]) -> None:
+def _send_model(
+    stream: rr.RecordingStream, scene: Stage, recording: Recording, contact_motions: Sequence[ContactMotion]
+) -> None:
     stream.log("model", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     for number, body in enumerate(scene.rig.bodies):
         path, colour, strips = entity("model", body.name), LINES[number % len(LINES)], scene.strips(body)
@@ -182,13 +190,24 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         label = scene.label(body)
         style(stream, f"{path}/name", rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name]))
         send(stream, f"{path}/name", scene.time_s, rr.Points3D, positions=label)
-    for play in plays:
-        path = entity("model", play.contact.name)
+    for contact_motion in contact_motions:
+        path = entity("model", contact_motion.contact.name)
         style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[pixels(2.0)]))
-        send(stream, path, scene.time_s, rr.LineStrips3D, strips=scene.fork(play.contact, play.contact.law))
+        send(
+            stream,
+            path,
+            scene.time_s,
+            rr.LineStrips3D,
+            strips=scene.fork(contact_motion.contact, contact_motion.contact.law),
+        )
         style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[pixels(5.0)]))
-        positions, colours = scene.point(play.contact.at), np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8)
-        colours[np.searchsorted(scene.time_s, play.time_s[play.frames] - 1e-9)] = play.colours
+        positions, colours = (
+            scene.point(contact_motion.contact.at),
+            np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8),
+        )
+        colours[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frames] - 1e-9)] = (
+            contact_motion.colours
+        )
         send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=positions, colors=colours)
     longest_n = np.abs(recording.forces_n).max() or 1.0
     for name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
@@ -198,21 +217,23 @@ def _send_model(stream: rr.RecordingStream, scene: Stage, recording: Recording, 
         send(stream, path, scene.time_s, rr.Arrows3D, vectors=arrows, origins=scene.point(station))
 
 
-def _send_series(stream: rr.RecordingStream, recording: Recording, plays: Sequence[Play], stride: int) -> None:
+def _send_series(
+    stream: rr.RecordingStream, recording: Recording, contact_motions: Sequence[ContactMotion], stride: int
+) -> None:
     time_s = recording.signals["force"].time_s
     exciting, colours = recording.rig.force_names, (FORCE, *LINES)
     send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], exciting, colours)
     send_legend(stream, "exciting_force", list(zip(exciting, colours * len(exciting), strict=False)))
     legend = []
-    for number, play in enumerate(plays):
-        if play.force_n is not None:
-            path, name = entity("contact_force", play.contact.name), play.contact.name
+    for number, contact_motion in enumerate(contact_motions):
+        if contact_motion.force_n is not None:
+            path, name = entity("contact_force", contact_motion.contact.name), contact_motion.contact.name
             colour = LINES[number % len(LINES)]
             send_lines(
                 stream,
                 path,
-                play.time_s[play.plotted],
-                play.force_n[None, play.plotted],
+                contact_motion.time_s[contact_motion.plotted],
+                contact_motion.force_n[None, contact_motion.plotted],
                 [name],
                 (colour,),
             )

@@ -53,7 +53,7 @@ def figures() -> Iterator[Figure]:
 
 def _run_through(force_n: Float[np.ndarray, " samples"], step_s: float) -> None:
     """The sensors' rows come unasked; the relative displacements do not."""
-    for block in modal.simulate(RIG, force_n, step_s, lambda _: None, modes=MODES):
+    for block in modal.simulate(RIG, force_n, step_s, lambda _: None, modes_per_beam=MODES):
         block.eta_m[:, :]
 
 
@@ -67,7 +67,7 @@ def _force_n(seed: int) -> Float[np.ndarray, " samples"]:
 @cache
 def young(power: int, seed: int) -> Motion:
     force_n = _force_n(seed)[:: 2 ** (FINE - power)]
-    return joined(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None, modes=MODES))
+    return joined(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None, modes_per_beam=MODES))
 
 
 def _contact_s(seed: int) -> float:

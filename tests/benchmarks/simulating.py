@@ -50,5 +50,5 @@ def _recorded() -> None:
 def _loop_cpu_s(duration_s: float, step_s: float, modes: int) -> float:
     blind = msgspec.structs.replace(RIG, sensors=())
     force_n = force_history(SETTINGS.force(), duration_s, step_s)
-    simulate = partial(modal.simulate, blind, force_n, step_s, lambda _: None, modes=modes)
+    simulate = partial(modal.simulate, blind, force_n, step_s, lambda _: None, modes_per_beam=modes)
     return least_cpu_s(lambda: sum(block.force_n.size for block in simulate()), times=5)

@@ -94,7 +94,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path, plan: Plan) -> dict[st
     """CPU seconds of every step on a record with these settings."""
     rig = settings.rig()
     force_n = force_history(settings.force(), settings.duration_s, settings.step_s)
-    plant = partial(modal.simulate, modes=modes)
+    plant = partial(modal.simulate, modes_per_beam=modes)
     recorded = partial(
         record,
         rig,

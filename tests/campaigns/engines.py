@@ -109,7 +109,10 @@ def _long_run(settings: BarrelCradle, seeds: int) -> Table:
         return np.array([astuple(statistics(plant, settings, k, f"{name}, seed {k}")) for k in range(1, count + 1)])
 
     count = max(CHANCE_SEEDS, seeds)
-    linear, twin = runs(modal.simulate, "modal", count), runs(partial(modal.simulate, modes=24), "24 modes", count)
+    linear, twin = (
+        runs(modal.simulate, "modal", count),
+        runs(partial(modal.simulate, modes_per_beam=24), "24 modes", count),
+    )
     finite_elements = runs(ancf.simulate, "ancf", seeds)
     chance = 100 * np.std(twin / linear - 1, axis=0, ddof=1) / np.sqrt(seeds)
     table = Table(title=f"{seeds} x {settings.duration_s:g} s at step 1/{round(1 / settings.step_s)} s, 14 N")
@@ -130,7 +133,9 @@ def _trajectories() -> Table:
         step_s = 2.0**-power
         finite_elements = young_motion(ancf.simulate, step_s)
         for modes in MODE_COUNTS:
-            differences = tip_difference(finite_elements, young_motion(partial(modal.simulate, modes=modes), step_s))
+            differences = tip_difference(
+                finite_elements, young_motion(partial(modal.simulate, modes_per_beam=modes), step_s)
+            )
             table.add_row(f"2^-{power}", str(modes), *(f"{100 * differences[b]:.2f}" for b in ("cradle", "barrel")))
     return table
 

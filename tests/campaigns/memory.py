@@ -93,7 +93,7 @@ def taken(name: str, length_s: float, command: str, out: Path) -> Taken:
         record(
             settings.rig(),
             settings.force(),
-            plant=partial(modal.simulate, modes=16),
+            plant=partial(modal.simulate, modes_per_beam=16),
             duration_s=length_s,
             step_s=settings.step_s,
             path=path,

@@ -117,7 +117,7 @@ def recorded(name: str, out: Path, seed: int, number: int, duration_s: float) ->
         record(
             case.rig,
             replace(BarrelCradle(rms_n=case.rms_n, duration_s=duration_s).force(), seed=1000 * seed + number),
-            plant=partial(modal.simulate, modes=20),
+            plant=partial(modal.simulate, modes_per_beam=20),
             duration_s=duration_s,
             step_s=2.0**-15,
             path=path,

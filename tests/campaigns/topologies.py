@@ -194,7 +194,7 @@ def recorded(
     record(
         case.rig,
         replace(BarrelCradle(rms_n=level * case.rms_n, duration_s=duration_s).force(), seed=seed),
-        plant=partial(modal.simulate, modes=20),
+        plant=partial(modal.simulate, modes_per_beam=20),
         duration_s=duration_s,
         step_s=2.0**-15,
         path=path,

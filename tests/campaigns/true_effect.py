@@ -14,7 +14,7 @@ import numpy as np
 
 from identify.gaps.decision.comparison import mismatch_size, nominal_misfit_beside
 from identify.gaps.decision.recordings import without_faulty_channels
-from identify.gaps.residual.likelihood import Misfit, Reference, misfit, reference_of
+from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -99,7 +99,7 @@ def achieved(task: ToLay) -> Best:
 def _achieved(task: ToLay) -> Best:
     (_, validation), _ = without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=validation.rig.tolerances or LABORATORY)
-    reference, matters = reference_of(linearized(record, record.rig)), Matters()
+    reference, matters = nominal_variances_of(linearized(record, record.rig)), Matters()
     alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
     before = mismatch_size(alone, matters)
     if not task.effects:
@@ -136,7 +136,7 @@ def log_prior(effects: Sequence[str], placed: Mapping[str, int]) -> float:
     return float(np.log(among) - sum(np.log(placed[name]) for name in effects))
 
 
-def _laid(record: Record, reference: Reference, effects: Sequence[str], alone: Misfit) -> tuple[Misfit, Misfit]:
+def _laid(record: Record, reference: NominalVariances, effects: Sequence[str], alone: Misfit) -> tuple[Misfit, Misfit]:
     """What the rig with these effects leaves, and the believed one with its nuisance parameters."""
     rig: Rig = record.rig
     for text in effects:

@@ -88,7 +88,7 @@ def _law(recording: Recording) -> object:
 
 def _gap(recording: Recording) -> object:
     """Its first part: the record against the linear model, with all tolerances fitted, of a single null simulation."""
-    return null_reference_of(recording, LABORATORY, lambda *_: recording, "modal", simulations=1)
+    return null_reference_of(recording, LABORATORY, lambda *_: recording, "modal", simulation_count=1)
 
 
 ANSWERS: dict[str, Callable[[Recording], object]] = {"contact": _contact, "check": _check, "law": _law, "gap": _gap}
@@ -237,7 +237,7 @@ def _simulated(_believed: Rig, _actual: Rig, forces_n: np.ndarray, _seed: int) -
 def null_reference() -> tuple[bytes, NullReference]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "one.json"
-        made = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulations=1)
+        made = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulation_count=1)
         return path.read_bytes(), made
 
 
@@ -248,7 +248,7 @@ def kept_null_reference(rng: np.random.Generator, folder: Path) -> str:
     path.write_bytes((text_changed if rng.random() < 0.5 else bytes_changed)(rng, whole))
 
     def work() -> None:
-        found = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulations=1)
+        found = null_reference_of(sound_recording(), LABORATORY, _simulated, "modal", path=path, simulation_count=1)
         assert found == made
 
     return refused_or_right(folder, work)

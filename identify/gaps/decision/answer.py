@@ -116,7 +116,7 @@ def describe(
         probability_nothing=decision.probability_nothing,
         probability_unknown=decision.probability_unmeasured,
         nothing_minus_two_log=decision.nominal.misfit.minus_two_log,
-        unknown_gain=judgement.unmeasured.gain,
+        unknown_gain=judgement.unmeasured.minus_two_log_decrease,
         unknown=side_analyses.unknown,
         bands=bands_of(decision.nominal.misfit, decision.named_misfit, prepared.null_reference),
         separate_by=confirming_tests(causes, [item.validated for item in weighted]),
@@ -186,7 +186,7 @@ def _record_differences(
     if not prepared.fits_several:
         return Attempt()
     records = [observation.record for observation in prepared.observations]
-    references = [observation.reference for observation in prepared.observations]
+    variances_by_record = [observation.nominal_variances for observation in prepared.observations]
     cause = decision.named if decision.corrects_rig else None
     levels_n = [
         float(np.sqrt(np.mean(np.sum(observation.recording.forces_n**2, axis=0))))
@@ -194,7 +194,9 @@ def _record_differences(
     ]
     return attempted(
         "between_records",
-        lambda: differences(records, references, cause, searched.candidates, prepared.titles, levels_n, progress),
+        lambda: differences(
+            records, variances_by_record, cause, searched.candidates, prepared.titles, levels_n, progress
+        ),
     )
 
 

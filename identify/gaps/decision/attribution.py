@@ -22,7 +22,7 @@ MAP_CELLS = 12
 
 
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:
-    """Shares of the sum of squares of the residual in its reference variances, less noise and tolerated model error."""
+    """Shares of the sum of squares of the residual in its nominal variances, less noise and tolerated model error."""
     record = linearization.record
     excess = np.maximum(nominal_misfit.levels - 1, 0.0)
     channels = _normalized(dict(zip([s.name for s in record.sensors], excess.sum(axis=0), strict=True)))

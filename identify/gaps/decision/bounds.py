@@ -67,7 +67,7 @@ def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> t
     quantities = [Bounded("motion", "1", misfit.share, _at_least(misfit.share, upper), matters.motion)]
     for j, name in enumerate(contacts):
         force_n2 = float(np.mean(misfit.force_n2[:, j]))
-        weights, share = misfit.reference.observations[j].weights, float(misfit.contact_shares[j])
+        weights, share = misfit.nominal_variances.observations[j].weights, float(misfit.contact_shares[j])
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
         if noise_n2 > HIDING_NOISE_SHARE * force_n2:
             quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER_ADVICE))

@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.fit import fit
-from identify.gaps.residual.likelihood import Misfit, Reference, misfit
+from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.results import Matters
@@ -88,7 +88,7 @@ def nominal_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
 
 def validate_hypotheses(
     record: Record,
-    reference: Reference,
+    nominal_variances: NominalVariances,
     nominal_residual: Residual,
     hypotheses: Sequence[Hypothesis],
     priors: Mapping[tuple[str, ...], float],
@@ -100,7 +100,7 @@ def validate_hypotheses(
     of a tone) are fitted anew.
     """
     validated = []
-    unchanged_misfit = misfit(record, reference, nominal_residual)
+    unchanged_misfit = misfit(record, nominal_variances, nominal_residual)
     for i, hypothesis in enumerate(hypotheses):
         rig, corrected_rig, effects_misfit, nominal_misfit = record.rig, record.rig, unchanged_misfit, unchanged_misfit
         if hypothesis.candidates:
@@ -110,8 +110,10 @@ def validate_hypotheses(
             except RigError:
                 continue
             corrected_rig = residual.corrected_rig
-            effects_misfit = misfit(record, reference, residual)
-            nominal_misfit = nominal_misfit_beside(record, reference, linearization, residual) or unchanged_misfit
+            effects_misfit = misfit(record, nominal_variances, residual)
+            nominal_misfit = (
+                nominal_misfit_beside(record, nominal_variances, linearization, residual) or unchanged_misfit
+            )
         validated.append(
             ValidatedHypothesis(hypothesis, rig, corrected_rig, effects_misfit, nominal_misfit, priors[hypothesis.key])
         )
@@ -120,7 +122,7 @@ def validate_hypotheses(
 
 
 def nominal_misfit_beside(
-    record: Record, reference: Reference, linearization: Linearization, residual: Residual
+    record: Record, nominal_variances: NominalVariances, linearization: Linearization, residual: Residual
 ) -> Misfit | None:
     """Misfit of the nominal rig with the nuisance parameters of a rig with effects.
 
@@ -129,7 +131,9 @@ def nominal_misfit_beside(
     if (linearization.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
     contact_unknowns = tuple(c.unknowns for c in residual.contacts)
-    return misfit(record, reference, residual_of(linearization, record.rig, residual.nuisance, contact_unknowns))
+    return misfit(
+        record, nominal_variances, residual_of(linearization, record.rig, residual.nuisance, contact_unknowns)
+    )
 
 
 def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
@@ -210,8 +214,8 @@ def removed_share(nominal: Misfit, nominal_beside: Misfit, corrected: Misfit, ma
 def explained_share_interval(nominal: Misfit, corrected: Misfit, matters: Matters) -> tuple[float, float]:
     """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
-    seconds = len(corrected.variance_by_second)
-    samples = rng.integers(0, seconds, (BOOTSTRAP_DRAWS, seconds))
+    second_count = len(corrected.variance_by_second)
+    samples = rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
     shares = [explained_share(nominal.resampled(sample), corrected.resampled(sample), matters) for sample in samples]
     low, high = np.quantile(shares, [0.025, 0.975])
     return float(low), float(high)

@@ -47,7 +47,7 @@ def with_contact_evidence(
     fitted = _hypothesis_of_contact_fit(prepared, candidates, estimates, nominal_of(ranked).hypothesis)
     if fitted is not None and all(fitted.key != item.hypothesis.key for item in ranked):
         priors = log_priors([fitted], candidates)
-        validated += validate_hypotheses(record, validation.reference, nominal_residual, [fitted], priors)
+        validated += validate_hypotheses(record, validation.nominal_variances, nominal_residual, [fitted], priors)
     updated = []
     for item in validated:
         costs = (contact_minus_two_log(e, record.rig, item.rig, record.tolerances) for e in estimates)
@@ -87,4 +87,4 @@ def _hypothesis_of_contact_fit(
     if fitted is initial:
         return None
     residual = fit_nuisance(record, fitted.applied_to(record.rig), rounds=1)[1]
-    return replace(fitted, misfit=misfit(record, prepared.searched.reference, residual))
+    return replace(fitted, misfit=misfit(record, prepared.searched.nominal_variances, residual))

@@ -22,7 +22,7 @@ from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, 
 from identify.gaps.decision.modal_changes import have_levels, level_dependence
 from identify.gaps.decision_table import USUAL_P_VALUE
 from identify.gaps.residual.fit import Values
-from identify.gaps.residual.likelihood import Reference
+from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
@@ -47,8 +47,8 @@ class EffectValues:
     candidates: tuple[Candidate, ...]
     values: Float[np.ndarray, "records parameters"]
 
-    def rig(self, record: int) -> Rig:
-        return applied(self.rigs[record], self.candidates, self.values[record])
+    def rig(self, record_index: int) -> Rig:
+        return applied(self.rigs[record_index], self.candidates, self.values[record_index])
 
     @property
     def effect_names(self) -> list[str]:
@@ -75,11 +75,11 @@ class EffectValues:
         return VaryingParameters(self, self.strength_columns(candidate.name))
 
     def with_values(
-        self, record: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]
+        self, record_index: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]
     ) -> "EffectValues":
         """Effects with these values in some columns of one record, or of all."""
         all_values = self.values.copy()
-        all_values[record, columns] = values
+        all_values[record_index, columns] = values
         return replace(self, values=all_values)
 
 
@@ -103,11 +103,11 @@ class VaryingParameters:
         low, high = parameters_of(self.effects.candidates).bounds
         return low[self.columns], high[self.columns]
 
-    def information(self, record: int, linearised_record: LinearizedRecord) -> Information:
+    def information(self, record_index: int, linearised_record: LinearizedRecord) -> Information:
         def build(values: Values) -> Rig:
-            return self.effects.with_values(record, self.columns, values).rig(record)
+            return self.effects.with_values(record_index, self.columns, values).rig(record_index)
 
-        return linearised_record.with_parameters(build, self.record_values[record], self.steps, self.bounds[1])
+        return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
     def pooled(self, information: Sequence[Information]) -> PooledEstimate:
         return pooled(information, self.steps, self.bounds, self.record_values[0], per_record=True)
@@ -134,14 +134,15 @@ class HomogeneityTest:
 
 @dataclass(frozen=True)
 class _RecordSet:
-    """Records with their references, and the candidates whose values are compared between them."""
+    """Records with their nominal variances, and the candidates whose values are compared between them."""
 
     records: Sequence[Record]
-    references: Sequence[Reference]
+    variances_by_record: Sequence[NominalVariances]
     candidates: Sequence[Candidate]
 
-    def linearized_record(self, effects: EffectValues, record: int) -> LinearizedRecord:
-        return linearized_record(self.records[record], self.references[record], effects.rig(record))
+    def linearized_record(self, effects: EffectValues, record_index: int) -> LinearizedRecord:
+        record, variances = self.records[record_index], self.variances_by_record[record_index]
+        return linearized_record(record, variances, effects.rig(record_index))
 
     def screened(self, effects: EffectValues, excluded: Sequence[str]) -> list[HomogeneityTest]:
         """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
@@ -155,11 +156,11 @@ class _RecordSet:
                 with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
                 trials.append((candidate, with_candidate.varying_strengths(candidate)))
         information: list[list[Information]] = [[] for _ in trials]
-        for record in range(len(self.records)):
-            linearised_record = self.linearized_record(effects, record)
+        for record_index in range(len(self.records)):
+            linearised_record = self.linearized_record(effects, record_index)
             for record_information, (_, varying) in zip(information, trials, strict=True):
                 with suppress(RigError):
-                    record_information.append(varying.information(record, linearised_record))
+                    record_information.append(varying.information(record_index, linearised_record))
         best: dict[str, HomogeneityTest] = {}
         for record_information, (candidate, varying) in zip(information, trials, strict=True):
             if len(record_information) == len(self.records):
@@ -191,8 +192,8 @@ class _RecordSet:
             with suppress(RigError):
                 varying, estimate = self.fitted(test.varying)
                 different.append(_homogeneity_test(test.candidate, varying, estimate))
-        significant = (item for item in different if item.log_p < log_threshold)
-        return min(significant, key=lambda item: item.cost, default=None), len(tests)
+        significant_tests = (item for item in different if item.log_p < log_threshold)
+        return min(significant_tests, key=lambda item: item.cost, default=None), len(tests)
 
 
 def _homogeneity_test(candidate: Candidate, varying: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
@@ -202,7 +203,7 @@ def _homogeneity_test(candidate: Candidate, varying: VaryingParameters, estimate
 
 def differences(
     records: Sequence[Record],
-    references: Sequence[Reference],
+    variances_by_record: Sequence[NominalVariances],
     cause: ValidatedHypothesis | None,
     candidates: Sequence[Candidate],
     titles: Sequence[str],
@@ -216,11 +217,11 @@ def differences(
     not compared.
     """
     comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
-    record_set = _RecordSet(records, references, comparable)
+    record_set = _RecordSet(records, variances_by_record, comparable)
     initial = _initial_effects(records, cause)
-    tests, tested_effects = _differing_effects(record_set, initial, progress)
+    tests, tested_effect_count = _differing_effects(record_set, initial, progress)
     order = np.argsort(levels_n) if have_levels(levels_n) else None
-    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effects, order)
+    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, order)
     different = [test.candidate.name for test in tests]
     shared = _pool_shared_values(record_set, varying.effects, initial.effect_names, different)
     progress(1.0)
@@ -231,7 +232,7 @@ def differences(
         cause=tuple(_parameter_rows(shared[0], shared[1], 0)) if shared else (),
         cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
         differing=tuple(differing),
-        looked_at=tested_effects,
+        looked_at=tested_effect_count,
         level_dependence=level_dependence(rigs, levels_n, differing, highest_hz),
     )
 
@@ -243,27 +244,27 @@ def _differing_effects(
 
     Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first, tested_effects = record_set.most_different(initial, ())
+    first, tested_effect_count = record_set.most_different(initial, ())
     progress(0.3)
     if first is None:
-        return (), tested_effects
+        return (), tested_effect_count
     second, _ = record_set.most_different(first.varying.effects, [first.candidate.name])
     progress(0.6)
     if second is None:
-        return (first,), tested_effects
+        return (first,), tested_effect_count
     second_only = initial.with_effect(second.candidate, second.values)
     first_refitted, _ = record_set.most_different(second_only, [second.candidate.name])
     return (second, first_refitted) if first_refitted and first_refitted.cost < second.cost else (
         first,
         second,
-    ), tested_effects
+    ), tested_effect_count
 
 
 def _fit_differing_values(
     record_set: _RecordSet,
     initial: EffectValues,
     tests: Sequence[HomogeneityTest],
-    tested_effects: int,
+    tested_effect_count: int,
     order: Int[np.ndarray, " records"] | None,
 ) -> tuple[VaryingParameters, list[ParameterByRecord]]:
     """Joint fit of each record's strengths of the effects that differ, and their rows; order sorts the records by
@@ -276,7 +277,7 @@ def _fit_differing_values(
     if not tests:
         return varying, []
     varying, estimate = record_set.fitted(varying)
-    return varying, _parameter_rows(varying, estimate, tested_effects, order)
+    return varying, _parameter_rows(varying, estimate, tested_effect_count, order)
 
 
 def _pool_shared_values(
@@ -298,11 +299,11 @@ def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | Non
     return EffectValues(rigs, (), np.zeros((len(records), 0)))
 
 
-def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], parameter: int | None = None) -> float:
+def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], parameter_index: int | None = None) -> float:
     """Log p-value of one value for all records (tempered Wald test): of all varying parameters, or of one."""
-    records, count = shape
-    selection = np.eye(count) if parameter is None else np.eye(count)[[parameter]]
-    contrast = np.kron(np.diff(np.eye(records), axis=0), selection)
+    record_count, parameter_count = shape
+    selection = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
+    contrast = np.kron(np.diff(np.eye(record_count), axis=0), selection)
     difference = contrast @ estimate.values
     chi_squared = difference @ np.linalg.solve(contrast @ estimate.covariance @ contrast.T, difference)
     return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrast)))
@@ -311,19 +312,19 @@ def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], paramet
 def _parameter_rows(
     varying: VaryingParameters,
     estimate: PooledEstimate,
-    comparisons: int,
+    comparison_count: int,
     order: Int[np.ndarray, " records"] | None = None,
 ) -> list[ParameterByRecord]:
     """Result rows of the parameters; comparisons is the number of effects tested (Bonferroni), 0 for the cause."""
-    records, count = varying.record_values.shape
+    record_count, parameter_count = varying.record_values.shape
     labelled = [(effect, parameter) for effect in varying.effects.candidates for parameter in effect.parameters]
     rows = []
     for i, column in enumerate(varying.columns):
         candidate, parameter = labelled[column]
-        indices = np.arange(records) * count + i
+        indices = np.arange(record_count) * parameter_count + i
         covariance = TEMPERATURE * estimate.covariance[np.ix_(indices, indices)]
         values = estimate.values[indices]
-        centring = np.eye(records) - 1 / records
+        centring = np.eye(record_count) - 1 / record_count
         errors = np.sqrt(np.maximum(np.diag(centring @ covariance @ centring), 0.0))
         p_value = float(np.exp(_homogeneity_log_p(estimate, varying.record_values.shape, i)))
         rows.append(
@@ -331,8 +332,8 @@ def _parameter_rows(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
-                p_value=min(1.0, max(1, comparisons) * p_value),
-                trend=_trend(values, covariance) if comparisons else "none",
+                p_value=min(1.0, max(1, comparison_count) * p_value),
+                trend=_trend(values, covariance) if comparison_count else "none",
                 by_level="none" if order is None else _trend(values[order], covariance[np.ix_(order, order)]),
             )
         )
@@ -343,7 +344,7 @@ def _trend(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, 
     """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
     steps = np.diff(values)
     errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    significant = steps[np.abs(steps) > TREND_DEVIATIONS * errors]
-    if significant.size and np.all(significant > 0):
+    significant_steps = steps[np.abs(steps) > TREND_DEVIATIONS * errors]
+    if significant_steps.size and np.all(significant_steps > 0):
         return "grows"
-    return "falls" if significant.size and np.all(significant < 0) else "differs"
+    return "falls" if significant_steps.size and np.all(significant_steps < 0) else "differs"

@@ -23,7 +23,7 @@ from scipy.signal import butter, sosfiltfilt
 from identify.gaps.decision.comparison import TEMPERATURE
 from identify.gaps.decision.null_simulations import Simulate, phase_randomized
 from identify.gaps.residual.extent import REACH
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -141,7 +141,7 @@ def initial_search(record: Record, rig: Rig) -> Search:
     All hypotheses that are compared start here, so that none stays in a worse minimum than another.
     """
     linearization, residual = fit_nuisance(record, rig, rounds=1)
-    return Search(reference_of(linearized(record, record.rig)), linearization, residual, ())
+    return Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, ())
 
 
 def refit_hypothesis(start: Search, hypothesis: Hypothesis, fix_parameters: bool = False) -> Hypothesis:

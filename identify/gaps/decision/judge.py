@@ -73,13 +73,13 @@ class PredictedDecision:
 class Unmeasured:
     """Unmeasured force or modulated clearance, in the nominal rig or beside named effects that explain a part.
 
-    gain is the decrease of the nominal rig's -2 ln p by the force that explains it best; None where none was looked
-    for.
+    minus_two_log_decrease is that of the nominal rig's -2 ln p by the force that explains it best; None where none was
+    looked for.
     """
 
     force: UnmeasuredForceFit | None = None
     modulation: ClearanceModulation | None = None
-    gain: float | None = None
+    minus_two_log_decrease: float | None = None
     notes: tuple[Note, ...] = ()
 
 
@@ -108,7 +108,7 @@ def judge(
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig, rounds=1)
     priors = log_priors(searched.hypotheses, searched.candidates)
-    ranked = validate_hypotheses(record, validation.reference, residual, searched.hypotheses, priors, progress)
+    ranked = validate_hypotheses(record, validation.nominal_variances, residual, searched.hypotheses, priors, progress)
     ranked = _refit_contact_laws(prepared, ranked, residual)
     difference = difference_of(prepared, residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
@@ -159,13 +159,13 @@ def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_sp
         for observation in prepared.observations
     ]
     misfits = [
-        misfit(observation.record, observation.reference, rig_residual)
+        misfit(observation.record, observation.nominal_variances, rig_residual)
         for observation, rig_residual in zip(prepared.observations, residuals, strict=True)
     ]
     p_parts = np.append(p_values(list(zip(prepared.null_references, misfits, strict=True))), p_split)
     rig = validation.record.rig
     names = [f"force of {contact.name}" for contact in joined(rig).contacts]
-    motion, *contacts = share_bounds(misfits[prepared.validating], names, matters)
+    motion, *contacts = share_bounds(misfits[prepared.validation_index], names, matters)
     if combined_p_value(p_parts) < CERTAIN_P_VALUE and not all_hold((motion, *contacts)):
         return Difference(combined_p_value(p_parts), motion, tuple(contacts))
     recordings = [observation.recording for observation in prepared.observations]
@@ -188,7 +188,7 @@ def _refit_contact_laws(
     if hypothesis is best.hypothesis:
         return ranked
     priors = {hypothesis.key: best.log_prior}
-    fitted = validate_hypotheses(record, prepared.validation.reference, residual, [hypothesis], priors)
+    fitted = validate_hypotheses(record, prepared.validation.nominal_variances, residual, [hypothesis], priors)
     better = [item for item in fitted if item.misfit.minus_two_log < best.misfit.minus_two_log + MIN_GAIN]
     return sorted([*(better or [best]), *lower_ranked], key=lambda item: -item.log_posterior)
 
@@ -208,7 +208,7 @@ def _decide_with_force(
         if force_in_nominal.value
         else None
     )
-    gain = None if minus_two_log is None else nominal.misfit.minus_two_log - minus_two_log
+    decrease = None if minus_two_log is None else nominal.misfit.minus_two_log - minus_two_log
     decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log))
     force, named = force_in_nominal, decision.named
     if named and explained_share(named.nominal_misfit, named.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE:
@@ -222,7 +222,7 @@ def _decide_with_force(
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
             force, residual = force_beside, fit_nuisance(record, rig, rounds=1)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
-    return decision, Unmeasured(force.value, modulation.value, gain, (*force.notes, *modulation.notes))
+    return decision, Unmeasured(force.value, modulation.value, decrease, (*force.notes, *modulation.notes))
 
 
 def minus_two_log_with_force(
@@ -238,7 +238,7 @@ def minus_two_log_with_force(
         return misfit_without.minus_two_log
     record = validation.record
     cleared = replace(record, delivered=record.delivered - force.delivered())
-    misfit_with = misfit(cleared, validation.reference, fit_nuisance(cleared, rig, rounds=1)[1])
+    misfit_with = misfit(cleared, validation.nominal_variances, fit_nuisance(cleared, rig, rounds=1)[1])
     followed_share = force.directions / force.held.whitened.rows
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.linear + misfit_without.line_cost - misfit_with.linear - misfit_with.line_cost

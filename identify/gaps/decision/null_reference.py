@@ -34,7 +34,7 @@ from identify.gaps.decision.null_simulations import (
     with_crosstalk,
     with_force_noise,
 )
-from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
+from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import record_of
@@ -146,13 +146,13 @@ def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     """
     p_values = np.clip(p_values, 1e-300, MAX_COMBINED_P_VALUE)
     tangents = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
-    mean = float(np.mean(tangents))
-    return 0.5 - float(np.arctan(mean)) / np.pi if mean < 1e12 else 1 / (np.pi * mean)
+    mean_tangent = float(np.mean(tangents))
+    return 0.5 - float(np.arctan(mean_tangent)) / np.pi if mean_tangent < 1e12 else 1 / (np.pi * mean_tangent)
 
 
-def p_value(reference: NullReference, misfit: Misfit) -> float:
+def p_value(null_reference: NullReference, misfit: Misfit) -> float:
     """p-value of the misfit of a rig on one record."""
-    return combined_p_value(p_values([(reference, misfit)]))
+    return combined_p_value(p_values([(null_reference, misfit)]))
 
 
 def null_reference_of(
@@ -162,7 +162,7 @@ def null_reference_of(
     simulator: str,
     progress: Callable[[float], None] = lambda _: None,
     path: Path | None = None,
-    simulations: int = NULL_SIMULATIONS,
+    simulation_count: int = NULL_SIMULATIONS,
     predict: Predict | None = None,
 ) -> NullReference:
     """Null reference of a recording's rig, length and force, read from the file `path`, or made and stored there.
@@ -171,26 +171,26 @@ def null_reference_of(
     named after the key, so that references of many rigs and levels can share it.
     """
     measured_record = record_of(measured, tolerances=tolerances)
-    key = null_key(measured, measured_record.counted_until_s, tolerances, simulator, simulations)
+    key = null_key(measured, measured_record.counted_until_s, tolerances, simulator, simulation_count)
     if path and path.is_dir():
         path = path / f"{key[:16]}.json"
     stored = _stored_references(path) if path else ()
-    if reference := next((item for item in stored if item.key == key), None):
-        return replace(reference, checksum="")
+    if null_reference := next((item for item in stored if item.key == key), None):
+        return replace(null_reference, checksum="")
     if path:
         check_target(path, new_folder=True)
     force_noise_n = np.sqrt(measured_record.force_noise / measured_record.samples)
     gain_tolerance = (
         tolerances.force_gain if len(force_noise_n) > 1 else 0.0
     )  # of one force the rig that is drawn has it
-    start_sample = round(measured_record.excited_s * measured_record.sample_rate_hz)
+    silent_samples = round(measured_record.excited_s * measured_record.sample_rate_hz)
     rows = []
-    for seed, normals in enumerate(standard_normals(measured.rig, simulations)):
+    for seed, normals in enumerate(standard_normals(measured.rig, simulation_count)):
         rng = np.random.default_rng([seed, 77])
         actual = draw_rig(measured.rig, tolerances, normals)
         forces_n = np.array(
             [
-                row if is_impulsive(row) else phase_randomized(row, start_sample, measured.rig.sample_rate_hz, rng)
+                row if is_impulsive(row) else phase_randomized(row, silent_samples, measured.rig.sample_rate_hz, rng)
                 for row in measured.forces_n
             ]
         )
@@ -200,23 +200,23 @@ def null_reference_of(
         )
         record = record_of(recorded, tolerances=tolerances, counted_until_s=measured_record.counted_until_s)
         rows.append(_null_simulation(recorded, record, predict))
-        progress((seed + 1) / simulations)
-    reference = NullReference(key, tuple(rows))
+        progress((seed + 1) / simulation_count)
+    null_reference = NullReference(key, tuple(rows))
     if path:
         make_folder(path.parent)
         content = _StoredReferences(
-            (*stored[1 - STORED_REFERENCES :], replace(reference, checksum=_checksum(reference)))
+            (*stored[1 - STORED_REFERENCES :], replace(null_reference, checksum=_checksum(null_reference)))
         )
         write_bytes(msgspec.json.encode(content), path)
-    return reference
+    return null_reference
 
 
 def _null_simulation(recording: Recording, record: Record, predict: Predict | None) -> NullSimulation:
     """Fit of the nominal rig to a null simulation."""
     linearization = linearized(record, record.rig)
-    reference = reference_of(linearization)
+    nominal_variances = nominal_variances_of(linearization)
     residual = fit_nuisance(record, record.rig, rounds=1)[1]
-    nominal_misfit = misfit(record, reference, residual)
+    nominal_misfit = misfit(record, nominal_variances, residual)
     return NullSimulation(
         nominal_misfit.minus_two_log,
         nominal_misfit.law,
@@ -244,7 +244,7 @@ def null_key(
     counted_until_s: float,
     tolerances: Tolerances,
     simulator: str,
-    simulations: int = NULL_SIMULATIONS,
+    simulation_count: int = NULL_SIMULATIONS,
 ) -> str:
     """Key of the rig, its tolerances, the simulator, the program, and the level and length of the force.
 
@@ -261,7 +261,7 @@ def null_key(
     fields = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {measured.samples} {counted_halves} {simulations} {version}{kind}".encode(),
+        f"{simulator} {level} {measured.samples} {counted_halves} {simulation_count} {version}{kind}".encode(),
     )
     return hashlib.sha256(b"\n".join(fields)).hexdigest()
 
@@ -283,8 +283,8 @@ def _stored_references(path: Path) -> tuple[NullReference, ...]:
     return tuple(reference for reference in references if reference.checksum == _checksum(reference))
 
 
-def _checksum(reference: NullReference) -> str:
-    return hashlib.sha256(msgspec.json.encode(replace(reference, checksum=""))).hexdigest()
+def _checksum(null_reference: NullReference) -> str:
+    return hashlib.sha256(msgspec.json.encode(replace(null_reference, checksum=""))).hexdigest()
 
 
 def summary_statistics(linearization: Linearization) -> dict[str, tuple[float, str]]:

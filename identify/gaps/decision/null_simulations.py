@@ -43,10 +43,10 @@ SHAPE_POSITIONS = 41
 """Positions at which its mode shapes are given, beside those of sensors, forces, contacts and loads."""
 
 
-def standard_normals(rig: Rig, simulations: int) -> Float[np.ndarray, "simulations draws"]:
+def standard_normals(rig: Rig, simulation_count: int) -> Float[np.ndarray, "simulations draws"]:
     """Standard normal draws for every tolerance (Latin hypercube)."""
     draws = 512 + 8 * len(rig.sensors)
-    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(simulations)))
+    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(simulation_count)))
 
 
 def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> Rig:
@@ -159,15 +159,15 @@ def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
 
 
 def phase_randomized(
-    force_n: Float[np.ndarray, " samples"], start_sample: int, sample_rate_hz: float, rng: np.random.Generator
+    force_n: Float[np.ndarray, " samples"], silent_samples: int, sample_rate_hz: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
-    """Force of the same spectrum with random phases, after silence up to start_sample."""
-    excited = force_n[start_sample:]
+    """Force of the same spectrum with random phases, after `silent_samples` zeros."""
+    excited = force_n[silent_samples:]
     spectrum = np.fft.rfft(excited)
     randomized = np.fft.irfft(np.abs(spectrum) * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
     onset = min(round(ONSET_S * sample_rate_hz), excited.size)
     randomized[:onset] *= np.sin(np.linspace(0, np.pi / 2, onset)) ** 2
-    return np.concatenate([np.zeros(start_sample), randomized])
+    return np.concatenate([np.zeros(silent_samples), randomized])
 
 
 def with_force_noise(

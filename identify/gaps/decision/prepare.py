@@ -10,7 +10,7 @@ import numpy as np
 from identify.gaps.decision.null_reference import NullReference, null_key, null_reference_of
 from identify.gaps.decision.null_simulations import Simulate, free_decay_simulator
 from identify.gaps.decision.recordings import ordered_recordings, without_faulty_channels
-from identify.gaps.residual.likelihood import Reference, reference_of
+from identify.gaps.residual.likelihood import NominalVariances, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -19,7 +19,7 @@ from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.pooled import fitted_together
-from identify.gaps.search.sparse import search as search_sets
+from identify.gaps.search.sparse import ranked_hypotheses
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -52,11 +52,11 @@ def simulator_named(name: str) -> Simulator:
 
 @dataclass(frozen=True)
 class PreparedRecording:
-    """Recording with its spectra and the reference variances in which hypotheses are compared on it."""
+    """Recording with its spectra and the nominal variances in which hypotheses are compared on it."""
 
     recording: Recording
     record: Record
-    reference: Reference
+    nominal_variances: NominalVariances
 
     @property
     def force_rms_n(self) -> float:
@@ -68,12 +68,12 @@ class PreparedRecording:
 class Prepared:
     """Recordings of one rig in chronological order, each with the null reference of its level and length.
 
-    The one at index `validating` is not fitted. simulate makes recordings of that rig under a force, or of its free
+    The one at validation_index is not fitted. simulate makes recordings of that rig under a force, or of its free
     decay where no force was measured; predict runs it from measured states.
     """
 
     observations: tuple[PreparedRecording, ...]
-    validating: int
+    validation_index: int
     channel_faults: dict[str, str]
     simulate: Simulate
     predict: Predict | None
@@ -82,15 +82,15 @@ class Prepared:
     @property
     def null_reference(self) -> NullReference:
         """Null reference of the validation record."""
-        return self.null_references[self.validating]
+        return self.null_references[self.validation_index]
 
     @property
     def validation(self) -> PreparedRecording:
-        return self.observations[self.validating]
+        return self.observations[self.validation_index]
 
     @property
     def fitted(self) -> tuple[PreparedRecording, ...]:
-        return tuple(observation for k, observation in enumerate(self.observations) if k != self.validating)
+        return tuple(observation for k, observation in enumerate(self.observations) if k != self.validation_index)
 
     @property
     def searched(self) -> PreparedRecording:
@@ -105,7 +105,7 @@ class Prepared:
     @property
     def titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validating)}"
+            f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validation_index)}"
             for k, observation in enumerate(self.observations)
         )
 
@@ -153,9 +153,9 @@ def prepare(
 
 
 def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedRecording:
-    """Spectra and reference variances of a recording."""
+    """Spectra and nominal variances of a recording."""
     record = record_of(recording, tolerances=tolerances)
-    return PreparedRecording(recording, record, reference_of(linearized(record, record.rig)))
+    return PreparedRecording(recording, record, nominal_variances_of(linearized(record, record.rig)))
 
 
 @dataclass(frozen=True)
@@ -170,22 +170,24 @@ def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: Non
     """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
     parameters."""
     strongest, share = prepared.searched, 0.6 if prepared.fits_several else 1.0
-    searched = search_record(strongest.record, strongest.reference, lambda x: progress(share * x))
+    searched = search_record(strongest.record, strongest.nominal_variances, lambda x: progress(share * x))
     if not prepared.fits_several:
         return searched
     records = [observation.record for observation in prepared.fitted]
-    references = [observation.reference for observation in prepared.fitted]
+    variances = [observation.nominal_variances for observation in prepared.fitted]
     return replace(
         searched,
-        hypotheses=tuple(fitted_together(records, references, hypothesis) for hypothesis in searched.hypotheses),
+        hypotheses=tuple(fitted_together(records, variances, hypothesis) for hypothesis in searched.hypotheses),
     )
 
 
-def search_record(record: Record, reference: Reference, progress: Callable[[float], None] = lambda _: None) -> Searched:
+def search_record(
+    record: Record, nominal_variances: NominalVariances, progress: Callable[[float], None] = lambda _: None
+) -> Searched:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
     library = candidates(
         scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.forced
     )
-    hypotheses = search_sets(Search(reference, linearization, residual, tuple(library)), progress)
+    hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
     return Searched(tuple(hypotheses), tuple(library))

@@ -31,8 +31,8 @@ def drawings(unknown: UnmeasuredForce, rig: Rig) -> Iterator[tuple[str, float, C
         yield "spectrum", _HEIGHT_IN, partial(_spectrum, unknown=unknown)
     if unknown.over_motion and unknown.against in _MOTION_AXIS:
         axis_index = _MOTION_AXIS[unknown.against]
-        yield "law", _HEIGHT_IN, partial(_law, mean=unknown.over_motion, axis_index=axis_index)
-        yield "motion", _HEIGHT_IN, partial(_motion, mean=unknown.over_motion)
+        yield "law", _HEIGHT_IN, partial(_law, mean_force=unknown.over_motion, axis_index=axis_index)
+        yield "motion", _HEIGHT_IN, partial(_motion, mean_force=unknown.over_motion)
     if unknown.by_time:
         yield "time", _HEIGHT_IN, partial(_time, unknown=unknown)
 
@@ -162,10 +162,12 @@ def _spectrum(figure: Any, unknown: UnmeasuredForce) -> None:
     figure.legend(loc="outside lower center", ncols=2)
 
 
-def _law(figure: Any, mean: MeanForce, axis_index: int) -> None:
+def _law(figure: Any, mean_force: MeanForce, axis_index: int) -> None:
     """Mean force of each cell over displacement (axis 0) or velocity (axis 1), coloured by the other."""
-    w, v = (np.convolve(edges, [0.5, 0.5], "valid") for edges in (mean.displacement_m, mean.velocity_m_per_s))
-    force = np.array(mean.force_n)
+    w, v = (
+        np.convolve(edges, [0.5, 0.5], "valid") for edges in (mean_force.displacement_m, mean_force.velocity_m_per_s)
+    )
+    force = np.array(mean_force.force_n)
     i, j = np.nonzero(force)
     motion = (1e3 * w[i], v[j])
     names = ("displacement there, mm", "velocity there, m/s")
@@ -176,13 +178,13 @@ def _law(figure: Any, mean: MeanForce, axis_index: int) -> None:
     figure.suptitle("How it follows the motion", fontsize=10)
 
 
-def _motion(figure: Any, mean: MeanForce) -> None:
+def _motion(figure: Any, mean_force: MeanForce) -> None:
     axes = figure.subplots()
-    force = np.array(mean.force_n)
+    force = np.array(mean_force.force_n)
     largest_force_n = float(np.abs(force).max()) or 1.0
     cells = axes.pcolormesh(
-        1e3 * np.array(mean.displacement_m),
-        mean.velocity_m_per_s,
+        1e3 * np.array(mean_force.displacement_m),
+        mean_force.velocity_m_per_s,
         np.where(force == 0, np.nan, force).T,
         cmap="RdBu_r",
         vmin=-largest_force_n,

@@ -55,18 +55,18 @@ class Fit:
 class NormalEquations:
     """Normal equations H d = g of nuisance parameters and effect parameters; contact unknowns are eliminated.
 
-    eliminated holds each contact's solution u = a - B d as (a, B); decrease_by_unknowns is the decrease of the cost by
-    the contact unknowns alone.
+    eliminated holds each contact's solution u = a - B d as (a, B); cost_decrease_by_contacts is that by the
+    contact unknowns alone.
     """
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
     eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
-    decrease_by_unknowns: float
+    cost_decrease_by_contacts: float
 
     def predicted_decrease(self, step: Float[np.ndarray, " global"]) -> float:
         """Decrease of the cost by a step d if the residual were linear, 2 g'd - d'Hd and that by the unknowns."""
-        return float(self.decrease_by_unknowns + 2 * self.gradient @ step - step @ self.matrix @ step)
+        return float(self.cost_decrease_by_contacts + 2 * self.gradient @ step - step @ self.matrix @ step)
 
     def unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """Steps of each contact's unknowns that belong to a step of the other parameters."""
@@ -126,8 +126,8 @@ class ReducedEquations:
             gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.gradient
             unknown_solutions.append((eliminated.solved_gradient, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        decrease_by_unknowns = float(sum(e.gradient @ e.solved_gradient for e in self.contacts))
-        return NormalEquations(matrix, gradient, tuple(unknown_solutions), decrease_by_unknowns)
+        cost_decrease_by_contacts = float(sum(e.gradient @ e.solved_gradient for e in self.contacts))
+        return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
 
 
 def reduced_equations(linearization: Linearization, residual: Residual) -> ReducedEquations:
@@ -147,10 +147,15 @@ def reduced_equations(linearization: Linearization, residual: Residual) -> Reduc
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
-def contact_jacobian(linearization: Linearization, residual: Residual, index: int) -> Float[np.ndarray, "_ nuisances"]:
+def contact_jacobian(
+    linearization: Linearization, residual: Residual, contact_index: int
+) -> Float[np.ndarray, "_ nuisances"]:
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
-    weights, contact = linearization.observations[index].weights, residual.contacts[index]
-    force_n, eta_m = linearization.columns.contact_n[:, index].T, linearization.columns.eta_m[:, index].T
+    weights, contact = linearization.observations[contact_index].weights, residual.contacts[contact_index]
+    force_n, eta_m = (
+        linearization.columns.contact_n[:, contact_index].T,
+        linearization.columns.eta_m[:, contact_index].T,
+    )
     rows = np.zeros((contact.residual.size, len(linearization.columns.parameters)))
     rows[: weights.size] = weights[:, None] * force_n - (weights * contact.tangent_n_per_m)[:, None] * eta_m
     return rows

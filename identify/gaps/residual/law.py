@@ -310,13 +310,13 @@ def _append_dense_columns(
     sparse: csr_matrix, weights: Float[np.ndarray, " rows"], dense: Float[np.ndarray, "rows columns"]
 ) -> csr_matrix:
     """Weighted sparse rows of equal length with dense columns appended: a faster `hstack` for splines."""
-    (rows, knots), columns = sparse.shape, dense.shape[1]
+    (rows, knots), column_count = sparse.shape, dense.shape[1]
     per_row = sparse.nnz // rows
     values = np.concatenate([sparse.data.reshape(rows, per_row) * weights[:, None], dense], axis=1)
-    dense_indices = np.broadcast_to(knots + np.arange(columns), (rows, columns))
+    dense_indices = np.broadcast_to(knots + np.arange(column_count), (rows, column_count))
     indices = np.concatenate([sparse.indices.reshape(rows, per_row), dense_indices], axis=1)
-    row_starts = (per_row + columns) * np.arange(rows + 1)
-    return csr_matrix((values.ravel(), indices.ravel(), row_starts), shape=(rows, knots + columns))
+    row_starts = (per_row + column_count) * np.arange(rows + 1)
+    return csr_matrix((values.ravel(), indices.ravel(), row_starts), shape=(rows, knots + column_count))
 
 
 def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:

@@ -32,7 +32,7 @@ displacements differentiated twice show noise alone above some hundred Hz."""
 
 
 @dataclass(frozen=True)
-class Reference:
+class NominalVariances:
     """Variances by band and sensor under the nominal rig, shared by all models of a record.
 
     expected_variance is that by noise and tolerated shares, noise its part by noise, power the acceleration's mean
@@ -51,30 +51,30 @@ class Reference:
         return self.noise < NOISE_LIMIT * self.power
 
 
-def reference_of(linearization: Linearization) -> Reference:
-    """Reference from a linearisation at the scales of the tolerances."""
+def nominal_variances_of(linearization: Linearization) -> NominalVariances:
+    """Variances from a linearisation at the scales of the tolerances."""
     record = linearization.record
-    times = record.counted_samples.stop - record.counted_samples.start
-    bands = second_levels(record, np.zeros((len(record.sensors), times))).shape[1]
+    sample_count = record.counted_samples.stop - record.counted_samples.start
+    band_count = second_levels(record, np.zeros((len(record.sensors), sample_count))).shape[1]
     expected_variance, noise, power = (
-        by_band(record, x, bands) for x in (linearization.model.deviation**2, record.noise, record.power)
+        by_band(record, x, band_count) for x in (linearization.model.deviation**2, record.noise, record.power)
     )
-    lines = np.bincount(band_of_lines(record, bands), minlength=bands).astype(float)
-    return Reference(expected_variance, noise, power, lines, linearization.observations)
+    lines = np.bincount(band_of_lines(record, band_count), minlength=band_count).astype(float)
+    return NominalVariances(expected_variance, noise, power, lines, linearization.observations)
 
 
 @dataclass(frozen=True)
 class Misfit:
     """Misfit of a rig to a record, second by second.
 
-    variance_by_second is the level of the linear residual times `Reference.expected_variance`;
+    variance_by_second is the level of the linear residual times `NominalVariances.expected_variance`;
     variance_correction accounts for variances that change within a band (`scales.measured_levels`).
-    contact_level_by_second is the mean square of each contact's residual relative to the reference's variance,
+    contact_level_by_second is the mean square of each contact's residual relative to the nominal variance,
     contact_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is `lines.cost_of_lines`,
     samples the number of independent samples.
     """
 
-    reference: Reference
+    nominal_variances: NominalVariances
     variance_by_second: Float[np.ndarray, "seconds bands sensors"]
     variance_correction: Float[np.ndarray, "bands sensors"]
     contact_level_by_second: Float[np.ndarray, "seconds contacts"]
@@ -89,7 +89,7 @@ class Misfit:
     @property
     def levels(self) -> Float[np.ndarray, "bands sensors"]:
         """Levels L_bi of the linear residual: 1 for noise and tolerated shares alone."""
-        return np.asarray(self.variance_by_second.mean(axis=0) / self.reference.expected_variance)
+        return np.asarray(self.variance_by_second.mean(axis=0) / self.nominal_variances.expected_variance)
 
     @property
     def contacts(self) -> Float[np.ndarray, " contacts"]:
@@ -135,28 +135,32 @@ class Misfit:
         """Mean square of the linear residual per line beyond noise, in the sensors' unit; zero where noise
         dominates."""
         variance = np.maximum(
-            self.variance_by_second.mean(axis=0) * self.variance_correction - self.reference.noise, 0.0
+            self.variance_by_second.mean(axis=0) * self.variance_correction - self.nominal_variances.noise, 0.0
         )
-        return np.asarray(variance * self.reference.has_signal)
+        return np.asarray(variance * self.nominal_variances.has_signal)
 
     @property
     def shares(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
-        return np.asarray(np.sqrt(self.beyond_noise.sum(axis=1) / np.maximum(self.reference.power.sum(axis=1), 1e-300)))
+        return np.asarray(
+            np.sqrt(self.beyond_noise.sum(axis=1) / np.maximum(self.nominal_variances.power.sum(axis=1), 1e-300))
+        )
 
     @property
     def share(self) -> float:
         """Unexplained share of the acceleration's root mean square over all bands, beyond noise."""
         excess = self.beyond_noise.sum(axis=1)
-        power = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        return float(np.sqrt(self.reference.lines @ excess / power))
+        power = max(float(self.nominal_variances.lines @ self.nominal_variances.power.sum(axis=1)), 1e-300)
+        return float(np.sqrt(self.nominal_variances.lines @ excess / power))
 
     @property
     def share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Square of `share` for each second; negative where a second is quieter than the noise."""
-        power = max(float(self.reference.lines @ self.reference.power.sum(axis=1)), 1e-300)
-        excess = (self.variance_by_second * self.variance_correction - self.reference.noise) * self.reference.has_signal
-        return np.einsum("sbi,b->s", excess, self.reference.lines) / power
+        power = max(float(self.nominal_variances.lines @ self.nominal_variances.power.sum(axis=1)), 1e-300)
+        excess = (
+            self.variance_by_second * self.variance_correction - self.nominal_variances.noise
+        ) * self.nominal_variances.has_signal
+        return np.einsum("sbi,b->s", excess, self.nominal_variances.lines) / power
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
@@ -175,27 +179,27 @@ class Misfit:
         )
 
 
-def misfit(record: Record, reference: Reference, residual: Residual) -> Misfit:
-    """Misfit of a fitted residual, in the reference's variances whatever the scales of the fit."""
+def misfit(record: Record, nominal_variances: NominalVariances, residual: Residual) -> Misfit:
+    """Misfit of a fitted residual, in the nominal variances whatever the scales of the fit."""
     levels = second_levels(record, residual.linear)
-    seconds, bands = levels.shape[:2]
-    expected_variance = by_band(record, residual.model.deviation**2, bands)
+    second_count, band_count = levels.shape[:2]
+    expected_variance = by_band(record, residual.model.deviation**2, band_count)
     contacts = [
-        _contact_misfit(observation, contact, seconds)
-        for contact, observation in zip(residual.contacts, reference.observations, strict=True)
+        _contact_misfit(observation, contact, second_count)
+        for contact, observation in zip(residual.contacts, nominal_variances.observations, strict=True)
     ]
-    contact_rows = np.array(contacts).reshape(len(contacts), 3, seconds)
+    contact_rows = np.array(contacts).reshape(len(contacts), 3, second_count)
     drift = sum(float(np.sum(c.residual[c.observation.weights.size : -c.pulls.size] ** 2)) for c in residual.contacts)
     line_count = residual.model.deviation.shape[1]
     input_cost = float(np.sum(residual.linear[len(record.sensors) :] ** 2))
     line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.forced:
-        directions = len(record.sensors) - len(residual.contacts)
-        line_cost = cost_of_lines(residual.linear[: len(record.sensors)], directions, record.repeats)
+        direction_count = len(record.sensors) - len(residual.contacts)
+        line_cost = cost_of_lines(residual.linear[: len(record.sensors)], direction_count, record.repeats)
     return Misfit(
-        reference=reference,
+        nominal_variances=nominal_variances,
         variance_by_second=levels * expected_variance,
-        variance_correction=measured_levels(record, residual.linear, residual.model.deviation, bands)
+        variance_correction=measured_levels(record, residual.linear, residual.model.deviation, band_count)
         / expected_variance,
         contact_level_by_second=contact_rows[:, 0].T,
         contact_n2=contact_rows[:, 1].T,
@@ -209,11 +213,11 @@ def misfit(record: Record, reference: Reference, residual: Residual) -> Misfit:
     )
 
 
-def _contact_misfit(observation: ContactObservation, contact: ContactResidual, seconds: int) -> list[list[float]]:
+def _contact_misfit(observation: ContactObservation, contact: ContactResidual, second_count: int) -> list[list[float]]:
     """Level of a contact's residual, its mean square beyond noise (N^2) and that of the force (N^2), by second."""
     weights = contact.observation.weights
     moving = weights > 0
     residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=moving)
     deviation_n = np.divide(1.0, observation.weights, out=np.zeros(weights.size), where=moving)
     rows = (residual_n * observation.weights) ** 2, residual_n**2 - deviation_n**2, contact.signals.force_n**2
-    return [[float(np.mean(second)) for second in np.array_split(row, seconds)] for row in rows]
+    return [[float(np.mean(second)) for second in np.array_split(row, second_count)] for row in rows]

@@ -90,7 +90,7 @@ class Linear:
             for r in self.responses
         )
         for motion in self.free:
-            accelerations[motion.body][motion.mode] += motion.acceleration
+            accelerations[motion.body_index][motion.mode_index] += motion.acceleration
         return accelerations
 
     @cached_property
@@ -109,12 +109,12 @@ class Linear:
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        places, displacements = places_of(self.record, self.rig), self.displaced
+        sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displaced
         eta = self.unobserved_eta_m(self.known_forces, self.contact_n)
         for response in self.responses:
-            eta += times(_across_weights(self.rig, response, places), displacements)
+            eta += times(_across_weights(self.rig, response, sensor_stations), displacements)
         for motion in self.free:
-            shapes = self._unobserved_shapes(self.responses[motion.body], places)[:, motion.mode]
+            shapes = self._unobserved_shapes(self.responses[motion.body_index], sensor_stations)[:, motion.mode_index]
             eta += np.outer(shapes, motion.acceleration * self.record.twice_integrated)
         return eta
 
@@ -124,20 +124,22 @@ class Linear:
         contact_n: Complex[np.ndarray, "contacts lines"],
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
-        places = places_of(self.record, self.rig)
+        sensor_stations = sensor_stations_of(self.record, self.rig)
         forces = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
         accelerations = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
-            unobserved_shapes = self._unobserved_shapes(response, places)
+            unobserved_shapes = self._unobserved_shapes(response, sensor_stations)
             accelerations += np.einsum("icl,il->cl", response.transfer(unobserved_shapes, force_shapes), forces)
         return accelerations * self.record.twice_integrated
 
     def _unobserved_shapes(
-        self, response: Response, places: list[Station | None]
+        self, response: Response, sensor_stations: list[Station | None]
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        return across(self.rig, response) - _across_weights(self.rig, response, places) @ response.shapes(places)
+        return across(self.rig, response) - _across_weights(self.rig, response, sensor_stations) @ response.shapes(
+            sensor_stations
+        )
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -173,9 +175,9 @@ def linear_model(
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if tuned:
         responses = tuple(r.tuned(*tuned[r.body.name]) if r.body.name in tuned else r for r in responses)
-    stations = places_of(record, rig)
+    stations = sensor_stations_of(record, rig)
     known_forces = _known_forces(record, rig, responses, stations, sensor_response)
-    contacts = len(rig.contacts)
+    contact_count = len(rig.contacts)
     accelerance = accelerances(rig, responses, [station for station, _ in known_forces], stations)
     by_contacts, per_newton = accelerance[len(known_forces) :], accelerance[: len(rig.forces)]
     by_known_force = [
@@ -201,10 +203,10 @@ def linear_model(
             responses, _free_modes(record, responses), stations, None if rig.contacts else record.sampling
         )
     if free:
-        projected = projection(by_input, deviation, contacts)
+        projected = projection(by_input, deviation, contact_count)
         free = fitted_modes(free, projected, scaled_response, projected.of(weighted * deviation)[0][: len(stations)])
         weighted = weighted - scaled_response * sum(mode.sensed for mode in free)
-    inputs, log_determinant = estimated_inputs(by_input, weighted, contacts)
+    inputs, log_determinant = estimated_inputs(by_input, weighted, contact_count)
     residual = unexplained(by_input, inputs, weighted)
     return Linear(
         record=record,
@@ -213,8 +215,8 @@ def linear_model(
         sensor_response=sensor_response,
         deviation=deviation,
         by_input=by_input,
-        residual=np.concatenate([residual, inputs[contacts:]]),
-        contact_n=inputs[:contacts],
+        residual=np.concatenate([residual, inputs[contact_count:]]),
+        contact_n=inputs[:contact_count],
         by_force=by_force,
         known_forces=known_forces,
         free=free,
@@ -231,17 +233,19 @@ def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors
     return responses
 
 
-def places_of(record: Record, rig: Rig) -> list[Station | None]:
+def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
     sensors = {s.name: s for s in rig.sensors}
     return [sensors[s.name].station for s in record.sensors]
 
 
 def _across_weights(
-    rig: Rig, response: Response, places: list[Station | None]
+    rig: Rig, response: Response, sensor_stations: list[Station | None]
 ) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    end_weights = weights_of(response, places, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
+    end_weights = weights_of(
+        response, sensor_stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)]
+    )
     return end_weights[: len(rig.contacts)] - end_weights[len(rig.contacts) :]
 
 
@@ -249,7 +253,7 @@ def _known_forces(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
-    places: list[Station | None],
+    sensor_stations: list[Station | None],
     sensor_response: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion."""
@@ -257,7 +261,7 @@ def _known_forces(
     tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     ground = []
     if has_ground_forces(rig):
-        ground = ground_forces(record, rig, responses, places, record.displaced / sensor_response)
+        ground = ground_forces(record, rig, responses, sensor_stations, record.displaced / sensor_response)
     return (*zip(rig.forces, measured, strict=True), *tones, *_static_loads(record, rig), *ground)
 
 
@@ -299,36 +303,38 @@ def ground_spring_correction(
     record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
-    places: list[Station | None] = [s.station for s in record.sensors]
+    sensor_stations: list[Station | None] = [s.station for s in record.sensors]
     force_changes = ground_force_changes(
-        record, model.rig, model.responses, places, record.displaced / model.sensor_response, displaced
+        record, model.rig, model.responses, sensor_stations, record.displaced / model.sensor_response, displaced
     )
-    return -delivered_by(model, places, force_changes)
+    return -delivered_by(model, sensor_stations, force_changes)
 
 
 def delivered_by(
-    model: Linear, places: list[Station | None], forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]]
+    model: Linear,
+    sensor_stations: list[Station | None],
+    forces: Sequence[tuple[Station, Complex[np.ndarray, " lines"]]],
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Signals of sensors at some stations by forces at others."""
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
             signals += model.sensor_response * (
-                response.transfer(response.shapes(places), response.shapes([station]))[0] * force_n
+                response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0] * force_n
             )
     return signals
 
 
 def _base_accelerations(
-    record: Record, rig: Rig, responses: tuple[Response, ...], places: list[Station | None]
+    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: list[Station | None]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations by a base motion of one standard deviation per line, an inertial load on each mode."""
     base = rig.base_motion
     assert base is not None
-    accelerations = np.ones((len(places), record.omega.size), dtype=complex)
+    accelerations = np.ones((len(sensor_stations), record.omega.size), dtype=complex)
     for response in responses:
         modal_load = participation(rig, response.body, response.modes, response.count)
-        accelerations -= response.transfer(response.shapes(places), modal_load[None])[0]
+        accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
     hz = record.omega / (2 * np.pi)
     density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
     rms_line = np.sqrt(density * record.samples * record.sample_rate_hz / 2)

@@ -19,14 +19,14 @@ Derived: a Hann window's reach."""
 Rows = Float[np.ndarray, "rows times"]
 
 
-def cost_of_lines(rows: Rows, directions: int, repeats: float = 0.0) -> float:
+def cost_of_lines(rows: Rows, direction_count: int, repeats: float = 0.0) -> float:
     """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
 
-    A line is two real values of an unknown variance; R, `directions`, is the number of directions of the sensors that
-    contact forces cannot follow. `repeats` is the frequency, per sample, at which the measured force repeats (0: it
-    does not): the response of any rig has lines at its multiples, which do not indicate tones.
+    A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
+    forces cannot follow. `repeats` is the frequency, per sample, at which the measured force repeats (0: it does
+    not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
-    return float(2 * directions / len(rows) * np.sum(np.log(np.maximum(_outstanding_ratio(rows, repeats), 1.0))))
+    return float(2 * direction_count / len(rows) * np.sum(np.log(np.maximum(_outstanding_ratio(rows, repeats), 1.0))))
 
 
 def outstanding_frequencies(rows: Rows, repeats: float = 0.0) -> tuple[float, ...]:

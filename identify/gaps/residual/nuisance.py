@@ -70,13 +70,13 @@ def columns_of(record: Record, model: Linear) -> Columns:
     observed = _observed(record, model)
     tolerance_changes = (*changes_of(observed), *crosstalk_of(observed))
     changes = [*(_free_motion_change(record, model, change) for change in tolerance_changes), *states]
-    count, contacts, samples = (
+    count, contact_count, samples = (
         len(changes),
         len(model.rig.contacts),
         record.counted_samples.stop - record.counted_samples.start,
     )
     residual = np.empty((count, len(model.residual), samples), np.float64 if record.modes else np.float32)
-    contact_n, eta = (np.zeros((count, contacts, samples), np.float32) for _ in range(2))
+    contact_n, eta = (np.zeros((count, contact_count, samples), np.float32) for _ in range(2))
     projection = model.projection if record.modes else model.projection.single()
     for i, change in enumerate(changes):
         linear, contact_force = _projected(record, model, projection, change)
@@ -96,10 +96,12 @@ def _free_motion_change(record: Record, model: Linear, change: Change) -> Change
         return change
     delivered = np.zeros_like(model.sensor_response)
     for motion in model.free:
-        response = model.responses[motion.body]
-        if response.body.name == parameter.of and parameter.mode in (None, motion.mode + 1):
+        response = model.responses[motion.body_index]
+        if response.body.name == parameter.of and parameter.mode_number in (None, motion.mode_index + 1):
             delivered += tuning_derivative(motion, response, record.sampling, parameter.kind)
-    applicable = tolerances if parameter.mode is None else tolerances.of_mode(parameter.of, parameter.mode)
+    applicable = (
+        tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.of, parameter.mode_number)
+    )
     tolerance = applicable.frequency if parameter.kind is NuisanceKind.FREQUENCY else applicable.damping
     return Change(parameter, list(range(len(delivered))), tolerance * model.sensor_response * delivered)
 

@@ -97,9 +97,9 @@ class Linearization:
         modes ring as sharply."""
         if not self.record.forced:
             return ()
-        sensors = len(self.record.sensors)
+        sensor_count = len(self.record.sensors)
         return outstanding_frequencies(
-            residual_in_time(self.record, self.model.residual[:sensors]), self.record.repeats
+            residual_in_time(self.record, self.model.residual[:sensor_count]), self.record.repeats
         )
 
     @property
@@ -297,11 +297,11 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.by_input, input_decrease)
     linear, contact_n_decrease = model.projection.of(sensor_decrease * model.deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
-    force_decrease_n = record.in_time(contact_n_decrease) + static_decrease_n[:, None]
+    contact_force_decrease_n = record.in_time(contact_n_decrease) + static_decrease_n[:, None]
     stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
     for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
-        force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
-    contacts = _contact_columns(record, residual, force_decrease_n, model.eta_m - changed_model.eta_m)
+        contact_force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
+    contacts = _contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
     return residual_in_time(record, linear), contacts
 
 
@@ -319,18 +319,18 @@ def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Res
 def _contact_columns(
     record: Record,
     residual: Residual,
-    force_decrease_n: Float[np.ndarray, "contacts times"],
+    contact_force_decrease_n: Float[np.ndarray, "contacts times"],
     eta_decrease_m: Complex[np.ndarray, "contacts lines"],
 ) -> list[Float[np.ndarray, " _"]]:
     """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
     sampled_decrease_m = record.sampled(eta_decrease_m, beyond=False) if np.any(eta_decrease_m) else None
     columns = []
     for j, contact in enumerate(residual.contacts):
-        misfit_decrease_n = force_decrease_n[j]
+        residual_force_decrease_n = contact_force_decrease_n[j]
         if sampled_decrease_m is not None:
-            misfit_decrease_n = misfit_decrease_n - contact.force_change_n(sampled_decrease_m[j])
+            residual_force_decrease_n = residual_force_decrease_n - contact.force_change_n(sampled_decrease_m[j])
         column = np.zeros(contact.residual.size)
-        column[: misfit_decrease_n.size] = contact.observation.weights * misfit_decrease_n
+        column[: residual_force_decrease_n.size] = contact.observation.weights * residual_force_decrease_n
         columns.append(column)
     return columns
 

@@ -32,9 +32,9 @@ class Scales:
     discrepancy: Float[np.ndarray, "sensors lines"]
     contacts: tuple[float, ...]
 
-    def distance(self, reference: "Scales") -> float:
+    def distance(self, compared: "Scales") -> float:
         """Mean absolute difference of the logarithms of the shares."""
-        return float(np.mean(np.abs(np.log(self.discrepancy / reference.discrepancy))))
+        return float(np.mean(np.abs(np.log(self.discrepancy / compared.discrepancy))))
 
 
 def prior_scales(record: Record) -> Scales:
@@ -53,13 +53,16 @@ def second_levels(
     window = hann(segment, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
     per_band = max(1, round(BAND_HZ * segment / record.rate_hz))
-    bands = power.shape[2] // per_band
-    levels = power[:, :, : bands * per_band].reshape(rows.shape[0], count, bands, per_band).mean(axis=3)
+    band_count = power.shape[2] // per_band
+    levels = power[:, :, : band_count * per_band].reshape(rows.shape[0], count, band_count, per_band).mean(axis=3)
     return np.asarray(levels.transpose(1, 2, 0))
 
 
 def measured_levels(
-    record: Record, residual: Float[np.ndarray, "rows times"], deviation: Float[np.ndarray, "sensors lines"], bands: int
+    record: Record,
+    residual: Float[np.ndarray, "rows times"],
+    deviation: Float[np.ndarray, "sensors lines"],
+    band_count: int,
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean of deviation^2 by band, weighted by the residual's power on each line.
 
@@ -70,16 +73,16 @@ def measured_levels(
     power = np.abs(np.fft.rfft(rows * hann(rows.shape[1], sym=False))) ** 2
     hz = np.arange(power.shape[1]) * record.rate_hz / rows.shape[1]
     lines_hz = record.omega / (2 * np.pi)
-    band_of_line = np.minimum(hz / BAND_HZ, bands - 1).astype(int)
-    variances = np.empty((bands, len(rows)))
+    band_of_line = np.minimum(hz / BAND_HZ, band_count - 1).astype(int)
+    variances = np.empty((band_count, len(rows)))
     for k, (row, sensor_deviation) in enumerate(zip(power, deviation, strict=True)):
         variance = np.interp(hz, lines_hz, sensor_deviation**2)
-        band_power = np.bincount(band_of_line, row, bands)
-        mean_variance = np.bincount(band_of_line, variance, bands) / np.maximum(
-            np.bincount(band_of_line, minlength=bands), 1
+        band_power = np.bincount(band_of_line, row, band_count)
+        mean_variance = np.bincount(band_of_line, variance, band_count) / np.maximum(
+            np.bincount(band_of_line, minlength=band_count), 1
         )
         variances[:, k] = np.divide(
-            np.bincount(band_of_line, row * variance, bands), band_power, out=mean_variance, where=band_power > 0
+            np.bincount(band_of_line, row * variance, band_count), band_power, out=mean_variance, where=band_power > 0
         )
     return variances
 
@@ -89,18 +92,18 @@ def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Fl
     return np.asarray(second_levels(record, residual).mean(axis=0))
 
 
-def band_of_lines(record: Record, bands: int) -> Int[np.ndarray, " lines"]:
+def band_of_lines(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
     """Index of the band of each line."""
-    return np.minimum(record.omega / (2 * np.pi * BAND_HZ), bands - 1).astype(int)
+    return np.minimum(record.omega / (2 * np.pi * BAND_HZ), band_count - 1).astype(int)
 
 
 def by_band(
-    record: Record, values: Float[np.ndarray, "sensors lines"], bands: int
+    record: Record, values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band."""
-    band_of_line = band_of_lines(record, bands)
-    counts = np.maximum(np.bincount(band_of_line, minlength=bands), 1)
-    return np.array([np.bincount(band_of_line, row, bands) / counts for row in values]).T
+    band_of_line = band_of_lines(record, band_count)
+    counts = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
+    return np.array([np.bincount(band_of_line, row, band_count) / counts for row in values]).T
 
 
 def posterior_level(level: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
@@ -131,10 +134,10 @@ def estimated_scales(
     if not record.forced:
         return Scales(fit_scales.discrepancy, contacts)
     levels = band_levels(record, linear)
-    bands = len(levels)
+    band_count = len(levels)
     variance = record.noise + fit_scales.discrepancy**2 * record.power
-    noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), bands)
-    share = by_band(record, fit_scales.discrepancy, bands)
+    noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), band_count)
+    share = by_band(record, fit_scales.discrepancy, band_count)
     explained = np.maximum(levels - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
     shares = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
-    return Scales(np.ascontiguousarray(shares[band_of_lines(record, bands)].T), contacts)
+    return Scales(np.ascontiguousarray(shares[band_of_lines(record, band_count)].T), contacts)

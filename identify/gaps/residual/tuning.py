@@ -38,7 +38,7 @@ class MatchedMode:
     over those of the rig."""
 
     body: str
-    mode: int
+    mode_number: int
     measured: MeasuredMode
     logarithms: Float[np.ndarray, "2"]
 
@@ -72,14 +72,16 @@ def tuned_modes(
     if rig.contacts:
         return TunedModes()
     if parameters is not None and nuisance is not None:
-        pulls = {p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in TUNED_KINDS and p.mode}
+        pulls = {
+            p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in TUNED_KINDS and p.mode_number
+        }
     else:
         pulls = {}
         for matched in matched_modes(record.modes, rig):
             for kind, increase in zip(TUNED_KINDS, np.expm1(matched.logarithms), strict=True):
-                tolerance = _tolerance(record, matched.body, matched.mode, kind)
+                tolerance = _tolerance(record, matched.body, matched.mode_number, kind)
                 if tolerance and not rig.body(matched.body).is_mass:
-                    pulls[Nuisance(kind, matched.body, matched.mode)] = float(
+                    pulls[Nuisance(kind, matched.body, matched.mode_number)] = float(
                         np.clip(increase / tolerance, -LIMIT, LIMIT)
                     )
     factors = {}
@@ -92,12 +94,15 @@ def tuned_modes(
     return TunedModes(pulls, factors)
 
 
-def _factor(record: Record, body: str, mode: int, kind: NuisanceKind, pulls: dict[Nuisance, float]) -> float:
+def _factor(record: Record, body: str, mode_number: int, kind: NuisanceKind, pulls: dict[Nuisance, float]) -> float:
     """Factor 1 + tolerance * pull on the frequency or on the damping ratio of a mode."""
-    return max(LEAST_FACTOR, 1 + _tolerance(record, body, mode, kind) * pulls.get(Nuisance(kind, body, mode), 0.0))
+    return max(
+        LEAST_FACTOR,
+        1 + _tolerance(record, body, mode_number, kind) * pulls.get(Nuisance(kind, body, mode_number), 0.0),
+    )
 
 
-def _tolerance(record: Record, body: str, mode: int, kind: NuisanceKind) -> float:
+def _tolerance(record: Record, body: str, mode_number: int, kind: NuisanceKind) -> float:
     """Relative tolerance of the frequency or of the damping ratio of a mode."""
-    mode_tolerances = record.tolerances.of_mode(body, mode)
+    mode_tolerances = record.tolerances.of_mode(body, mode_number)
     return mode_tolerances.frequency if kind is NuisanceKind.FREQUENCY else mode_tolerances.damping

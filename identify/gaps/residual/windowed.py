@@ -81,12 +81,16 @@ def _window_fall(record: Record) -> Float[np.ndarray, " times"]:
 
 
 def ground_forces(
-    record: Record, rig: Rig, responses: tuple[Response, ...], places: list[Station | None], displacements: Motions
+    record: Record,
+    rig: Rig,
+    responses: tuple[Response, ...],
+    sensor_stations: list[Station | None],
+    displacements: Motions,
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_motions = displaced_at(responses, places, springs, displacements)
-    damper_motions = displaced_at(responses, places, dampers, _velocities(record, displacements))
+    spring_motions = displaced_at(responses, sensor_stations, springs, displacements)
+    damper_motions = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
     forces = []
     for spring, displacement in zip(springs, spring_motions, strict=True):
         (fine,), window = _oversampled(record, 3, displacement)
@@ -105,15 +109,15 @@ def ground_force_changes(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
-    places: list[Station | None],
+    sensor_stations: list[Station | None],
     displacements: Motions,
     changes: Motions,
 ) -> list[tuple[Station, Spectrum]]:
     """Directional derivative of each of the `ground_forces` along a change of the displacements."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_motions = [displaced_at(responses, places, springs, d) for d in (displacements, changes)]
+    spring_motions = [displaced_at(responses, sensor_stations, springs, d) for d in (displacements, changes)]
     velocities = _velocities(record, displacements), 1j * record.omega * changes
-    damper_motions = [displaced_at(responses, places, dampers, v) for v in velocities]
+    damper_motions = [displaced_at(responses, sensor_stations, dampers, v) for v in velocities]
     force_changes = []
     for spring, displacement, displacement_change in zip(springs, *spring_motions, strict=True):
         (fine, change), window = _oversampled(record, 3, displacement, displacement_change)
@@ -146,13 +150,13 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
 
 def displaced_at(
     responses: tuple[Response, ...],
-    places: list[Station | None],
+    sensor_stations: list[Station | None],
     elements: Sequence[PointSpring | PointDamper | PointMass],
     displacements: Motions,
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     stations: list[Station | None] = [element.station for element in elements]
-    return times(np.sum([weights_of(r, places, stations) for r in responses], axis=0), displacements)
+    return times(np.sum([weights_of(r, sensor_stations, stations) for r in responses], axis=0), displacements)
 
 
 def _oversampling_factor(record: Record) -> int:

@@ -68,7 +68,7 @@ def judge_correction(
         (corrected_fit.corrected_rig, corrected_fit),
     )
     motions = [measured_motion(recording, rig, residual) for rig, residual in fits]
-    start, stop = max(m.first for m in motions), min(m.stop for m in motions)
+    start, stop = max(m.first_sample for m in motions), min(m.stop_sample for m in motions)
     rate = recording.rig.sample_rate_hz
     if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate, samples):
         return Rollout(code="too_short")
@@ -102,14 +102,21 @@ def judge_correction(
 
 
 def _decay_modes(
-    nominal: MeasuredMotion, corrected: MeasuredMotion, record: Record, predict: Predict, start: int, stop: int
+    nominal: MeasuredMotion,
+    corrected: MeasuredMotion,
+    record: Record,
+    predict: Predict,
+    start_sample: int,
+    stop_sample: int,
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
     rig, rate_hz, highest_hz = nominal.rig, nominal.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     max_modes = 2 + sum(int(np.count_nonzero(hz < highest_hz)) for hz in natural_hz)
-    starts = np.array([start])
-    signals = [measured_and_predicted(motion, predict, starts, stop - start) for motion in (nominal, corrected)]
+    starts = np.array([start_sample])
+    signals = [
+        measured_and_predicted(motion, predict, starts, stop_sample - start_sample) for motion in (nominal, corrected)
+    ]
     decays = (signals[0][0], signals[0][1], signals[1][1])
     return compared_modes(*(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, max_modes) for d in decays))
 
@@ -193,7 +200,7 @@ def log_ratio_of(
     motions = [
         measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
     ]
-    start, stop = max(m.first for m in motions), min(m.stop for m in motions)
+    start, stop = max(m.first_sample for m in motions), min(m.stop_sample for m in motions)
     starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
     before, after = (prediction_errors(motion, predict, starts, samples) for motion in motions)
     return float(block_ratios(before, after, starts, recording.rig.sample_rate_hz).log_ratios.mean())

@@ -44,7 +44,7 @@ class MeasuredMotion:
     """Motion at a record's stations, measured with the sensors' gains and delays of one rig.
 
     displacement_m and velocity_m_per_s are those by the sensors with the slow motion, states the displacement and
-    velocity by the rig's lowest modes. They are valid from sample `first` to `stop`. orders are the derivatives that
+    velocity by the rig's lowest modes. They are valid from first_sample to stop_sample. orders are the derivatives that
     the sensors measure.
     """
 
@@ -57,12 +57,12 @@ class MeasuredMotion:
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
     states: Float[np.ndarray, "2 stations samples"]
-    first: int
-    stop: int
+    first_sample: int
+    stop_sample: int
 
     @property
     def valid_samples(self) -> slice:
-        return slice(self.first, self.stop)
+        return slice(self.first_sample, self.stop_sample)
 
 
 def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> MeasuredMotion:
@@ -78,19 +78,19 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     first = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
     stop = min(motion.samples, (record.counted_samples.stop - 1) * record.factor + 1) - EDGE_SAMPLES
 
-    inverse = modes.inverse()
-    sensed_m = inverse @ displacement_m
+    inverse_shapes = modes.inverse()
+    sensed_m = inverse_shapes @ displacement_m
     coordinates_m = _complete_displacements(sensed_m, modes, record)
-    mode_errors_m = np.sqrt(inverse**2 @ (SENSOR_ERROR * _rms(displacement_m[:, first:stop])) ** 2)
+    mode_errors_m = np.sqrt(inverse_shapes**2 @ (SENSOR_ERROR * _rms(displacement_m[:, first:stop])) ** 2)
     mode_errors_m[modes.force_determined] = FORCE_ERROR * _rms(coordinates_m[modes.force_determined, first:stop])
     covariance = mode_errors_m[:, None] ** 2 * modes.contact_shapes.T
-    gain = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
+    contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
     eta_errors_m = modes.contact_shapes @ coordinates_m
     for row, contact in zip(eta_errors_m, residual.contacts, strict=True):
         fitted_eta_m = contact.eta_m[: motion.samples - counted_start]
         row[:counted_start], row[counted_start + fitted_eta_m.size :] = 0.0, 0.0
         row[counted_start : counted_start + fitted_eta_m.size] -= fitted_eta_m
-    coordinates_m -= gain @ eta_errors_m
+    coordinates_m -= contact_to_modes @ eta_errors_m
     return MeasuredMotion(
         rig=rig,
         stations=motion.stations,
@@ -100,9 +100,9 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
         forces_n=motion.forces_n,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        states=np.stack([modes.shapes @ coordinates_m, modes.shapes @ inverse @ velocity_m_per_s]),
-        first=first,
-        stop=stop,
+        states=np.stack([modes.shapes @ coordinates_m, modes.shapes @ inverse_shapes @ velocity_m_per_s]),
+        first_sample=first,
+        stop_sample=stop,
     )
 
 
@@ -188,8 +188,8 @@ def _complete_displacements(
         crossover_hz = min(CROSSOVER * modes.natural_hz[mode], record.highest_hz)
         high_pass = np.sin(np.pi / 2 * np.clip(2 * hz / crossover_hz - 1, 0, 1)) ** 2
         spectrum = high_pass * rfft(sensed_m[mode], record.length)
-        lines = modes.forced_m.shape[1]
-        spectrum[:lines] += (1 - high_pass[:lines]) * modes.forced_m[mode]
+        line_count = modes.forced_m.shape[1]
+        spectrum[:line_count] += (1 - high_pass[:line_count]) * modes.forced_m[mode]
         completed_m[mode] = irfft(spectrum, record.length)[: sensed_m.shape[1]]
     return completed_m
 

@@ -87,7 +87,7 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     Raises RigError if the rig cannot be predicted.
     """
     motions = [measured_motion(recording, rig, residual) for rig in (residual.rig, residual.corrected_rig)]
-    start, available = motions[0].first, motions[0].stop - motions[0].first
+    start, available = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
     horizons, window = horizon_ladder(available), 16 * SHORTEST_HORIZON
     nominal: list[tuple[float, ...]] = []
     fitted: list[tuple[float, ...]] = []
@@ -102,18 +102,20 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     return NullErrors(samples=tuple(horizons[: len(fitted)]), nominal=tuple(nominal), within=tuple(fitted))
 
 
-def horizon_ladder(available: int) -> list[int]:
+def horizon_ladder(available_samples: int) -> list[int]:
     """Horizons in samples, growing by sqrt(2), up to the available number."""
     ladder: list[int] = []
-    while (n := round(SHORTEST_HORIZON * 2 ** (len(ladder) / 2))) <= available:
+    while (n := round(SHORTEST_HORIZON * 2 ** (len(ladder) / 2))) <= available_samples:
         ladder.append(n)
     return ladder
 
 
-def disjoint_starts(first: int, available: int, window: int, max_windows: int) -> Int[np.ndarray, " windows"]:
+def disjoint_starts(
+    first_sample: int, available_samples: int, window_samples: int, max_windows: int
+) -> Int[np.ndarray, " windows"]:
     """First samples of evenly spread disjoint windows, as many as fit and at most `max_windows`."""
-    count = min(max_windows, available // window)
-    return np.asarray(first + np.round(np.linspace(0, available - window, count)).astype(int))
+    count = min(max_windows, available_samples // window_samples)
+    return np.asarray(first_sample + np.round(np.linspace(0, available_samples - window_samples, count)).astype(int))
 
 
 def horizon_of(nulls: Sequence[NullErrors]) -> int | None:

@@ -46,17 +46,17 @@ def fit_base_excitation(
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
     shaken_rig = changed(linearization.rig, base_motion=unit_motion)
     model = linear_model(record, shaken_rig, linearization.scales.discrepancy, linearization.cache.responses)
-    contacts = len(linearization.observations)
-    pattern = model.by_input[contacts]
+    contact_count = len(linearization.observations)
+    pattern = model.by_input[contact_count]
     by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
-    pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contacts], by_contacts)
+    pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contact_count], by_contacts)
     spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz))
     sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
     spectra, pattern = spectra / sensor_level, pattern / sensor_level
     pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
     pattern_power = np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
-    remaining_power = (np.sum(np.abs(spectra) ** 2, axis=0) - pattern_power) / max(1, len(spectra) - contacts - 1)
+    remaining_power = (np.sum(np.abs(spectra) ** 2, axis=0) - pattern_power) / max(1, len(spectra) - contact_count - 1)
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
     pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
     bounds = candidate.parameters

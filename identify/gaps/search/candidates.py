@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.linear import Linear, delivered_by, places_of
+from identify.gaps.residual.linear import Linear, delivered_by, sensor_stations_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
@@ -194,11 +194,13 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(b.is_mass for b in rig.bodies):
         return None
     forces = _attached_forces(record, model, attachments)
-    linear_decrease, force_decrease_n = model.projection.of(delivered_by(model, places_of(record, model.rig), forces))
-    eta_decrease_m = -record.in_time(model.unobserved_eta_m(forces, -force_decrease_n))
+    linear_decrease, contact_force_decrease_n = model.projection.of(
+        delivered_by(model, sensor_stations_of(record, model.rig), forces)
+    )
+    eta_decrease_m = -record.in_time(model.unobserved_eta_m(forces, -contact_force_decrease_n))
     columns = []
-    forces_in_time_n = record.in_time(force_decrease_n)
-    for contact, force_n, eta_m in zip(residual.contacts, forces_in_time_n, eta_decrease_m, strict=True):
+    force_decreases_in_time_n = record.in_time(contact_force_decrease_n)
+    for contact, force_n, eta_m in zip(residual.contacts, force_decreases_in_time_n, eta_decrease_m, strict=True):
         column = np.zeros(contact.residual.size)
         column[: force_n.size] = contact.observation.weights * (force_n - contact.tangent_n_per_m * eta_m)
         columns.append(column)
@@ -209,14 +211,14 @@ def _attached_forces(
     record: Record, model: Linear, attachments: Rig
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
-    places = places_of(record, model.rig)
+    sensor_stations = sensor_stations_of(record, model.rig)
     displacements, accelerations = model.displaced, model.accelerations
-    attached_forces = ground_forces(record, attachments, model.responses, places, displacements)
+    attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, displacements)
     springs = [s for s in attachments.springs if s.stiffness_n_per_m]
-    for spring, w in zip(springs, displaced_at(model.responses, places, springs, displacements), strict=True):
+    for spring, w in zip(springs, displaced_at(model.responses, sensor_stations, springs, displacements), strict=True):
         attached_forces.append((spring.station, -spring.stiffness_n_per_m * w))
     masses = attachments.masses
-    for mass, a in zip(masses, displaced_at(model.responses, places, masses, accelerations), strict=True):
+    for mass, a in zip(masses, displaced_at(model.responses, sensor_stations, masses, accelerations), strict=True):
         attached_forces.append((mass.station, -mass.mass_kg * a))
     tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
     return attached_forces + tones

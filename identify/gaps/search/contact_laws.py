@@ -211,8 +211,12 @@ def _record_solution(
     full_covariance, tolerance_covariance = block_diag(*covariances), block_diag(*tolerances)
     weighted = np.linalg.solve(full_covariance, matrix)
     covariance = np.linalg.inv(matrix.T @ weighted)
-    gain = covariance @ weighted.T
-    return values + gain @ np.concatenate(differences), covariance, gain @ tolerance_covariance @ gain.T
+    kalman_gain = covariance @ weighted.T
+    return (
+        values + kalman_gain @ np.concatenate(differences),
+        covariance,
+        kalman_gain @ tolerance_covariance @ kalman_gain.T,
+    )
 
 
 def _pooled(

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from scipy.linalg import block_diag
 
 from identify.gaps.residual.fit import MAX_STEPS, Build, Values, fit
-from identify.gaps.residual.likelihood import Misfit, Reference, misfit
+from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import Scales, prior_scales
@@ -110,9 +110,9 @@ def _split(candidates: Sequence[Candidate], values: Values) -> list[Float[np.nda
 
 @dataclass(frozen=True)
 class Search:
-    """Search on one record: the reference variances, the nominal rig's linearisation and fit, and the candidates."""
+    """Search on one record: the nominal variances, the nominal rig's linearisation and fit, and the candidates."""
 
-    reference: Reference
+    nominal_variances: NominalVariances
     linearization: Linearization
     residual: Residual
     candidates: tuple[Candidate, ...]
@@ -122,14 +122,14 @@ class Search:
 
 
 def fit_effects(
-    context: Search, candidates: tuple[Candidate, ...], values: Values, start: Residual, best_cost: float = np.inf
+    search: Search, candidates: tuple[Candidate, ...], values: Values, start: Residual, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Fit of effects until it settles, from given values and the nuisance parameters and drifts of a residual."""
-    return refined(context, fit_briefly(context, candidates, values, reset_saturated_nuisance(start)), best_cost)
+    return refined(search, fit_briefly(search, candidates, values, reset_saturated_nuisance(start)), best_cost)
 
 
 def fit_briefly(
-    context: Search,
+    search: Search,
     candidates: tuple[Candidate, ...],
     values: Values,
     start: Residual | None,
@@ -139,58 +139,58 @@ def fit_briefly(
 
     Without a start no nuisance parameter has compensated the effects, so the linearisation is about their values.
     """
-    linearization, build = linearization or context.linearization, _builder(context, candidates)
+    linearization, build = linearization or search.linearization, _builder(search, candidates)
     if start is None:
         rig, scales, observations = build(values), linearization.scales, linearization.observations
         linearization = linearization.relinearized(rig, None, scales, observations)
-    return _gauss_newton(context, build, candidates, values, linearization, start, FIRST_STEPS)
+    return _gauss_newton(search, build, candidates, values, linearization, start, FIRST_STEPS)
 
 
-def fit_afresh(context: Search, candidates: tuple[Candidate, ...], values: Values) -> FittedHypothesis:
+def fit_afresh(search: Search, candidates: tuple[Candidate, ...], values: Values) -> FittedHypothesis:
     """Fit of effects from the contact scales that the tolerances state, and from a slow motion that follows no law yet.
 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
-    build = _builder(context, candidates)
-    contact_scales = prior_scales(context.linearization.record).contacts
-    scales = replace(context.linearization.scales, contacts=contact_scales)
-    linearization = context.linearization.relinearized(build(values), None, scales)
-    return _gauss_newton(context, build, candidates, values, linearization)
+    build = _builder(search, candidates)
+    contact_scales = prior_scales(search.linearization.record).contacts
+    scales = replace(search.linearization.scales, contacts=contact_scales)
+    linearization = search.linearization.relinearized(build(values), None, scales)
+    return _gauss_newton(search, build, candidates, values, linearization)
 
 
-def refined(context: Search, initial: FittedHypothesis, best_cost: float = np.inf) -> FittedHypothesis:
+def refined(search: Search, initial: FittedHypothesis, best_cost: float = np.inf) -> FittedHypothesis:
     """Fit continued until it settles, with scales and linearisation renewed at the parameters of each round.
 
     An effect that is known by its spectrum alone keeps its values. The rounds end where the cost stays
     `MAX_EXCESS_COST` above `best_cost`, the least of other hypotheses.
     """
-    candidates, rig = initial.hypothesis.candidates, context.linearization.rig
+    candidates, rig = initial.hypothesis.candidates, search.linearization.rig
     if any(candidate.kind.stochastic for candidate in candidates):
         return initial
     rounds = ROUNDS + extra_relinearizations(rig)
-    return relinearised(context, _builder(context, candidates), initial, rounds, best_cost)
+    return relinearised(search, _builder(search, candidates), initial, rounds, best_cost)
 
 
 def fit_from(
-    context: Search, build: Build, candidates: tuple[Candidate, ...], values: Values, rounds: int
+    search: Search, build: Build, candidates: tuple[Candidate, ...], values: Values, rounds: int
 ) -> FittedHypothesis:
     """Fit of effects in the rigs of `build` until it settles, from the fit of another rig."""
-    linearization = context.linearization.relinearized(build(values), None, context.linearization.scales)
-    start = reset_saturated_nuisance(context.residual)
-    initial = _gauss_newton(context, build, candidates, values, linearization, start)
-    return relinearised(context, build, initial, rounds)
+    linearization = search.linearization.relinearized(build(values), None, search.linearization.scales)
+    start = reset_saturated_nuisance(search.residual)
+    initial = _gauss_newton(search, build, candidates, values, linearization, start)
+    return relinearised(search, build, initial, rounds)
 
 
 def relinearised(
-    context: Search, build: Build, initial: FittedHypothesis, rounds: int, best_cost: float = np.inf
+    search: Search, build: Build, initial: FittedHypothesis, rounds: int, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Best of successive refits, each linearised at the parameters and with the scales of the one before.
 
     Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
     contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
-    candidates, fits, record = initial.hypothesis.candidates, [initial], context.linearization.record
-    resonant_refits = stated_scale_refits(context.linearization.rig)
+    candidates, fits, record = initial.hypothesis.candidates, [initial], search.linearization.record
+    resonant_refits = stated_scale_refits(search.linearization.rig)
 
     def refit(before: FittedHypothesis) -> FittedHypothesis:
         return refit_at(before, scales_at(before.linearization, before.residual))
@@ -199,7 +199,7 @@ def relinearised(
         values = before.hypothesis.values
         start = reset_mode_nuisance(before.residual) if resonant_refits else before.residual
         linearization = before.linearization.relinearized(build(values), start, scales)
-        fits.append(_gauss_newton(context, build, candidates, values, linearization, start))
+        fits.append(_gauss_newton(search, build, candidates, values, linearization, start))
         return fits[-1]
 
     def settled(before: FittedHypothesis, after: FittedHypothesis) -> bool:
@@ -217,12 +217,12 @@ def relinearised(
     return min(fits, key=lambda item: item.cost)
 
 
-def _builder(context: Search, candidates: tuple[Candidate, ...]) -> Build:
-    return partial(applied, context.linearization.rig, candidates)
+def _builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:
+    return partial(applied, search.linearization.rig, candidates)
 
 
 def _gauss_newton(
-    context: Search,
+    search: Search,
     build: Build,
     candidates: tuple[Candidate, ...],
     values: Values,
@@ -234,7 +234,7 @@ def _gauss_newton(
     bounds = parameters_of(candidates).bounds
     estimate = fit(linearization, build, values, steps_of(candidates), bounds, start, max_steps)
     return _fitted_hypothesis(
-        context, candidates, estimate.values, estimate.covariance, linearization, estimate.residual
+        search, candidates, estimate.values, estimate.covariance, linearization, estimate.residual
     )
 
 
@@ -248,18 +248,20 @@ def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
 
 
 def _fitted_hypothesis(
-    context: Search,
+    search: Search,
     candidates: tuple[Candidate, ...],
     values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     linearization: Linearization,
     residual: Residual,
 ) -> FittedHypothesis:
-    hypothesis = Hypothesis(candidates, values, covariance, misfit(linearization.record, context.reference, residual))
+    hypothesis = Hypothesis(
+        candidates, values, covariance, misfit(linearization.record, search.nominal_variances, residual)
+    )
     return FittedHypothesis(hypothesis, linearization, residual)
 
 
-def fit_spectrum(context: Search, nominal_fit: FittedHypothesis, candidate: Candidate) -> FittedHypothesis | None:
+def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candidate) -> FittedHypothesis | None:
     """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
     if not nominal_fit.hypothesis.is_incomplete:
         return None
@@ -268,13 +270,13 @@ def fit_spectrum(context: Search, nominal_fit: FittedHypothesis, candidate: Cand
         return None
     values, standard_errors = estimate
     try:
-        rig = candidate.applied(context.linearization.rig, values)
+        rig = candidate.applied(search.linearization.rig, values)
     except RigError:
         return None
-    linearization = context.linearization.relinearized(rig, nominal_fit.residual, nominal_fit.linearization.scales)
+    linearization = search.linearization.relinearized(rig, nominal_fit.residual, nominal_fit.linearization.scales)
     linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
-    return _fitted_hypothesis(context, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
+    return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
 
 
 def reset_saturated_nuisance(residual: Residual) -> Residual:

@@ -7,7 +7,7 @@ Notes for maintainers
        linear residual of sensor i in band b:  r - X theta,   L_bi(theta) = mean |r - X theta|^2
        contact residual j, slow motion eliminated:  L_j(theta) = L_j0 + c_j (theta' M_j theta - 2 g_j' theta)
 
-   both in the variances that the nominal rig states (`likelihood.Reference`).
+   both in the variances that the nominal rig states (`likelihood.NominalVariances`).
 2. The statistic is that of `likelihood`, with p the pulls of the tolerances:
 
        S(theta) = N_b sum_bi ln((1 + L_bi)/2) + N sum_j ln((1 + L_j)/2) + |p + theta|^2 + inputs
@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
 from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum, contact_jacobian
-from identify.gaps.residual.likelihood import Reference
+from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
 from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, by_band
@@ -133,18 +133,18 @@ class LocalModel:
         row_weights = np.sqrt(weights[self.cell]).astype(np.float32)
         rows = self.spectra[columns]
         rows *= row_weights
-        matrix = (rows @ rows.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
-        vector = (rows @ (self.spectrum * row_weights)).astype(float)
-        vector += self.input_gradient[columns]
+        normal = (rows @ rows.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
+        right_side = (rows @ (self.spectrum * row_weights)).astype(float)
+        right_side += self.input_gradient[columns]
         for weight, contact_matrix, contact_gradient in zip(
             self.samples / (1 + contact_levels), self.contact_matrix, self.contact_gradient, strict=True
         ):
-            matrix += weight * contact_matrix[np.ix_(columns, columns)]
-            vector += weight * contact_gradient[columns]
+            normal += weight * contact_matrix[np.ix_(columns, columns)]
+            right_side += weight * contact_gradient[columns]
         is_tolerance = columns < self.pulls.size
-        matrix[is_tolerance, is_tolerance] += 1.0
-        vector[is_tolerance] -= self.pulls[columns[is_tolerance]]
-        return matrix, vector
+        normal[is_tolerance, is_tolerance] += 1.0
+        right_side[is_tolerance] -= self.pulls[columns[is_tolerance]]
+        return normal, right_side
 
     def solved(self, terms: Sequence[CandidateTerm], start: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start`."""
@@ -154,46 +154,46 @@ class LocalModel:
             theta[columns] = start[columns]
         best = Solution(theta, self.statistic(theta))
         for _ in range(MAJORIZATIONS):
-            matrix, vector = self.normal(best.theta, columns)
-            diagonal = np.diag(matrix)
-            matrix += np.diag(RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max())  # what is not shown stays zero
+            normal, right_side = self.normal(best.theta, columns)
+            diagonal = np.diag(normal)
+            normal += np.diag(RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max())  # what is not shown stays zero
             theta = np.zeros(len(self.spectra))
             current = best.theta[columns]
             low, high = self.low[columns] - current, self.high[columns] - current
-            step = bounded_minimum(matrix, vector - matrix @ current, low, high)
+            step = bounded_minimum(normal, right_side - normal @ current, low, high)
             theta[columns] = current + step
             solution = Solution(theta, self.statistic(theta))
-            gain = best.statistic - solution.statistic
-            if gain > 0:
+            decrease = best.statistic - solution.statistic
+            if decrease > 0:
                 best = solution
-            if gain < STATISTIC_TOLERANCE:
+            if decrease < STATISTIC_TOLERANCE:
                 break
         return best
 
     def promised(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
         """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
         all_columns = np.arange(len(self.spectra))
-        matrix, vector = self.normal(solution.theta, all_columns)
-        slope = vector - matrix @ solution.theta
+        normal, right_side = self.normal(solution.theta, all_columns)
+        slope = right_side - normal @ solution.theta
         base = np.concatenate([self.base_columns, *(term.columns for term in terms)]).astype(int)
-        response = np.linalg.solve(matrix[np.ix_(base, base)] + 1e-12 * np.eye(base.size), matrix[base])
-        gains = np.zeros(len(self.terms))
+        response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[base])
+        decreases = np.zeros(len(self.terms))
         for k, term in enumerate(self.terms):
             columns = term.columns
-            curvature = matrix[np.ix_(columns, columns)] - matrix[np.ix_(columns, base)] @ response[:, columns]
-            is_hidden = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(matrix)[columns]
+            curvature = normal[np.ix_(columns, columns)] - normal[np.ix_(columns, base)] @ response[:, columns]
+            is_hidden = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal)[columns]
             if np.any(np.isin(columns, base)) or np.any(is_hidden):
                 continue
             reduced_slope = slope[columns] - response[:, columns].T @ slope[base]
             step = np.clip(np.linalg.solve(curvature, reduced_slope), term.low, term.high)
-            gains[k] = 2 * reduced_slope @ step - step @ curvature @ step
-        return gains
+            decreases[k] = 2 * reduced_slope @ step - step @ curvature @ step
+        return decreases
 
 
 def local_model(
     linearization: Linearization,
     residual: Residual,
-    reference: Reference,
+    variances: NominalVariances,
     rig: Rig,
     present: Hypothesis,
     candidates: Sequence[Candidate],
@@ -211,16 +211,16 @@ def local_model(
                     (linear.astype(np.float32), [column.astype(np.float32) for column in contacts])
                     for linear, contacts in new_columns
                 ]
-    return _assembled(linearization, residual, reference, columns, present_count, tuple(terms), _present_range(present))
+    return _assembled(linearization, residual, variances, columns, present_count, tuple(terms), _present_range(present))
 
 
-def _term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first: int) -> CandidateTerm:
+def _term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first_column: int) -> CandidateTerm:
     """Term of a candidate at `start`, whose columns begin with column `first`."""
     strengths = list(candidate.parameters.strengths)
     low, high = (
         (bound[strengths] - start[strengths]) / candidate.steps[strengths] for bound in candidate.parameters.bounds
     )
-    columns = first + np.arange(len(strengths))
+    columns = first_column + np.arange(len(strengths))
     return CandidateTerm(candidate, start, tuple(strengths), columns, np.minimum(low, high), np.maximum(low, high))
 
 
@@ -248,39 +248,39 @@ def _present_range(present: Hypothesis) -> tuple[Float[np.ndarray, " present"], 
 def _assembled(
     linearization: Linearization,
     residual: Residual,
-    reference: Reference,
+    variances: NominalVariances,
     added_columns: Sequence[Column],
     present_count: int,
     terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
-    record, nuisances = linearization.record, len(linearization.columns.parameters)
-    sensors, times = len(record.sensors), residual.linear.shape[1]
+    record, nuisance_count = linearization.record, len(linearization.columns.parameters)
+    sensor_count, times = len(record.sensors), residual.linear.shape[1]
     pulls = residual.pulls
     size = pulls.size + len(added_columns)
-    scale, cell = _cells(linearization, reference, times)
+    scale, cell = _cells(linearization, variances, times)
     spectra = np.zeros((size, cell.size), np.float32)
-    inputs = np.zeros((size, (len(residual.linear) - sensors) * times), np.float32)
+    inputs = np.zeros((size, (len(residual.linear) - sensor_count) * times), np.float32)
     for k, column in enumerate(linearization.columns.residual):
-        spectra[k], inputs[k] = _windowed(record.rate_hz, column[:sensors], scale), column[sensors:].ravel()
+        spectra[k], inputs[k] = _windowed(record.rate_hz, column[:sensor_count], scale), column[sensor_count:].ravel()
     for k, (linear, _) in enumerate(added_columns, pulls.size):
-        spectra[k], inputs[k] = _windowed(record.rate_hz, linear[:sensors], scale), linear[sensors:].ravel()
+        spectra[k], inputs[k] = _windowed(record.rate_hz, linear[:sensor_count], scale), linear[sensor_count:].ravel()
     matrices, gradients, levels = [], [], []
-    first = nuisances
+    first = nuisance_count
     for j, contact in enumerate(residual.contacts):
         rows = np.zeros((contact.residual.size, size))
-        rows[:, :nuisances] = contact_jacobian(linearization, residual, j)
+        rows[:, :nuisance_count] = contact_jacobian(linearization, residual, j)
         sample_count = contact.observation.weights.size
         tolerances = slice(first, first + contact.pulls.size)
         first = tolerances.stop
         rows[:sample_count, tolerances] = contact.columns[:sample_count, contact.observation.tolerance_slice].toarray()
         for k, (_, contacts) in enumerate(added_columns, pulls.size):
             rows[:, k] = contacts[j]
-        matrix, gradient = without_drift(residual, j, rows)
-        matrix += np.diag(ELIMINATION_ROUNDING * np.sum(rows**2, axis=0))
+        normal_matrix, gradient = without_drift(residual, j, rows)
+        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.sum(rows**2, axis=0))
         sum_of_squares = float(np.sum(contact.residual[:sample_count] ** 2))
-        level = _contact_level(reference, residual, j)
-        matrices.append(matrix * level / sum_of_squares if sum_of_squares else matrix)
+        level = _contact_level(variances, residual, j)
+        matrices.append(normal_matrix * level / sum_of_squares if sum_of_squares else normal_matrix)
         gradients.append(gradient * level / sum_of_squares if sum_of_squares else gradient)
         levels.append(level)
     low, high = np.full(size, -np.inf), np.full(size, np.inf)
@@ -289,52 +289,52 @@ def _assembled(
     for term in terms:
         low[term.columns], high[term.columns] = term.low, term.high
     ratio = record.sample_ratio
-    bands = int(cell.max()) // sensors + 1
+    band_count = int(cell.max()) // sensor_count + 1
     samples = times / ratio
     return LocalModel(
         spectra=spectra,
-        spectrum=_windowed(record.rate_hz, residual.linear_without_lines[:sensors], scale),
+        spectrum=_windowed(record.rate_hz, residual.linear_without_lines[:sensor_count], scale),
         cell=cell,
         contact_matrix=np.array(matrices).reshape(len(matrices), size, size),
         contact_gradient=np.array(gradients).reshape(len(gradients), size),
         contact_level=np.array(levels),
         input_matrix=(inputs @ inputs.T).astype(float) / ratio,
-        input_gradient=(inputs @ residual.linear[sensors:].ravel().astype(np.float32)).astype(float) / ratio,
+        input_gradient=(inputs @ residual.linear[sensor_count:].ravel().astype(np.float32)).astype(float) / ratio,
         pulls=pulls,
         low=low,
         high=high,
-        samples_per_cell=samples / bands,
+        samples_per_cell=samples / band_count,
         samples=samples,
         base_columns=np.arange(pulls.size + present_count),
         terms=terms,
     )
 
 
-def _contact_level(reference: Reference, residual: Residual, j: int) -> float:
+def _contact_level(variances: NominalVariances, residual: Residual, contact_index: int) -> float:
     """Mean square of a contact's residual relative to the nominal rig's variances."""
-    contact, weights = residual.contacts[j], residual.contacts[j].observation.weights
+    contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.weights
     residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
-    return float(np.mean((residual_n * reference.observations[j].weights) ** 2))
+    return float(np.mean((residual_n * variances.observations[contact_index].weights) ** 2))
 
 
-def _segments(rate_hz: float, times: int) -> tuple[int, int, int, int]:
+def _segments(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
     """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
-    segment = min(round(SEGMENT_S * rate_hz), times)
+    segment = min(round(SEGMENT_S * rate_hz), sample_count)
     per_band = max(1, round(BAND_HZ * segment / rate_hz))
-    return segment, times // segment, per_band, (segment // 2 + 1) // per_band
+    return segment, sample_count // segment, per_band, (segment // 2 + 1) // per_band
 
 
 def _cells(
-    linearization: Linearization, reference: Reference, times: int
+    linearization: Linearization, variances: NominalVariances, sample_count: int
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
-    record = linearization.record
-    _, count, per_band, bands = _segments(record.rate_hz, times)
-    variance = by_band(record, linearization.model.deviation**2, bands) / reference.expected_variance
+    record, sensor_count = linearization.record, len(linearization.record.sensors)
+    _, count, per_band, band_count = _segments(record.rate_hz, sample_count)
+    variance = by_band(record, linearization.model.deviation**2, band_count) / variances.expected_variance
     scale = np.sqrt(variance.T / (count * per_band))
-    sensors = len(record.sensors)
-    shape = (sensors, count, bands, per_band, 2)
-    cell = np.arange(bands)[None, None, :, None, None] * sensors + np.arange(sensors)[:, None, None, None, None]
+    shape = (sensor_count, count, band_count, per_band, 2)
+    sensor_index = np.arange(sensor_count)[:, None, None, None, None]
+    cell = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
     return scale, np.ascontiguousarray(np.broadcast_to(cell, shape)).ravel()
 
 
@@ -342,9 +342,9 @@ def _windowed(
     rate_hz: float, rows: Float[np.ndarray, "sensors times"], scale: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment, count, per_band, bands = _segments(rate_hz, rows.shape[1])
+    segment, count, per_band, band_count = _segments(rate_hz, rows.shape[1])
     window = hann(segment, sym=False)
     pieces = rows[:, : count * segment].reshape(len(rows), count, segment) * (window / np.sqrt(np.sum(window**2)))
-    lines = np.fft.rfft(pieces, axis=2)[:, :, : bands * per_band].reshape(len(rows), count, bands, per_band)
+    lines = np.fft.rfft(pieces, axis=2)[:, :, : band_count * per_band].reshape(len(rows), count, band_count, per_band)
     lines = lines * scale[:, None, :, None]
     return np.stack([lines.real, lines.imag], axis=-1).astype(np.float32).ravel()

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identify.gaps.residual.fit import Fit, fit
-from identify.gaps.residual.likelihood import Misfit, misfit, reference_of
+from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized, rescaled
 from identify.signals.refit import refit_until_settled
@@ -19,11 +19,11 @@ last is the number of linearisations at the stated scales of a rig without conta
 
 def fit_nuisance(record: Record, rig: Rig, rounds: int = MIN_ROUNDS) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
-    reference = reference_of(linearization := linearized(record, rig))
+    nominal_variances = nominal_variances_of(linearization := linearized(record, rig))
 
     def fit_in(linearization: Linearization, start: Residual | None) -> _NuisanceFit:
         residual = fitted_nuisance(linearization, start).residual
-        return _NuisanceFit(linearization, residual, misfit(record, reference, residual))
+        return _NuisanceFit(linearization, residual, misfit(record, nominal_variances, residual))
 
     def refit(estimate: _NuisanceFit) -> _NuisanceFit:
         return fit_in(rescaled(estimate.linearization, estimate.residual), estimate.residual)

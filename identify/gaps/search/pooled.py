@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_jacobian
-from identify.gaps.residual.likelihood import Reference, misfit, reference_of
+from identify.gaps.residual.likelihood import NominalVariances, misfit, nominal_variances_of
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, derivative, linearized
@@ -37,9 +37,9 @@ class Information:
     """-2 ln p of one record as a quadratic of tolerances and parameters (in units of their steps)."""
 
     tolerances: tuple[Hashable, ...]
-    matrix: Float[np.ndarray, "unknowns unknowns"]
-    vector: Float[np.ndarray, " unknowns"]
-    level: float
+    normal_matrix: Float[np.ndarray, "unknowns unknowns"]
+    right_side: Float[np.ndarray, " unknowns"]
+    constant: float
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ class LinearizedRecord:
             for (linear, contacts), sign in zip(derivatives, signs, strict=True)
         ]
         tolerance_information, ratio = self.information, self.linearization.record.sample_ratio
-        count, nuisances = len(tolerance_information.tolerances), len(self.linearization.columns.parameters)
+        count, nuisance_count = len(tolerance_information.tolerances), len(self.linearization.columns.parameters)
         size = count + len(columns)
-        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        normal_matrix, gradient = np.zeros((size, size)), np.zeros(size)
         if columns:
             linear = np.array([column[0].ravel() for column in columns])
-            matrix[:nuisances, count:] = self.linearization.columns.products(linear)
-            matrix[count:, count:] = linear @ linear.T
+            normal_matrix[:nuisance_count, count:] = self.linearization.columns.products(linear)
+            normal_matrix[count:, count:] = linear @ linear.T
             gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
         for j, tolerance_rows in enumerate(self.rows):
             contact_columns = (
@@ -81,20 +81,20 @@ class LinearizedRecord:
             contact_matrix, contact_gradient = without_drift(
                 self.residual, j, np.concatenate([tolerance_rows, contact_columns], axis=1)
             )
-            matrix[:, count:] += contact_matrix[:, count:]
+            normal_matrix[:, count:] += contact_matrix[:, count:]
             gradient[count:] += contact_gradient[count:]
-        matrix[count:, :count] = matrix[:count, count:].T
-        matrix, gradient = matrix / ratio, gradient / ratio
-        matrix[:count, :count] = tolerance_information.matrix
-        gradient[:count] = tolerance_information.vector - tolerance_information.matrix @ self.residual.pulls
+        normal_matrix[count:, :count] = normal_matrix[:count, count:].T
+        normal_matrix, gradient = normal_matrix / ratio, gradient / ratio
+        normal_matrix[:count, :count] = tolerance_information.normal_matrix
+        gradient[:count] = tolerance_information.right_side - tolerance_information.normal_matrix @ self.residual.pulls
         point = np.append(self.residual.pulls, values / steps)
-        return _quadratic(tolerance_information.tolerances, matrix, gradient, point, self.cost)
+        return _quadratic(tolerance_information.tolerances, normal_matrix, gradient, point, self.cost)
 
 
-def linearized_record(record: Record, reference: Reference, rig: Rig) -> LinearizedRecord:
+def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
     linearization, residual = fit_nuisance(record, rig, rounds=1)
-    nuisances, ratio = len(linearization.columns.parameters), record.sample_ratio
+    nuisance_count, ratio = len(linearization.columns.parameters), record.sample_ratio
     names = (
         *((id(record), k) if p.kind == "initial state" else p for k, p in enumerate(linearization.columns.parameters)),
         *(
@@ -103,50 +103,52 @@ def linearized_record(record: Record, reference: Reference, rig: Rig) -> Lineari
             for k in range(contact.pulls.size)
         ),
     )
-    matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
-    matrix[:nuisances, :nuisances] = linearization.gram
-    gradient[:nuisances] = linearization.columns.products(residual.linear_without_lines.ravel())
+    normal_matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
+    normal_matrix[:nuisance_count, :nuisance_count] = linearization.gram
+    gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
     contact_rows = []
     for j, contact in enumerate(residual.contacts):
         rows = np.zeros((contact.residual.size, len(names)))
-        rows[:, :nuisances] = contact_jacobian(linearization, residual, j)
-        first = nuisances + sum(c.pulls.size for c in residual.contacts[:j])
-        times = contact.observation.weights.size
-        rows[:times, first : first + contact.pulls.size] = contact.columns[
-            :times, contact.observation.tolerance_slice
+        rows[:, :nuisance_count] = contact_jacobian(linearization, residual, j)
+        first = nuisance_count + sum(c.pulls.size for c in residual.contacts[:j])
+        sample_count = contact.observation.weights.size
+        rows[:sample_count, first : first + contact.pulls.size] = contact.columns[
+            :sample_count, contact.observation.tolerance_slice
         ].toarray()
         contact_matrix, contact_gradient = without_drift(residual, j, rows)
-        matrix, gradient = matrix + contact_matrix, gradient + contact_gradient
+        normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
         contact_rows.append(rows)
-    cost = misfit(record, reference, residual).minus_two_log
-    information = _quadratic(names, matrix / ratio, gradient / ratio, residual.pulls, cost)
+    cost = misfit(record, nominal_variances, residual).minus_two_log
+    information = _quadratic(names, normal_matrix / ratio, gradient / ratio, residual.pulls, cost)
     return LinearizedRecord(linearization, residual, information, tuple(contact_rows), cost)
 
 
 def _quadratic(
     tolerances: tuple[Hashable, ...],
-    matrix: Float[np.ndarray, "unknowns unknowns"],
+    normal_matrix: Float[np.ndarray, "unknowns unknowns"],
     gradient: Float[np.ndarray, " unknowns"],
     point: Float[np.ndarray, " unknowns"],
     cost: float,
 ) -> Information:
     """Information from the derivatives at a point, where -2 ln p is `cost`, the prior of the tolerances included."""
-    pulls, vector = point[: len(tolerances)], gradient + matrix @ point
-    return Information(tolerances, matrix, vector, cost - float(pulls @ pulls - point @ (vector + gradient)))
+    pulls, right_side = point[: len(tolerances)], gradient + normal_matrix @ point
+    return Information(
+        tolerances, normal_matrix, right_side, cost - float(pulls @ pulls - point @ (right_side + gradient))
+    )
 
 
 def without_drift(
-    residual: Residual, contact: int, rows: Float[np.ndarray, "_ unknowns"]
+    residual: Residual, contact_index: int, rows: Float[np.ndarray, "_ unknowns"]
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Normal equations of a contact's residual by `rows`, with its slow motion eliminated."""
-    law = residual.contacts[contact]
-    matrix, gradient = rows.T @ rows, rows.T @ law.residual
-    if not law.observation.curve.knots:
-        return matrix, gradient
-    drift_solver, drift_columns = law.drift_solver, law.drift_columns
+    contact_residual = residual.contacts[contact_index]
+    normal_matrix, gradient = rows.T @ rows, rows.T @ contact_residual.residual
+    if not contact_residual.observation.curve.knots:
+        return normal_matrix, gradient
+    drift_solver, drift_columns = contact_residual.drift_solver, contact_residual.drift_columns
     coupling = drift_columns.T @ rows
-    return matrix - coupling.T @ drift_solver.solve(coupling), gradient - coupling.T @ drift_solver.solve(
-        drift_columns.T @ law.residual
+    return normal_matrix - coupling.T @ drift_solver.solve(coupling), gradient - coupling.T @ drift_solver.solve(
+        drift_columns.T @ contact_residual.residual
     )
 
 
@@ -177,34 +179,34 @@ def pooled(
     widths = np.tile(step_bounds[1] - step_bounds[0], copies)
     centre = np.concatenate([np.zeros(count), np.tile(prior_centre / steps, copies)])
     prior = np.concatenate([np.ones(count), widths**-2.0])
-    matrix, vector = np.diag(prior), prior * centre
+    normal_matrix, right_side = np.diag(prior), prior * centre
     for k, information in enumerate(records):
         first = count + (k * size if per_record else 0)
         unknowns = [*(names.index(name) for name in information.tolerances), *range(first, first + size)]
-        matrix[np.ix_(unknowns, unknowns)] += information.matrix
-        vector[unknowns] += information.vector
+        normal_matrix[np.ix_(unknowns, unknowns)] += information.normal_matrix
+        right_side[unknowns] += information.right_side
     low, high = (
         np.append(np.full(count, sign * LIMIT), np.tile(bound, copies))
         for sign, bound in zip((-1, 1), step_bounds, strict=True)
     )
-    z = centre + bounded_minimum(matrix, vector - matrix @ centre, low - centre, high - centre)
-    cost = sum(information.level for information in records) + float(
-        z @ matrix @ z - 2 * vector @ z + centre @ (prior * centre)
+    z = centre + bounded_minimum(normal_matrix, right_side - normal_matrix @ centre, low - centre, high - centre)
+    cost = sum(information.constant for information in records) + float(
+        z @ normal_matrix @ z - 2 * right_side @ z + centre @ (prior * centre)
     )
     scale = np.tile(steps, copies)
-    covariance = np.linalg.inv(matrix)[count:, count:] * np.outer(scale, scale)
+    covariance = np.linalg.inv(normal_matrix)[count:, count:] * np.outer(scale, scale)
     values = np.clip(
         z[count:] * scale, np.tile(bounds[0], copies), np.tile(bounds[1], copies)
     )  # the bounds of `bounded_minimum` have slack
     return PooledEstimate(dict(zip(names, z[:count].tolist(), strict=True)), values, covariance, cost)
 
 
-def references(records: Sequence[Record]) -> list[Reference]:
-    return [reference_of(linearized(record, record.rig)) for record in records]
+def nominal_variances_by_record(records: Sequence[Record]) -> list[NominalVariances]:
+    return [nominal_variances_of(linearized(record, record.rig)) for record in records]
 
 
 def fitted_together(
-    records: Sequence[Record], record_references: Sequence[Reference], hypothesis: Hypothesis
+    records: Sequence[Record], variances_by_record: Sequence[NominalVariances], hypothesis: Hypothesis
 ) -> Hypothesis:
     """Hypothesis with parameters fitted to all records together, from those fitted to one.
 
@@ -219,8 +221,8 @@ def fitted_together(
 
     def pooled_about(values: Values) -> _PooledFit:
         cost, information = 0.0, list[Information]()
-        for record, reference in zip(records, record_references, strict=True):
-            record_fit = linearized_record(record, reference, build(values))
+        for record, nominal_variances in zip(records, variances_by_record, strict=True):
+            record_fit = linearized_record(record, nominal_variances, build(values))
             cost += record_fit.cost
             information.append(record_fit.with_parameters(build, values, steps, bounds[1]))
         return _PooledFit(values, pooled(information, steps, bounds, values), cost)

@@ -45,10 +45,10 @@ MAX_EVALUATIONS, RELATIVE_STEP = 40, 1e-4
 
 @dataclass(frozen=True)
 class Screened:
-    """Screened candidate: the gain that it promises, and the parameter values from which to fit it."""
+    """Screened candidate: the decrease of the cost that it promises, and the parameter values from which to fit it."""
 
     candidate: Candidate
-    gain: float
+    cost_decrease: float
     values: Float[np.ndarray, " parameters"]
 
 
@@ -68,8 +68,8 @@ def score_screening(
     for candidate in candidates:
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
         starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
-        screened.append(max(starts, key=lambda item: item.gain))
-    return sorted(screened, key=lambda item: -item.gain)
+        screened.append(max(starts, key=lambda item: item.cost_decrease))
+    return sorted(screened, key=lambda item: -item.cost_decrease)
 
 
 def peak_frequencies_hz(linearization: Linearization, residual: Residual, count: int) -> Float[np.ndarray, " lines"]:
@@ -149,7 +149,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         if costs:
             least_cost, values = min(costs, key=lambda pair: pair[0])
             screened.append(Screened(candidate, nominal_cost - least_cost, values))
-    return sorted(screened, key=lambda item: -item.gain)
+    return sorted(screened, key=lambda item: -item.cost_decrease)
 
 
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -181,9 +181,9 @@ def law_screening(
                 nuisance = law_free_residual.nuisance
                 residual = residual_of(linearization, rig, nuisance, contact_unknowns, base=law_free_residual)
                 trial = Screened(candidate, nominal_scatter - _scatter(residual), trial_values)
-                best = max(best, trial, key=lambda item: item.gain)
+                best = max(best, trial, key=lambda item: item.cost_decrease)
         screened.append(best)
-    return sorted(screened, key=lambda item: -item.gain)
+    return sorted(screened, key=lambda item: -item.cost_decrease)
 
 
 def _scatter(residual: Residual) -> float:
@@ -224,13 +224,13 @@ def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) ->
         screened += [
             Screened(candidate, nominal_cost - cost, values) for cost, values in _cost_minima(record, rig, candidate)
         ]
-    return sorted(screened, key=lambda item: -item.gain)
+    return sorted(screened, key=lambda item: -item.cost_decrease)
 
 
 def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
     """Deviation z of the measured modes from a rig's, whitened by their errors and the tolerances."""
     modes, tolerances = matched_modes(record.modes, rig), record.tolerances
-    mode_tolerances = [tolerances.of_mode(mode.body, mode.mode) for mode in modes]
+    mode_tolerances = [tolerances.of_mode(mode.body, mode.mode_number) for mode in modes]
     is_same_body = np.equal.outer([mode.body for mode in modes], [mode.body for mode in modes])
     frequency = np.diag(
         [m.measured.frequency_error**2 + t.frequency**2 for m, t in zip(modes, mode_tolerances, strict=True)]

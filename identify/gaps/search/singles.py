@@ -53,30 +53,30 @@ class _BestFits:
             del self.by_name[dropped_name]
 
 
-def single_effects(context: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
+def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
     """Refined fits of single effects, the likeliest first."""
-    linearization, residual = context.linearization, reset_saturated_nuisance(context.residual)
+    linearization, residual = search.linearization, reset_saturated_nuisance(search.residual)
     law_free_residual = residual_of(linearization, linearization.rig, residual.nuisance)
-    steady = [candidate for candidate in context.candidates if not candidate.kind.stochastic]
+    steady = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
     laws = law_candidates(linearization.rig, steady)
     best_fits = _BestFits()
     for fit in chain(
-        _screened_fits(context, nominal_fit, residual, law_free_residual, steady, laws),
-        _law_fits(context, law_free_residual, laws),
-        _spectrum_fits(context, nominal_fit),
+        _screened_fits(search, nominal_fit, residual, law_free_residual, steady, laws),
+        _law_fits(search, law_free_residual, laws),
+        _spectrum_fits(search, nominal_fit),
     ):
         best_fits.take(fit)
-    refined_fits = _refined_all(context, _rivals(best_fits.by_name.values(), nominal_fit))
+    refined_fits = _refined_all(search, _rivals(best_fits.by_name.values(), nominal_fit))
     if not min(refined_fits, key=_cost_of, default=nominal_fit).hypothesis.at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
-    for fit in _typical_fits(context, law_free_residual, steady, laws):
+    for fit in _typical_fits(search, law_free_residual, steady, laws):
         best_fits.take(fit)
     return sorted(best_fits.by_name.values(), key=_cost_of)
 
 
 def _screened_fits(
-    context: Search,
+    search: Search,
     nominal_fit: FittedHypothesis,
     residual: Residual,
     law_free_residual: Residual,
@@ -84,7 +84,7 @@ def _screened_fits(
     laws: Sequence[Candidate],
 ) -> Iterator[FittedHypothesis]:
     """Brief fits of the candidates of which the screenings promise most."""
-    linearization = context.linearization
+    linearization = search.linearization
     screened: Iterator[tuple[Screened, Residual | None]] = chain(
         ((s, residual) for s in _score_screened(linearization, residual, steady, nominal_fit, BY_SCORE)),
         (
@@ -96,39 +96,39 @@ def _screened_fits(
     )
     for item, start in screened:
         with suppress(RigError):
-            yield fit_briefly(context, (item.candidate,), item.values, start)
+            yield fit_briefly(search, (item.candidate,), item.values, start)
 
 
-def _law_fits(context: Search, law_free_residual: Residual, laws: Sequence[Candidate]) -> Iterator[FittedHypothesis]:
+def _law_fits(search: Search, law_free_residual: Residual, laws: Sequence[Candidate]) -> Iterator[FittedHypothesis]:
     """Fits of contact laws that the contact residual promises, far from where the scales of the nominal law hold."""
-    linearization = context.linearization
+    linearization = search.linearization
     for item in _worthwhile(linearization, law_screening(linearization, law_free_residual, laws), BY_LAW):
         with suppress(RigError):
-            yield fit_effects(context, (item.candidate,), item.values, law_free_residual)
+            yield fit_effects(search, (item.candidate,), item.values, law_free_residual)
             if not linearization.record.forced:
-                yield fit_afresh(context, (item.candidate,), item.values)
+                yield fit_afresh(search, (item.candidate,), item.values)
 
 
-def _spectrum_fits(context: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
+def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
     """Fits of effects that are known by their spectrum alone."""
-    for candidate in context.candidates:
-        if candidate.kind.stochastic and (fit := fit_spectrum(context, nominal_fit, candidate)):
+    for candidate in search.candidates:
+        if candidate.kind.stochastic and (fit := fit_spectrum(search, nominal_fit, candidate)):
             yield fit
 
 
 def _typical_fits(
-    context: Search, law_free_residual: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
+    search: Search, law_free_residual: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
 ) -> Iterator[FittedHypothesis]:
     """Fits of ratios and linear effects from their typical size, those of single sensors left out."""
     not_of_sensors = [c for c in steady if "sensor" not in c.place]
     for candidate in (c for c in not_of_sensors if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
         with suppress(RigError):
-            yield fit_effects(context, (candidate,), candidate.default, law_free_residual)
+            yield fit_effects(search, (candidate,), candidate.default, law_free_residual)
 
 
 def _worthwhile(linearization: Linearization, screened: Sequence[Screened], count: int) -> list[Screened]:
     """Best candidates of a screening, as far as they gain enough for a fit."""
-    return [item for item in screened[:count] if item.gain > MIN_GAIN * linearization.record.sample_ratio]
+    return [item for item in screened[:count] if item.cost_decrease > MIN_GAIN * linearization.record.sample_ratio]
 
 
 def _score_screened(
@@ -160,11 +160,11 @@ def _rivals(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> 
 
 
 def _refined_all(
-    context: Search, rivals: Iterable[FittedHypothesis], best_cost: float = np.inf
+    search: Search, rivals: Iterable[FittedHypothesis], best_cost: float = np.inf
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
     for fit in sorted(rivals, key=_cost_of):
-        refined_fits.append(refined(context, fit, best_cost))
+        refined_fits.append(refined(search, fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
     return sorted(refined_fits, key=_cost_of)

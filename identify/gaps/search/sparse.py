@@ -77,95 +77,99 @@ class Selection:
     hints: tuple[tuple[Candidate, Values], ...] = ()
 
 
-def search(context: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
+def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
     """Hypotheses by their -2 ln p on this record, least first.
 
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
-    nominal = context.nominal_fit()
-    best = nominal if context.linearization.record.modes else _refined_from(context, nominal)
+    nominal = search.nominal_fit()
+    best = nominal if search.linearization.record.modes else _refined_from(search, nominal)
     progress(0.4)
-    best = _started_from_single(context, nominal, best)
+    best = _started_from_single(search, nominal, best)
     progress(0.6)
-    best, variants = reduced_sets(context, _with_base_motion(context, best))
+    best, variants = reduced_sets(search, _with_base_motion(search, best))
     progress(1.0)
     hypotheses = (nominal.hypothesis, best.hypothesis, *variants)
     return sorted({h.key: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
-def _refined_from(context: Search, start: FittedHypothesis) -> FittedHypothesis:
+def _refined_from(search: Search, start: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
-        start, lambda best: refined_set(context, best), lambda before, after: before is after, rounds=ROUNDS
+        start, lambda best: refined_set(search, best), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
-def _started_from_single(context: Search, nominal: FittedHypothesis, best: FittedHypothesis) -> FittedHypothesis:
+def _started_from_single(search: Search, nominal: FittedHypothesis, best: FittedHypothesis) -> FittedHypothesis:
     """Better one of a set and of the set started from the best single effect.
 
     The latter is made where the former leaves most of the misfit or, if the modes of a decay are known, any of it.
     """
     nominal_misfit, set_misfit = nominal.hypothesis.misfit, best.hypothesis.misfit
-    if context.linearization.record.modes:
+    if search.linearization.record.modes:
         is_mostly_unexplained = best.hypothesis.is_incomplete
     else:
         dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess >= dominant_excess
-    singles = single_effects(context, nominal) if is_mostly_unexplained else []
+    singles = single_effects(search, nominal) if is_mostly_unexplained else []
     if not singles or singles[0].cost >= best.cost:
         return best
     likeliest = singles[0]
     is_base_motion = _is_stochastic(likeliest.hypothesis)
-    return _base_motion_with_set(context, likeliest) if is_base_motion else _refined_from(context, likeliest)
+    return _base_motion_with_set(search, likeliest) if is_base_motion else _refined_from(search, likeliest)
 
 
 def _is_stochastic(hypothesis: Hypothesis) -> bool:
     return any(candidate.kind.stochastic for candidate in hypothesis.candidates)
 
 
-def _base_motion_with_set(context: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
+def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
-    shaken_search = _search_about_set(context, base_motion, [c for c in context.candidates if not c.kind.stochastic])
+    shaken_search = _search_about_set(search, base_motion, [c for c in search.candidates if not c.kind.stochastic])
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
     return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
-def _search_about_set(context: Search, fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
+def _search_about_set(search: Search, fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
     """Search whose nominal rig is that of a fitted set."""
-    rig = fit.hypothesis.applied_to(context.linearization.rig)
-    return Search(context.reference, *_relinearized(fit, rig), tuple(candidates))
+    rig = fit.hypothesis.applied_to(search.linearization.rig)
+    return Search(search.nominal_variances, *_relinearized(fit, rig), tuple(candidates))
 
 
-def refined_set(context: Search, best: FittedHypothesis) -> FittedHypothesis:
+def refined_set(search: Search, best: FittedHypothesis) -> FittedHypothesis:
     """Set fitted together with what the local model selects beside it; the set itself where that gains too little."""
     if not best.hypothesis.is_incomplete:
         return best
-    linearization, residual, model = _local_model_of(context, best)
+    linearization, residual, model = _local_model_of(search, best)
     selection = selected(model, best.hypothesis)
     hints = [((candidate,), (values,)) for candidate, values in selection.hints]
     additions = [(selection.candidates, selection.values)] if selection.candidates else hints
-    fits = (_brief_fit_with(context, best.hypothesis, *addition, residual, linearization) for addition in additions)
+    fits = (_brief_fit_with(search, best.hypothesis, *addition, residual, linearization) for addition in additions)
     brief_fit = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     min_gain = MIN_REFINED_GAIN if selection.candidates else MIN_GAIN
     if brief_fit is None or (not selection.candidates and best.cost - brief_fit.cost <= min_gain):
         return best
-    refined_fit = refined(context, brief_fit)
+    refined_fit = refined(search, brief_fit)
     return refined_fit if best.cost - refined_fit.cost > min_gain else best
 
 
-def _local_model_of(context: Search, fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
+def _local_model_of(search: Search, fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
-    rig = fit.hypothesis.applied_to(context.linearization.rig)
+    rig = fit.hypothesis.applied_to(search.linearization.rig)
     linearization, residual = _relinearized(fit, rig)
-    steady = [c for c in context.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
-    nominal, present = context.linearization.rig, fit.hypothesis
-    return linearization, residual, local_model(linearization, residual, context.reference, nominal, present, steady)
+    steady = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
+    nominal, present = search.linearization.rig, fit.hypothesis
+    return (
+        linearization,
+        residual,
+        local_model(linearization, residual, search.nominal_variances, nominal, present, steady),
+    )
 
 
 def _brief_fit_with(
-    context: Search,
+    search: Search,
     present: Hypothesis,
     candidates: tuple[Candidate, ...],
     values: tuple[Values, ...],
@@ -176,7 +180,7 @@ def _brief_fit_with(
     start_values = np.concatenate([present.values, *values])
     try:
         return fit_briefly(
-            context, (*present.candidates, *candidates), start_values, reset_saturated_nuisance(residual), linearization
+            search, (*present.candidates, *candidates), start_values, reset_saturated_nuisance(residual), linearization
         )
     except RigError:
         return None
@@ -235,8 +239,8 @@ def _promising(
         max_equal = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised[k] <= 0:
             break
-        places = sum(item.candidate is term.candidate for item in promising_terms)
-        if len(equal_candidates) < max_equal and places < PLACES_PER_CANDIDATE:
+        place_count = sum(item.candidate is term.candidate for item in promising_terms)
+        if len(equal_candidates) < max_equal and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
 
@@ -251,7 +255,7 @@ def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) 
     return chosen, solution
 
 
-def reduced_sets(context: Search, best: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
+def reduced_sets(search: Search, best: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Best set without members that gain too little, and its variants.
 
     The variants are the set without each member, with a look-alike in the place of each, and without the two, three and
@@ -264,25 +268,25 @@ def reduced_sets(context: Search, best: FittedHypothesis) -> tuple[FittedHypothe
     costs: list[float] = []
     hypotheses: list[Hypothesis] = []
     for k in indices:
-        reduced_fit = _subset_fit(context, best, [i for i in indices if i != k])
+        reduced_fit = _subset_fit(search, best, [i for i in indices if i != k])
         if len(candidates) > 1 and reduced_fit.cost - best.cost < MIN_GAIN:
-            return reduced_sets(context, reduced_fit)
+            return reduced_sets(search, reduced_fit)
         costs.append(reduced_fit.cost)
         hypotheses.append(reduced_fit.hypothesis)
-        if (alternative_fit := _look_alike_fit(context, reduced_fit, candidates[k], best)) is not None:
+        if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[k], best)) is not None:
             hypotheses.append(alternative_fit.hypothesis)
     order = np.argsort(costs)  # the least important first
     for dropped_count in range(2, len(candidates)):
         retained = sorted(order[dropped_count:].tolist())
-        hypotheses.append(_subset_fit(context, best, retained).hypothesis)
+        hypotheses.append(_subset_fit(search, best, retained).hypothesis)
     return best, hypotheses
 
 
 def _look_alike_fit(
-    context: Search, reduced_fit: FittedHypothesis, member: Candidate, best: FittedHypothesis
+    search: Search, reduced_fit: FittedHypothesis, member: Candidate, best: FittedHypothesis
 ) -> FittedHypothesis | None:
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
-    linearization, residual, model = _local_model_of(context, reduced_fit)
+    linearization, residual, model = _local_model_of(search, reduced_fit)
     nominal = model.solved([])
     look_alikes = [t for t in _promising(model, [], reduced_fit.hypothesis, nominal) if t.candidate.name != member.name]
     trials = [(model.solved([term], nominal.theta), term) for term in look_alikes]
@@ -290,29 +294,29 @@ def _look_alike_fit(
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)
     values = (term.values(solution.theta),)
-    brief_fit = _brief_fit_with(context, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
+    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best.cost + MAX_EXCESS_COST:
         return None
-    return refined(context, brief_fit, best.cost)
+    return refined(search, brief_fit, best.cost)
 
 
-def _subset_fit(context: Search, best: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
     if not members:
-        return context.nominal_fit()
+        return search.nominal_fit()
     candidates, values = best.hypothesis.candidates, best.hypothesis.split()
     subset = tuple(candidates[k] for k in members)
     start = reset_saturated_nuisance(best.residual)
-    brief_fit = fit_briefly(context, subset, np.concatenate([values[k] for k in members]), start, best.linearization)
-    return refined(context, brief_fit, best.cost)
+    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best.linearization)
+    return refined(search, brief_fit, best.cost)
 
 
-def _with_base_motion(context: Search, best: FittedHypothesis) -> FittedHypothesis:
+def _with_base_motion(search: Search, best: FittedHypothesis) -> FittedHypothesis:
     """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
-    stochastic = [c for c in context.candidates if c.kind.stochastic]
+    stochastic = [c for c in search.candidates if c.kind.stochastic]
     if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.is_incomplete:
         return best
-    search_about_set = _search_about_set(context, best, ())
+    search_about_set = _search_about_set(search, best, ())
     for candidate in stochastic:
         base_motion_fit = fit_spectrum(search_about_set, search_about_set.nominal_fit(), candidate)
         if base_motion_fit and best.cost - base_motion_fit.cost > MIN_GAIN:

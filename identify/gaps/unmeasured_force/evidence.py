@@ -58,8 +58,10 @@ def nuisance_equations(
     whitened: WhitenedRecord, noise: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Matrix and right side of the normal equations of theta at the noise variance s, without a force."""
-    matrix = whitened.reals_per_line * np.tensordot(1 / noise, whitened.gram, 1) + np.eye(len(whitened.parameters))
-    return matrix, whitened.reals_per_line * (whitened.cross_products.T @ (1 / noise) - whitened.trace / 2)
+    normal_matrix = whitened.reals_per_line * np.tensordot(1 / noise, whitened.gram, 1) + np.eye(
+        len(whitened.parameters)
+    )
+    return normal_matrix, whitened.reals_per_line * (whitened.cross_products.T @ (1 / noise) - whitened.trace_terms / 2)
 
 
 def evidence_without_force(whitened: WhitenedRecord) -> ForceEvidence:
@@ -112,11 +114,11 @@ def evidence_with_force(
         if nuisance_held or round_number == ROUNDS - 1:
             break
         weight_loss = on_lines(1 / noise) - 1 / (on_lines(noise) + on_lines(spectrum) * response_squares)
-        matrix, right_side = nuisance_equations(whitened, noise)
+        normal_matrix, right_side = nuisance_equations(whitened, noise)
         lost_columns = real_pairs(weight_loss * projected_columns)
-        matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
+        normal_matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
         right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
-        theta = _solve_positive_definite(matrix, right_side)
+        theta = _solve_positive_definite(normal_matrix, right_side)
     assert spectrum is not None
     line_variance, projection_power = on_lines(noise) + on_lines(spectrum) * response_squares, np.abs(projection) ** 2
     squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
@@ -140,7 +142,7 @@ def subtract_nuisance(
 
 def _nuisance_penalty(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> float:
     """Terms of J in theta alone: the prior theta' theta, and n 2 Re tr' theta, as D is made from measured data."""
-    return float(theta @ theta) + whitened.reals_per_line * float(whitened.trace @ theta)
+    return float(theta @ theta) + whitened.reals_per_line * float(whitened.trace_terms @ theta)
 
 
 def _project_columns(

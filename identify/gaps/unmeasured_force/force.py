@@ -75,8 +75,8 @@ def _fit_at_place(on_fit: LocatedForce, whitened: WhitenedRecord, on_validation:
     shape[:band_count] = on_fit.with_force.spectrum[:band_count]
     without_force, response = on_validation.without_force, response_of(whitened, candidate)
     with_force = evidence_with_force(whitened, response, without_force, shape=shape)
-    gain = without_force.criterion - with_force.criterion
-    return LocatedForce(candidate, gain, 0.0, without_force, with_force, whitened, response)
+    criterion_decrease = without_force.criterion - with_force.criterion
+    return LocatedForce(candidate, criterion_decrease, 0.0, without_force, with_force, whitened, response)
 
 
 def same_place(first: LocatedForce, second: LocatedForce) -> bool:

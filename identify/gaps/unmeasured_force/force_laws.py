@@ -31,7 +31,7 @@ class Form:
     words: str
     against: Against
     text: str
-    units: tuple[str, ...]
+    coefficient_units: tuple[str, ...]
     shapes: Shape
     parameter: str = ""
     unit: str = ""
@@ -41,7 +41,7 @@ class Form:
     @property
     def length(self) -> int:
         """Count of fitted values."""
-        return len(self.units) + bool(self.parameter)
+        return len(self.coefficient_units) + bool(self.parameter)
 
     @property
     def is_tone(self) -> bool:
@@ -72,7 +72,7 @@ class ForceLaw:
     def text(self) -> str:
         """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
         form = self.form
-        terms = [f"{c:.4g} {u}" for c, u in zip(self.coefficients, form.units, strict=True)]
+        terms = [f"{c:.4g} {u}" for c, u in zip(self.coefficients, form.coefficient_units, strict=True)]
         parameter_text = f"{self.parameter:.4g} {form.unit}" if form.unit not in ("", "1") else f"{self.parameter:.3g}"
         if form.unit == "m":
             parameter_text = f"{1e3 * self.parameter:.4g} mm"
@@ -83,7 +83,9 @@ class ForceLaw:
         names = ("amplitude of cosine", "amplitude of sine") if self.form.is_tone else ("coefficient", "cubic")
         values = {
             name: Value(value, error, unit)
-            for name, value, error, unit in zip(names, self.coefficients, self.errors, self.form.units, strict=False)
+            for name, value, error, unit in zip(
+                names, self.coefficients, self.errors, self.form.coefficient_units, strict=False
+            )
         }
         if self.form.parameter:
             values[self.form.parameter] = Value(self.parameter, self.parameter_error, self.form.unit)

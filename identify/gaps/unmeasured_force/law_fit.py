@@ -100,13 +100,13 @@ def _solve_shapes(
     history: ForceHistory, shapes: Float[np.ndarray, "coefficients fine"]
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Least squares of the force on its shapes: coefficients, gain and standard errors, by normal equations."""
-    matrix, right_side = history.reduced_equations(history.gated_spectra(shapes))
-    inverse, scale = _scaled_inverse(matrix)
-    scaled_coefficients = inverse @ (right_side / scale)
+    normal_matrix, right_side = history.reduced_equations(history.gated_spectra(shapes))
+    inverse_normal, scale = _scaled_inverse(normal_matrix)
+    scaled_coefficients = inverse_normal @ (right_side / scale)
     return (
         scaled_coefficients / scale,
         float(scaled_coefficients @ (right_side / scale)),
-        np.sqrt(np.maximum(np.diag(inverse), 0.0)) / scale,
+        np.sqrt(np.maximum(np.diag(inverse_normal), 0.0)) / scale,
     )
 
 
@@ -195,7 +195,10 @@ class Descent:
         """Best iterate from the values of `start`, and its law."""
         start = self._evaluate(start.coefficients, start.parameter, start.knots)
         iterate, last_step = gauss_newton(start, self._step, _cost_tolerance, STEPS)
-        coefficient_count, errors = len(self.form.units), np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0))
+        coefficient_count, errors = (
+            len(self.form.coefficient_units),
+            np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)),
+        )
         law = ForceLaw(
             self.form,
             tuple((-iterate.coefficients).tolist()),
@@ -221,7 +224,7 @@ class Descent:
 
         After a share of the step the coefficients are solved for again at the new parameter and knots.
         """
-        history, form, coefficient_count = self.history, self.form, len(self.form.units)
+        history, form, coefficient_count = self.history, self.form, len(self.form.coefficient_units)
         free_count = coefficient_count + bool(form.parameter)
         shapes = self.shapes(iterate.parameter, iterate.knots)
         force = iterate.coefficients @ shapes
@@ -236,11 +239,11 @@ class Descent:
         columns = np.concatenate(
             [history.gated_spectra(np.stack(fine_forces)), knot_columns, history.gated_spectra(force)[None]]
         )
-        matrix, right_side = history.reduced_equations(columns)
-        gradient, matrix = right_side[:-1] - matrix[:-1, -1], matrix[:-1, :-1]
-        matrix[free_count:, free_count:] += self.prior
+        normal_matrix, right_side = history.reduced_equations(columns)
+        gradient, normal_matrix = right_side[:-1] - normal_matrix[:-1, -1], normal_matrix[:-1, :-1]
+        normal_matrix[free_count:, free_count:] += self.prior
         gradient[free_count:] -= self.prior @ iterate.knots
-        covariance, scale = _scaled_inverse(matrix)
+        covariance, scale = _scaled_inverse(normal_matrix)
         covariance /= np.outer(scale, scale)
         change = covariance @ gradient
 

@@ -45,14 +45,14 @@ class ForcePlace:
 
 @dataclass(frozen=True)
 class LocatedForce:
-    """Candidate fitted to a record; gain is the fall of J against the record without a force.
+    """Candidate fitted to a record; criterion_decrease is that of J against the record without a force.
 
     error_m is the standard error of the position by the curvature of J. response is g, the residual per unit force.
     growth is the relative change of the modulus of each body over the record, with its standard errors.
     """
 
     candidate: ForcePlace
-    gain: float
+    criterion_decrease: float
     error_m: float
     without_force: ForceEvidence
     with_force: ForceEvidence
@@ -104,7 +104,7 @@ def locate_force(whitened: WhitenedRecord, expected: ForcePlace | None = None, r
             best_of_kinds.append(_located_force(whitened, candidate, without_force, with_force))
     if expected is None or expected.kind == "distributed":
         best_of_kinds += [d for d in [_locate_drift(whitened, without_force, expected)] if d is not None]
-    return _refine_position(max(best_of_kinds, key=lambda choice: choice.gain))
+    return _refine_position(max(best_of_kinds, key=lambda choice: choice.criterion_decrease))
 
 
 def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
@@ -165,8 +165,10 @@ def _within_radius(candidate: ForcePlace, expected: ForcePlace, radius_m: float)
 def _located_force(
     whitened: WhitenedRecord, candidate: ForcePlace, without_force: ForceEvidence, with_force: ForceEvidence
 ) -> LocatedForce:
-    gain = without_force.criterion - with_force.criterion
-    return LocatedForce(candidate, gain, 0.0, without_force, with_force, whitened, response_of(whitened, candidate))
+    criterion_decrease = without_force.criterion - with_force.criterion
+    return LocatedForce(
+        candidate, criterion_decrease, 0.0, without_force, with_force, whitened, response_of(whitened, candidate)
+    )
 
 
 def _refine_position(estimate: LocatedForce) -> LocatedForce:
@@ -228,15 +230,17 @@ def _locate_drift(
             whitened,
             (*whitened.parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)),
             np.concatenate([whitened.columns, drift_columns]),
-            np.append(whitened.trace, 0.0 * np.array(scale)),
+            np.append(whitened.trace_terms, 0.0 * np.array(scale)),
         )
         with_force = evidence_without_force(extended)
-        gain = without_force.criterion - with_force.criterion
+        criterion_decrease = without_force.criterion - with_force.criterion
         growth = tuple(float(v) for v in with_force.theta[-len(bodies) :] * scale)
-        if best is None or gain > max(best.gain, 1.05 * best.gain):
+        if best is None or criterion_decrease > max(best.criterion_decrease, 1.05 * best.criterion_decrease):
             no_response = np.zeros(whitened.residual.shape, dtype=complex)
             covariance = np.linalg.inv(nuisance_equations(extended, with_force.noise)[0])
             errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
             place = ForcePlace("distributed", bodies=bodies)
-            best = LocatedForce(place, gain, 0.0, without_force, with_force, extended, no_response, growth, errors)
+            best = LocatedForce(
+                place, criterion_decrease, 0.0, without_force, with_force, extended, no_response, growth, errors
+            )
     return best

@@ -29,7 +29,7 @@ def nuisance_columns(
     delivered_norm, bodies = float(np.linalg.norm(bare.record.delivered)), [r.body.name for r in model.responses]
     parameters: list[Nuisance] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
-    trace: list[float] = []
+    trace_terms: list[float] = []
     measured = _measured_motion(bare)
     for changes in (
         changes_of(measured, common=False),
@@ -41,8 +41,8 @@ def nuisance_columns(
             if np.any(column):
                 parameters.append(change.parameter)
                 columns.append(column.astype(np.complex64))  # they are many
-                trace.append(_data_trace(bare, change))
-    return tuple(parameters), np.array(columns).reshape(len(columns), *bare.residual.shape), np.array(trace)
+                trace_terms.append(_data_trace(bare, change))
+    return tuple(parameters), np.array(columns).reshape(len(columns), *bare.residual.shape), np.array(trace_terms)
 
 
 def _measured_motion(bare: WhitenedRecord) -> Observed:

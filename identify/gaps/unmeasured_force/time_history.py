@@ -97,8 +97,8 @@ class ForceHistory:
 
     def gain(self, force: Complex[np.ndarray, " lines"]) -> float:
         """Fall of -2 ln L by a given force."""
-        matrix, right_side = self.reduced_equations(force[None])
-        return float(2 * right_side[0] - matrix[0, 0])
+        normal_matrix, right_side = self.reduced_equations(force[None])
+        return float(2 * right_side[0] - normal_matrix[0, 0])
 
     @cached_property
     def slow_basis(self) -> Float[np.ndarray, "alltimes knots"]:
@@ -142,7 +142,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
         for power in (-2, -1)
     )
     direction = located.response.conj() / np.maximum(with_force.response_norm, 1e-300)[:, None]
-    matrix, right_side = nuisance_equations(whitened, with_force.noise)
+    normal_matrix, right_side = nuisance_equations(whitened, with_force.noise)
     history = ForceHistory(
         located=located,
         displacement_m=displacement_m,
@@ -151,7 +151,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
         weights=whitened.reals_per_line / whitened.on_lines(with_force.noise),
         projected_residual=np.einsum("lr,lr->l", direction, whitened.residual),
         projected_columns=np.einsum("lr,clr->cl", direction, whitened.columns),
-        normal_matrix=matrix,
+        normal_matrix=normal_matrix,
         right_side=right_side,
     )
     return with_law_error(history, LAW_ERROR)

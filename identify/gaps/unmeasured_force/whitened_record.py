@@ -44,9 +44,9 @@ class WhitenedRecord:
     """Whitened residual r (lines, rows) and nuisance columns D (columns, lines, rows) of a record.
 
     basis is N^H, from standardised accelerations to rows. residual_squares, cross_products and gram are |r|^2, Re D^H r
-    and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace is 2 Re tr(dD/dA) of each
-    column. force_modes are the principal directions of the force channels' noise, force_shares the part of each that
-    whitening takes off.
+    and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace_terms are the columns'
+    2 Re tr(dD/dA). force_modes are the principal directions of the force channels' noise, force_shares the part of each
+    that whitening takes off.
     """
 
     record: Record
@@ -63,7 +63,7 @@ class WhitenedRecord:
     residual_squares: Float[np.ndarray, " bands"]
     cross_products: Float[np.ndarray, "bands columns"]
     gram: Float[np.ndarray, "bands columns columns"]
-    trace: Float[np.ndarray, " columns"]
+    trace_terms: Float[np.ndarray, " columns"]
 
     @property
     def omega(self) -> Float[np.ndarray, " lines"]:
@@ -104,20 +104,22 @@ class WhitenedRecord:
             self.project((self.model.sensor_response * accelerations / self.model.deviation)[:, self.lines])
         )
 
-    def gated_residual(self, standard: Complex[np.ndarray, "sensors alllines"]) -> Complex[np.ndarray, "lines rows"]:
+    def gated_residual(
+        self, standardised: Complex[np.ndarray, "sensors alllines"]
+    ) -> Complex[np.ndarray, "lines rows"]:
         """Whitened residual of the sensors' standardised signals, gated in time."""
         record = self.record
-        back_projected = np.zeros_like(standard)
+        back_projected = np.zeros_like(standardised)
         back_projected[:, self.lines] = (
-            self.basis.conj().transpose(0, 2, 1) @ self.project(standard[:, self.lines])[:, :, None]
+            self.basis.conj().transpose(0, 2, 1) @ self.project(standardised[:, self.lines])[:, :, None]
         )[:, :, 0].T
         length = record.length // record.factor
         history = np.fft.irfft(back_projected, length) * self.gate
         return self.whiten_force_noise(self.project(np.fft.rfft(history)[:, self.lines]))
 
-    def project(self, standard: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
+    def project(self, standardised: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
         """Rows N^H y of standardised signals y, in which contact forces do not show."""
-        return np.asarray((self.basis @ standard.T[:, :, None])[:, :, 0])
+        return np.asarray((self.basis @ standardised.T[:, :, None])[:, :, 0])
 
     def whiten_force_noise(self, rows: Complex[np.ndarray, "lines rows"]) -> Complex[np.ndarray, "lines rows"]:
         """Rows with the covariance I + S_F g_F g_F^H of the force channels' noise reduced to I."""
@@ -130,8 +132,8 @@ class WhitenedRecord:
         sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
         for response in self.model.responses:
             if response.body.name == station.body:
-                weights = response.shapes(sensor_stations) * response.shapes([station])[0]
-                accelerances += (weights @ np.ascontiguousarray(response.accelerance).view(float)).view(complex)
+                shape_products = response.shapes(sensor_stations) * response.shapes([station])[0]
+                accelerances += (shape_products @ np.ascontiguousarray(response.accelerance).view(float)).view(complex)
         return accelerances
 
     def motion(self, station: Station) -> Complex[np.ndarray, " alllines"]:
@@ -153,8 +155,8 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
     model = linear_model(record, rig, record.tolerances.unmodelled)
     lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
     basis = complement(model.by_input[..., lines])
-    rows = basis.shape[1]
-    if not rows:
+    row_count = basis.shape[1]
+    if not row_count:
         raise RigError(
             f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
@@ -169,17 +171,17 @@ def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
         model=model,
         lines=lines,
         basis=basis,
-        force_modes=np.zeros((line_count, rows, 0), dtype=complex),
+        force_modes=np.zeros((line_count, row_count, 0), dtype=complex),
         force_shares=np.zeros((line_count, 0)),
-        residual=np.zeros((line_count, rows), dtype=complex),
+        residual=np.zeros((line_count, row_count), dtype=complex),
         parameters=(),
-        columns=np.zeros((0, line_count, rows), dtype=complex),
+        columns=np.zeros((0, line_count, row_count), dtype=complex),
         modal_accelerations=modal_accelerations,
         band_starts=band_starts,
         residual_squares=np.zeros(band_starts.size),
         cross_products=np.zeros((band_starts.size, 0)),
         gram=np.zeros((band_starts.size, 0, 0)),
-        trace=np.zeros(0),
+        trace_terms=np.zeros(0),
     )
     force_responses = np.stack(
         [bare.ungated_residual(bare.accelerance(station) / rig.force_sensor.gain) for station in rig.forces], axis=2
@@ -193,7 +195,7 @@ def with_columns(
     bare: WhitenedRecord,
     parameters: tuple[Nuisance, ...],
     columns: Complex[np.ndarray, "columns lines rows"],
-    trace: Float[np.ndarray, " columns"],
+    trace_terms: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
     """Record with these columns, kept in single precision, and their sums over bands."""
     real_residual = np.ascontiguousarray(bare.residual).view(float)
@@ -212,7 +214,7 @@ def with_columns(
         residual_squares=np.array(residual_squares),
         cross_products=np.array(cross_products),
         gram=np.array(gram),
-        trace=trace,
+        trace_terms=trace_terms,
     )
 
 
@@ -243,21 +245,21 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
     """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
     body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
     mode_count = min(len(body_sensors), response.count)
-    inverse = np.zeros((mode_count, len(record.sensors)))
+    inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
         shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :mode_count]
-        inverse[:, body_sensors] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
-    return inverse
+        inverse_shapes[:, body_sensors] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
+    return inverse_shapes
 
 
 def _measured_accelerations(
     record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
-    inverse = modal_inverse(record, response)
-    mode_count = len(inverse)
+    inverse_shapes = modal_inverse(record, response)
+    mode_count = len(inverse_shapes)
     misfit = record.delivered / model.sensor_response - response.shapes([s.station for s in record.sensors]) @ modelled
-    return np.concatenate([modelled[:mode_count] + inverse @ misfit, modelled[mode_count:]])
+    return np.concatenate([modelled[:mode_count] + inverse_shapes @ misfit, modelled[mode_count:]])
 
 
 def _band_starts(omega: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:

@@ -39,9 +39,9 @@ class ModalFit:
 
 
 def fit_modes(
-    frequency_hz: Float[np.ndarray, " lines"], accelerance: Complex[np.ndarray, "frfs lines"], driving: int
+    frequency_hz: Float[np.ndarray, " lines"], accelerance: Complex[np.ndarray, "frfs lines"], driving_index: int
 ) -> ModalFit:
-    """Modes in the band of accelerance FRFs, (m/s^2)/N; FRF number `driving` is that of the driving point.
+    """Modes in the band of accelerance FRFs, (m/s^2)/N; FRF number `driving_index` is that of the driving point.
 
     Poles come from the least-squares complex frequency-domain method (LSCF; Guillaume, Verboven and Vanlanduit, ISMA
     23, 1998): the common denominator of all FRFs at orders 6 to 60, of which stable poles are kept. Modes that
@@ -68,7 +68,7 @@ def fit_modes(
         basis = _basis(frequency_hz, modes)
         coefficients = _least_squares(basis, measured)
         significant = _significant(
-            frequency_hz, basis, modes, coefficients, np.abs(measured - coefficients.T @ basis.T), driving
+            frequency_hz, basis, modes, coefficients, np.abs(measured - coefficients.T @ basis.T), driving_index
         )
         if significant.all():
             break
@@ -169,7 +169,7 @@ def _significant(
     modes: Float[np.ndarray, "modes 2"],
     coefficients: Float[np.ndarray, "terms frfs"],
     errors: Float[np.ndarray, "frfs lines"],
-    driving: int,
+    driving_index: int,
 ) -> Bool[np.ndarray, " modes"]:
     """Mask of modes with a positive residue at the driving point, in the band, and above the rms error."""
     natural_hz = np.exp(modes[:, 0])
@@ -177,7 +177,9 @@ def _significant(
     heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest, axis=0)), axis=0)
     height_to_error = np.abs(coefficients[:-2]) * heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
     inside = (natural_hz > frequency_hz[0]) & (natural_hz < frequency_hz[-1])
-    return np.asarray((coefficients[:-2, driving] > 0) & inside & (height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR))
+    return np.asarray(
+        (coefficients[:-2, driving_index] > 0) & inside & (height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR)
+    )
 
 
 def _refined(

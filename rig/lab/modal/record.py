@@ -52,12 +52,12 @@ class FittedRecord:
 def fit_record(
     measured: MeasuredResponse,
     positions_m: Sequence[float],
-    driving: int,
+    driving_index: int,
     length_m: float,
     band_hz: tuple[float, ...] = (),
     name: str = "structure",
 ) -> FittedRecord:
-    """Modes fitted to the responses to a measured force; sensor `driving` is at the force.
+    """Modes fitted to the responses to a measured force; sensor `driving_index` is at the force.
 
     The FRFs are H1 = S_fy / S_ff: over whole periods of a force that repeats, without the first one, else over Hann
     blocks that overlap by half. `fit_modes` finds the modes in the band, `refine` minimises their output error. Raises
@@ -74,13 +74,15 @@ def fit_record(
         raise RigError("the force excites no line in band_hz; give a band that it excites")
     hz, frfs, weights = hz[used], frfs[:, used], np.sqrt(force_density[used])
     accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
-    frf_fit = fit_modes(hz, accelerance, driving)
-    refined = refined_by_frfs(hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_fit, driving)
+    frf_fit = fit_modes(hz, accelerance, driving_index)
+    refined = refined_by_frfs(
+        hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_fit, driving_index
+    )
     band = float(hz[0]), float(hz[-1])
-    refined = refined_by_output(*_outputs(measured, refined, band), band, refined, driving)
+    refined = refined_by_output(*_outputs(measured, refined, band), band, refined, driving_index)
     order = np.argsort(positions_m)
     places = np.array(positions_m, dtype=float)[order]
-    shapes = refined.residues / np.sqrt(refined.residues[driving])
+    shapes = refined.residues / np.sqrt(refined.residues[driving_index])
     misfit = _misfit(measured, refined)
     noise = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
@@ -141,7 +143,7 @@ def _outputs(
 
 
 def _frfs(
-    measured: MeasuredResponse, period: int | None
+    measured: MeasuredResponse, period_samples: int | None
 ) -> tuple[
     Float[np.ndarray, " lines"],
     Float[np.ndarray, " lines"],
@@ -150,13 +152,13 @@ def _frfs(
 ]:
     """Frequencies (Hz), power density of the force, H1, and noise density of the sensors."""
     force_n, responses = measured.force_n, measured.responses
-    if period is None:
+    if period_samples is None:
         averages = AVERAGES
         block = {"nperseg": 2 * force_n.size // (averages + 1), "window": "hann"}
     else:
-        averages = force_n.size // period - 1
-        force_n, responses = force_n[-averages * period :], responses[:, -averages * period :]
-        block = {"nperseg": period, "noverlap": 0, "window": "boxcar"}
+        averages = force_n.size // period_samples - 1
+        force_n, responses = force_n[-averages * period_samples :], responses[:, -averages * period_samples :]
+        block = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
     hz, force_density = scipy.signal.welch(force_n, measured.sample_rate_hz, **block)
     _, cross = scipy.signal.csd(force_n, responses, measured.sample_rate_hz, **block)
     _, density = scipy.signal.welch(responses, measured.sample_rate_hz, **block)

@@ -36,7 +36,7 @@ def refined_by_frfs(
     accelerance: Complex[np.ndarray, "sensors lines"],
     weights: Float[np.ndarray, " lines"],
     start: ModalFit,
-    driving: int,
+    driving_index: int,
 ) -> ModalFit:
     """Modes w_k, z_k, phi_k that minimise the sum over sensors o and lines of
 
@@ -45,8 +45,8 @@ def refined_by_frfs(
     d is the driving point; with the force's amplitude as the weight this is the output error. A mode below the band
     and one above it, which represent all those there, are added where they lower the Bayesian information criterion.
     """
-    initial = _as_rows(start, driving)
-    error = _Error(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * hz, driving)
+    initial = _as_rows(start, driving_index)
+    error = _Error(weights * accelerance, lambda unit: weights * unit, 2 * np.pi * hz, driving_index)
     data = 2 * accelerance.size
     best, least = initial, np.inf
     for below, above in product((False, True), repeat=2):
@@ -55,7 +55,7 @@ def refined_by_frfs(
         criterion = data * np.log(np.sum(error.of(candidate.ravel()) ** 2)) + candidate.size * np.log(data)
         if criterion < least:
             best, least = candidate, criterion
-    return _as_fit(best, start, driving)
+    return _as_fit(best, start, driving_index)
 
 
 def refined_by_output(
@@ -64,14 +64,16 @@ def refined_by_output(
     hz: Float[np.ndarray, " all"],
     band_hz: tuple[float, float],
     start: ModalFit,
-    driving: int,
+    driving_index: int,
 ) -> ModalFit:
     """Modes near `start` that minimise the free-run error data_o - through(sum_k phi_ok phi_dk A_k(hz)).
 
     data are the spectra of the responses; `through` maps an accelerance to that of its response to the measured force.
     """
-    initial = _as_rows(start, driving)
-    return _as_fit(_minimised(_Error(data, through, 2 * np.pi * hz, driving), initial, band_hz), start, driving)
+    initial = _as_rows(start, driving_index)
+    return _as_fit(
+        _minimised(_Error(data, through, 2 * np.pi * hz, driving_index), initial, band_hz), start, driving_index
+    )
 
 
 class _Error:
@@ -82,10 +84,10 @@ class _Error:
         data: Complex[np.ndarray, "sensors lines"],
         through: Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
         omega: Float[np.ndarray, " all"],
-        driving: int,
+        driving_index: int,
     ) -> None:
         self.scale = np.sqrt(np.mean(np.abs(data) ** 2, axis=1))[:, None]
-        self.data, self.through, self.omega, self.driving = data / self.scale, through, omega, driving
+        self.data, self.through, self.omega, self.driving_index = data / self.scale, through, omega, driving_index
 
     def of(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
         modes = self._modes(unknowns)
@@ -95,16 +97,16 @@ class _Error:
     def slope(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "data unknowns"]:
         modes = self._modes(unknowns)
         unit, by_frequency, by_damping = (self.through(basis) for basis in self._accelerance_and_slopes(modes))
-        sensors, lines = self.data.shape
-        jacobian = np.zeros((sensors, lines, *modes.shape), dtype=complex)
-        residues, at_force = self._residues(modes), modes[:, 2 + self.driving]
+        sensor_count, line_count = self.data.shape
+        jacobian = np.zeros((sensor_count, line_count, *modes.shape), dtype=complex)
+        residues, at_force = self._residues(modes), modes[:, 2 + self.driving_index]
         jacobian[..., 0] = residues[:, None, :] * by_frequency.T
         jacobian[..., 1] = residues[:, None, :] * by_damping.T
-        for sensor in range(sensors):
+        for sensor in range(sensor_count):
             scale = self.scale[sensor]
             jacobian[sensor, :, :, 2 + sensor] += (at_force[:, None] * unit).T / scale
-            jacobian[sensor, :, :, 2 + self.driving] += (modes[:, [2 + sensor]] * unit).T / scale
-        flat = -jacobian.reshape(sensors * lines, -1)
+            jacobian[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit).T / scale
+        flat = -jacobian.reshape(sensor_count * line_count, -1)
         return np.concatenate([flat.real, flat.imag])
 
     def outside_modes(
@@ -120,9 +122,11 @@ class _Error:
         unit = self.through(self._accelerance_and_slopes(logs)[0])
         rows = np.concatenate([unit.real, unit.imag], axis=1).T
         residues = np.linalg.lstsq(rows, np.concatenate([residual.real, residual.imag], axis=1).T, rcond=None)[0]
-        at_force = np.sqrt(np.maximum(residues[:, self.driving], MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1)))
+        at_force = np.sqrt(
+            np.maximum(residues[:, self.driving_index], MIN_DRIVING_RESIDUE * np.abs(residues).max(axis=1))
+        )
         shapes = residues / at_force[:, None]
-        shapes[:, self.driving] = at_force
+        shapes[:, self.driving_index] = at_force
         return np.column_stack([logs, shapes])
 
     def _modes(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "modes columns"]:
@@ -130,7 +134,7 @@ class _Error:
 
     def _residues(self, modes: Float[np.ndarray, "modes columns"]) -> Float[np.ndarray, "sensors modes"]:
         """Residues in units of the rms of each sensor."""
-        return (modes[:, 2:] * modes[:, [2 + self.driving]]).T / self.scale
+        return (modes[:, 2:] * modes[:, [2 + self.driving_index]]).T / self.scale
 
     def _accelerance_and_slopes(
         self, modes: Float[np.ndarray, "modes columns"]
@@ -167,18 +171,18 @@ def _minimised(
     return np.asarray(solution.x.reshape(modes.shape))
 
 
-def _as_rows(fit: ModalFit, driving: int) -> Float[np.ndarray, "modes columns"]:
+def _as_rows(fit: ModalFit, driving_index: int) -> Float[np.ndarray, "modes columns"]:
     """Rows (ln f, ln z, phi at every sensor) of a fit's modes, phi_o = r_o / sqrt(r_d)."""
     return np.column_stack(
-        [np.log(fit.frequencies_hz), np.log(fit.ratios), (fit.residues / np.sqrt(fit.residues[driving])).T]
+        [np.log(fit.frequencies_hz), np.log(fit.ratios), (fit.residues / np.sqrt(fit.residues[driving_index])).T]
     )
 
 
-def _as_fit(modes: Float[np.ndarray, "modes columns"], start: ModalFit, driving: int) -> ModalFit:
+def _as_fit(modes: Float[np.ndarray, "modes columns"], start: ModalFit, driving_index: int) -> ModalFit:
     ordered = modes[np.argsort(modes[:, 0])]
     return replace(
         start,
         frequencies_hz=np.exp(ordered[:, 0]),
         ratios=np.exp(ordered[:, 1]),
-        residues=ordered[:, 2:].T * ordered[:, 2 + driving],
+        residues=ordered[:, 2:].T * ordered[:, 2 + driving_index],
     )

@@ -245,10 +245,10 @@ def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]
     )
     if axis not in (1, 2, 3):
         raise file.wrong("its FRFs do not say their directions; export them with node and direction")
-    driving, rows = _common_point(file, frfs, axis)
+    driving_node, rows = _common_point(file, frfs, axis)
     nodes, places, length_m, line_text = line_of(file, choice, rows)
-    if driving not in nodes:
-        raise file.wrong(f"the driving point, node {driving}, is not among nodes; add it")
+    if driving_node not in nodes:
+        raise file.wrong(f"the driving point, node {driving_node}, is not among nodes; add it")
     frequency_hz, accelerance = _accelerance(file, [rows[node] for node in nodes])
     if choice.band_hz:
         if len(choice.band_hz) != 2:
@@ -256,14 +256,14 @@ def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]
         inside = (frequency_hz >= choice.band_hz[0]) & (frequency_hz <= choice.band_hz[1])
         frequency_hz, accelerance = frequency_hz[inside], accelerance[:, inside]
     try:
-        fit = fit_modes(frequency_hz, accelerance, nodes.index(driving))
+        fit = fit_modes(frequency_hz, accelerance, nodes.index(driving_node))
     except RigError as error:
         raise file.wrong(str(error)) from error
-    shapes = fit.residues / np.sqrt(fit.residues[nodes.index(driving)])
+    shapes = fit.residues / np.sqrt(fit.residues[nodes.index(driving_node)])
     body = structure_of(file.path.stem, length_m, fit.frequencies_hz, fit.ratios, places, shapes)
     notes = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
-        f"{frequency_hz[-1]:g} Hz, driven at node {driving}; {line_text}, from {file.path.name}",
+        f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}",
         *(f"left out: {len(frfs) - len(nodes)} FRFs" for _ in range(len(frfs) > len(nodes))),
         *_misfits(nodes, fit),
     )
@@ -271,10 +271,10 @@ def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]
     return body, notes, Tolerances(unmodelled=unmodelled, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
 
 
-def _misfits(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
-    for frequency_hz, ratio in zip(fit.frequencies_hz, fit.ratios, strict=True):
+def _misfits(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
+    for frequency_hz, ratio in zip(modal_fit.frequencies_hz, modal_fit.ratios, strict=True):
         yield f"mode: {frequency_hz:.6g} Hz, damping ratio {ratio:.4g}"
-    for node, error, by_modes in zip(nodes, fit.misfit, fit.misfit_of_modes, strict=True):
+    for node, error, by_modes in zip(nodes, modal_fit.misfit, modal_fit.misfit_of_modes, strict=True):
         yield f"misfit at node {node}: {error:.2%} rms of the FRF; {by_modes:.2%} by the modes without residuals"
 
 

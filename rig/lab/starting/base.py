@@ -7,7 +7,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from rig.lab.exporting import map_of
+from rig.lab.exporting import import_map
 from rig.model.contact_laws import AnyLaw
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import Body, Contact, Rig, Station
@@ -38,7 +38,7 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     def map_text(self, rig: Rig) -> str:
         """Import map of a CSV file with the rig's channels."""
-        return map_of(channel_groups(rig), "csv")
+        return import_map(channel_groups(rig), "csv")
 
 
 class StartWithStops(Start, frozen=True, kw_only=True):

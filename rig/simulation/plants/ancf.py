@@ -26,10 +26,10 @@ def simulate(
     force_n: ForceSignal,
     step_s: float,
     progress: Progress,
-    elements: int = ELEMENTS,
+    element_count: int = ELEMENTS,
     extra: tuple[Extra, ...] = (),
 ) -> Iterator[Motion]:
-    """Motion from rest, with about `elements` elements per beam and a node wherever something acts on it.
+    """Motion from rest, with about `element_count` elements per beam and a node wherever something acts on it.
 
     Generalized-alpha (spectral radius 0.9) at a fixed step; use a dyadic one, so that time adds up exactly. Each beam
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
@@ -48,7 +48,7 @@ def simulate(
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, elements, extra)
+        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra)
         instruments = _instruments(exu, mbs, rig, meshes, connectors[: len(rig.contacts)])
         _excite(mbs, rig, meshes, loads, excitation, step_s, extra)
         mbs.Assemble()

@@ -20,28 +20,28 @@ def modal_basis(
     beam: Beam,
     sections: tuple[Section, ...],
     positions_m: Float[np.ndarray, " places"],
-    modes: int,
-    elements: int = ELEMENTS,
+    mode_count: int,
+    element_count: int = ELEMENTS,
 ) -> Structure:
     """Beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
 
     Elastic modes have the beam's damping ratio. The rigid-body modes of a free beam, which its finite elements give in
     any mixture, become a translation and a rotation about the centre of mass.
     """
-    mesh, squares, vectors = _bending_modes(beam, sections, elements)
+    mesh, squares, vectors = _bending_modes(beam, sections, element_count)
     rigid = beam.rigid_modes
-    frequencies_hz = np.sqrt(np.maximum(squares[:modes], 0)) / (2 * np.pi)
+    frequencies_hz = np.sqrt(np.maximum(squares[:mode_count], 0)) / (2 * np.pi)
     frequencies_hz[:rigid] = 0
-    shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :modes]
+    shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :mode_count]
     shapes[:, :rigid] = shapes[:, :rigid] @ _separating_rotation(vectors[0::2, :rigid])
     upwards = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
     return structure_of(
-        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(modes), positions_m, shapes * upwards
+        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(mode_count), positions_m, shapes * upwards
     )
 
 
 def _bending_modes(
-    beam: Beam, sections: tuple[Section, ...], elements: int
+    beam: Beam, sections: tuple[Section, ...], element_count: int
 ) -> tuple[Mesh, Float[np.ndarray, " modes"], Float[np.ndarray, "transverse modes"]]:
     """Mesh, omega^2, and mass-normalised shapes over (displacement, slope) of every node."""
     with needs_extra("simulate", "the modal basis of a stepped beam (Exudyn)"):
@@ -53,7 +53,7 @@ def _bending_modes(
     rig = Rig(name=beam.name, bodies=(beam,), contacts=(), force_at=Station(beam.name), sensors=(), sample_rate_hz=1.0)
     try:
         mbs = container.AddSystem()
-        (mesh,), _, _ = build(exu, mbs, rig, [0.0], elements, sections)
+        (mesh,), _, _ = build(exu, mbs, rig, [0.0], element_count, sections)
         mbs.Assemble()
         mass, stiffness, _ = mbs.ComputeLinearizedSystem()
     finally:

@@ -24,7 +24,7 @@ resonances into the band of the force: at 0.01 the cradle's, at 129 Hz, changed 
 
 
 def build(
-    exu: Any, mbs: Any, rig: Rig, first_n: Sequence[float], elements: int, extra: tuple[Extra, ...] = ()
+    exu: Any, mbs: Any, rig: Rig, first_n: Sequence[float], element_count: int, extra: tuple[Extra, ...] = ()
 ) -> tuple[list[Mesh], list[int], list[int]]:
     """Add bodies, damping, contacts and loads; return the meshes, the connectors and the loads' numbers.
 
@@ -35,7 +35,7 @@ def build(
     rig = _with_nodes_for(rig, extra)
     ground_node = mbs.AddNode(item("NodePointGround")())
     ground = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
-    meshes = [_add_body(mbs, rig, body, ground, elements, sections) for body in rig.bodies]
+    meshes = [_add_body(mbs, rig, body, ground, element_count, sections) for body in rig.bodies]
     _add_attachments(mbs, rig, meshes)
     _add_damping(mbs, rig, meshes)
 
@@ -66,14 +66,14 @@ def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
-def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, elements: int, sections: list[Section]) -> Mesh:
+def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, element_count: int, sections: list[Section]) -> Mesh:
     add = _ADD_BODY.get(type(body))
     if add is None:
         raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
-    return add(mbs, rig, body, ground, elements, sections)
+    return add(mbs, rig, body, ground, element_count, sections)
 
 
-def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _elements: int, _sections: list[Section]) -> Mesh:
+def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _element_count: int, _sections: list[Section]) -> Mesh:
     loaded = with_attachments(rig, body)
     node = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
     mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=loaded.mass_kg))
@@ -86,13 +86,13 @@ def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _elements: int,
     return Mesh(body, np.zeros(1), (node,))
 
 
-def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, elements: int, sections: list[Section]) -> Mesh:
+def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, sections: list[Section]) -> Mesh:
     def fix(node: int, coordinates: tuple[int, ...]) -> None:
         for coordinate in coordinates:
             marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
             mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
-    positions = mesh_positions(rig, body, elements)
+    positions = mesh_positions(rig, body, element_count)
     nodes = tuple(int(mbs.AddNode(item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
     for (left_node, right_node), length, middle_m in zip(
         pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True

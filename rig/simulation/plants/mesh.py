@@ -42,13 +42,13 @@ class Mesh:
         return 1 if self.body.is_mass else 4
 
 
-def mesh_positions(rig: Rig, beam: Beam, elements: int) -> Float[np.ndarray, " nodes"]:
-    """Node positions of about `elements` elements, with a node wherever something acts on the beam or is attached."""
+def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
+    """Node positions of about `element_count` elements, and one wherever something acts on the beam or is attached."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
     acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
     acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
     corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
-    largest = beam.length_m / elements * (1 + 1e-9)
+    largest = beam.length_m / element_count * (1 + 1e-9)
     pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]
     return np.append(np.concatenate(pieces), beam.length_m)
 

@@ -53,8 +53,10 @@ class Model:
         return np.append(self.at_rest, np.zeros(self.omega.size)), contact_state
 
 
-def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, modes: int = 16) -> Iterator[Motion]:
-    """Motion from rest, with `modes` modes per beam (a mass has one, a structure at most those of its basis).
+def simulate(
+    rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, modes_per_beam: int = 16
+) -> Iterator[Motion]:
+    """Motion from rest, with `modes_per_beam` modes (a mass has one, a structure at most those of its basis).
 
     The modes are those of the bodies with what is attached to them, in a frame that moves with the base. Every mode
     obeys q'' + 2 zeta omega q' + omega^2 q = p with the modal force p = phi(x_F) F + p_static - g a_base -
@@ -72,7 +74,7 @@ def simulate(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress, 
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
     base = base_motion(rig, len(force_n), step_s)
-    model, measured = model_of(rig, bool(base), modes), [s.measures for s in rig.sensors]
+    model, measured = model_of(rig, bool(base), modes_per_beam), [s.measures for s in rig.sensors]
     constants = constants_of(model, step_s)
     shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
     last, contact_state = model.start()
@@ -148,21 +150,21 @@ def _without_alias(
     return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
-def bodies_of(rig: Rig, modes: int) -> list[tuple[Body, Modes, int]]:
+def body_modes_of(rig: Rig, modes_per_beam: int) -> list[tuple[Body, Modes, int]]:
     """Bodies with their modes in this rig, and the number of modes taken."""
-    return [(b, modes_of(rig, b), mode_count(b, modes)) for b in rig.bodies]
+    return [(b, modes_of(rig, b), mode_count(b, modes_per_beam)) for b in rig.bodies]
 
 
-def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
+def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     """Modal model of a rig, with an input for the base if it moves."""
-    bodies = bodies_of(rig, modes)
-    omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in bodies])
-    zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in bodies])
+    body_modes = body_modes_of(rig, modes_per_beam)
+    omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in body_modes])
+    zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in body_modes])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
     stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for c in contacts for station in contact_stations(c)}
-    rows = {station: shape_row(bodies, station) for station in stations}
+    rows = {station: shape_row(body_modes, station) for station in stations}
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
     across = across.reshape(len(contacts), omega.size)
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
@@ -172,13 +174,13 @@ def model_of(rig: Rig, moving_base: bool, modes: int) -> Model:
     if rig.loads:
         gains.append(static)
     if moving_base:
-        gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in bodies]))
+        gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in body_modes]))
     gains += [rows[tone.station] for tone in rig.tones]
     return Model(
         omega=omega,
         zeta=zeta,
         rows=rows,
-        sensed=np.array([_sensed_row(rig, bodies, s) for s in rig.sensors]).reshape(-1, omega.size),
+        sensed=np.array([_sensed_row(rig, body_modes, s) for s in rig.sensors]).reshape(-1, omega.size),
         across=across,
         laws=laws,
         gains=np.array(gains),
@@ -267,17 +269,20 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
 
 
 def shape_row(
-    bodies: list[tuple[Body, Modes, int]], station: Station, order: int = 0
+    body_modes: list[tuple[Body, Modes, int]], station: Station, order: int = 0
 ) -> Float[np.ndarray, " allmodes"]:
     """Shapes of all bodies' modes at a station, or a derivative along the body; zero for other bodies' modes."""
     place = np.array([station.position_m])
     return np.concatenate(
-        [modes.shapes(place, n, order)[0] if body.name == station.body else np.zeros(n) for body, modes, n in bodies]
+        [
+            modes.shapes(place, n, order)[0] if body.name == station.body else np.zeros(n)
+            for body, modes, n in body_modes
+        ]
     )
 
 
-def _sensed_row(rig: Rig, bodies: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
-    derivatives = np.array([shape_row(bodies, sensor.station, order) for order in range(3)])
+def _sensed_row(rig: Rig, body_modes: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
+    derivatives = np.array([shape_row(body_modes, sensor.station, order) for order in range(3)])
     return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
 
 

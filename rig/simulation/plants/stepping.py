@@ -65,20 +65,20 @@ def _bend(law, j, previous, current, time_s, step_s, gauss):
 @no_type_check
 def _modes_alone(states, n, inputs, bends, propagate, input_response, contact_response, contact_state):
     """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
-    modes = propagate.shape[2]
-    for i in range(modes):
-        q, v = states[n, i], states[n, modes + i]
+    mode_count = propagate.shape[2]
+    for i in range(mode_count):
+        q, v = states[n, i], states[n, mode_count + i]
         states[n + 1, i] = propagate[0, 0, i] * q + propagate[0, 1, i] * v
-        states[n + 1, modes + i] = propagate[1, 0, i] * q + propagate[1, 1, i] * v
+        states[n + 1, mode_count + i] = propagate[1, 0, i] * q + propagate[1, 1, i] * v
     for k in range(inputs.shape[0]):
         at_start, at_end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
-        for i in range(2 * modes):
+        for i in range(2 * mode_count):
             states[n + 1, i] += (
                 input_response[0, k, i] * at_start + input_response[1, k, i] * at_end + input_response[2, k, i] * bend
             )
     for j in range(contact_state.shape[1]):
         if contact_state[FORCE, j] != 0.0:
-            for i in range(2 * modes):
+            for i in range(2 * mode_count):
                 states[n + 1, i] += contact_response[0, j, i] * contact_state[FORCE, j]
 
 
@@ -144,30 +144,30 @@ def advance(
     the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every eta
     and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
     """
-    modes, contacts = across.shape[1], across.shape[0]
-    current, eta, rate = np.empty(contact_state.shape), np.empty(contacts), np.empty(contacts)
-    touches = np.empty(contacts, dtype=np.bool_)
+    mode_count, contact_count = across.shape[1], across.shape[0]
+    current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
+    touches = np.empty(contact_count, dtype=np.bool_)
     for n in range(forces.shape[1]):
         time_s = (first + n) * step_s
         _modes_alone(states, n, inputs, input_bends, propagate, input_response, contact_response, contact_state)
         touching = False
-        for j in range(contacts):
+        for j in range(contact_count):
             e, r = 0.0, 0.0
-            for i in range(modes):
+            for i in range(mode_count):
                 e += across[j, i] * states[n + 1, i]
-                r += across[j, i] * states[n + 1, modes + i]
+                r += across[j, i] * states[n + 1, mode_count + i]
             touches[j] = _touches(laws[j], contact_state, j, e, r, time_s, step_s)
             touching |= touches[j]
             eta[j], rate[j] = e, r
             current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
         if touching:
             _solve(contact_state, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss)
-            for j in range(contacts):
-                for i in range(2 * modes):
+            for j in range(contact_count):
+                for i in range(2 * mode_count):
                     states[n + 1, i] += (
                         contact_response[1, j, i] * current[FORCE, j] + contact_response[2, j, i] * current[BEND, j]
                     )
-        for j in range(contacts):
+        for j in range(contact_count):
             forces[j, n], contact_bends[j, n] = current[FORCE, j], current[BEND, j]
             for row in range(4):
                 contact_state[row, j] = current[row, j]

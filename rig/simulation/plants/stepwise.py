@@ -16,7 +16,7 @@ class Stepwise:
     several forces act, the base shakes, or a contact is too stiff for the step.
     """
 
-    def __init__(self, rig: Rig, step_s: float, modes: int = 16) -> None:
+    def __init__(self, rig: Rig, step_s: float, modes_per_beam: int = 16) -> None:
         if len(rig.forces) > 1:
             raise RigError(
                 f"rig {rig.name!r}: {len(rig.forces)} forces act on it, and one is given step by step; leave one in "
@@ -28,7 +28,7 @@ class Stepwise:
             )
         self.rig, self.step_s = rig, step_s
         self._limits_m = softening_limits_m(rig)
-        self._model = model_of(rig, False, modes)
+        self._model = model_of(rig, False, modes_per_beam)
         self._constants = constants_of(self._model, step_s)
         self._state, self._contact_state = self._model.start()
         self._steps, self._inputs = 0, self._input_values(0.0, 0)
@@ -54,19 +54,19 @@ class Stepwise:
             observed(self.rig, self._model, states, self._inputs[:, None], self._contact_state[:1].T)[:, 0]
         )
 
-    def advance(self, force_n: float, steps: int = 1) -> None:
-        """Advance by `steps` steps, at whose end the force has this value; raise RigError if the motion diverges."""
+    def advance(self, force_n: float, step_count: int = 1) -> None:
+        """Advance by `step_count` steps, at whose end the force has this value; RigError if the motion diverges."""
         from rig.simulation.plants.stepping import advance
 
-        start_inputs, contacts = self._inputs, len(self._model.across)
-        end_inputs = self._input_values(force_n, self._steps + steps)
-        share = np.linspace(0.0, 1.0, steps + 1)
+        start_inputs, contact_count = self._inputs, len(self._model.across)
+        end_inputs = self._input_values(force_n, self._steps + step_count)
+        share = np.linspace(0.0, 1.0, step_count + 1)
         inputs = start_inputs[:, None] + share * (end_inputs - start_inputs)[:, None]
         for k, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
-            inputs[k] = tone.force_n((self._steps + np.arange(steps + 1)) * self.step_s)
-        states = np.empty((steps + 1, self._state.size))
+            inputs[k] = tone.force_n((self._steps + np.arange(step_count + 1)) * self.step_s)
+        states = np.empty((step_count + 1, self._state.size))
         states[0] = self._state
-        forces, contact_bends = np.empty((2, contacts, steps))
+        forces, contact_bends = np.empty((2, contact_count, step_count))
         no_bends = np.zeros(inputs.shape)
         advance(
             states,
@@ -79,15 +79,15 @@ class Stepwise:
             self._steps + 1,
             self.step_s,
         )
-        self._state, self._inputs, self._steps = states[-1], end_inputs, self._steps + steps
+        self._state, self._inputs, self._steps = states[-1], end_inputs, self._steps + step_count
         if not np.all(np.isfinite(self._state)):
             raise RigError(
                 f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
             )
         check_softening(self._limits_m, self._model.across @ states[1:, : self._model.omega.size].T)
 
-    def _input_values(self, force_n: float, steps: int) -> Float[np.ndarray, " inputs"]:
+    def _input_values(self, force_n: float, step_count: int) -> Float[np.ndarray, " inputs"]:
         """Known inputs after a number of steps, in the order of the model's gains."""
         loads = [1.0] if self.rig.loads else []
-        time_s = np.array([steps * self.step_s])
+        time_s = np.array([step_count * self.step_s])
         return np.array([force_n, *loads, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])

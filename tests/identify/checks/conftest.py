@@ -36,7 +36,7 @@ def sound(tmp_path_factory):
             record(
                 case.rig,
                 replace(BarrelCradle(rms_n=case.rms_n, duration_s=12.0).force(), seed=3),
-                plant=partial(modal.simulate, modes=20),
+                plant=partial(modal.simulate, modes_per_beam=20),
                 duration_s=12.0,
                 step_s=2.0**-15,
                 path=path,

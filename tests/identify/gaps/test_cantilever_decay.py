@@ -6,7 +6,7 @@ from scipy.linalg import eigh
 from scipy.signal import lsim
 
 import identify
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
@@ -110,7 +110,7 @@ def recording(quantity, force_n, moved, seed, rate_hz=RATE_HZ):
 
 def fitted(record, effect=None):
     """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
-    reference = reference_of(linearized(record, record.rig))
+    reference = nominal_variances_of(linearized(record, record.rig))
     known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
     context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), tuple(known))
     if effect is None:
@@ -139,7 +139,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
 
 def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     record = record_of(hit("displacement", (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.26**2))
-    reference = reference_of(linearized(record, record.rig))
+    reference = nominal_variances_of(linearized(record, record.rig))
     context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")

@@ -38,7 +38,7 @@ def hypothesis_of(recording, *effects):
         parts.append(next(c for c in known if c.kind is type(effect) and place in c.place.values()))
     values = np.concatenate([part.default for part in parts])
     linearization = linearized(observation.record, recording.rig)
-    left = misfit(observation.record, observation.reference, residual_of(linearization, recording.rig))
+    left = misfit(observation.record, observation.nominal_variances, residual_of(linearization, recording.rig))
     return Hypothesis(tuple(parts), values, np.eye(values.size), left)
 
 

@@ -170,11 +170,11 @@ def refuse(_believed: Rig, _actual: Rig, _force_n: np.ndarray, _seed: int) -> Re
 def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_path, damaged):
     path = tmp_path / "one.null_reference.json"
     _, validation = records(RIG, RIG)
-    made = null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulations=2)
+    made = null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulation_count=2)
     content = path.read_bytes()
-    assert null_reference_of(validation, LABORATORY, refuse, "modal", path=path, simulations=2) == made
+    assert null_reference_of(validation, LABORATORY, refuse, "modal", path=path, simulation_count=2) == made
     path.write_bytes(damaged(content))
-    assert null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulations=2) == made
+    assert null_reference_of(validation, LABORATORY, modal, "modal", path=path, simulation_count=2) == made
     assert path.read_bytes() == content
 
 
@@ -185,7 +185,7 @@ def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
         null_key(validation, counted, LABORATORY, "modal"),
         null_key(validation, counted, EXACT, "modal"),
         null_key(validation, counted, LABORATORY, "ancf"),
-        null_key(validation, counted, LABORATORY, "modal", simulations=5),
+        null_key(validation, counted, LABORATORY, "modal", simulation_count=5),
         null_key(with_fields(validation, rig=replace(RIG, name="other")), counted, LABORATORY, "modal"),
         null_key(force, counted, LABORATORY, "modal"),
         null_key(validation, 6.0, LABORATORY, "modal"),
@@ -204,7 +204,7 @@ def test_a_file_of_something_else_is_not_lost_to_a_null_reference(tmp_path):
     path = tmp_path / "notes.json"
     path.write_text("my notes")
     with pytest.raises(RigError, match=r"notes.json: is no null reference, and is not written over"):
-        null_reference_of(records(RIG, RIG)[1], LABORATORY, refuse, "modal", path=path, simulations=2)
+        null_reference_of(records(RIG, RIG)[1], LABORATORY, refuse, "modal", path=path, simulation_count=2)
     assert path.read_text() == "my notes"
 
 

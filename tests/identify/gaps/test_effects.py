@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import derivative, linearized, residual_of
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
@@ -76,7 +76,7 @@ def test_a_fit_from_a_third_of_its_strength_finds_it(recorded):
     linearization, believed = fit_nuisance(record, RIG)
     neutral = [p.neutral for p in candidate.parameters]
     start = np.array([t if n is None else n + 0.3 * (t - n) for t, n in zip(truth, neutral, strict=True)])
-    begun = Search(reference_of(linearized(record, RIG)), linearization, believed, ())
+    begun = Search(nominal_variances_of(linearized(record, RIG)), linearization, believed, ())
     found = fit_effects(begun, (candidate,), start, believed).hypothesis
     assert found.misfit.minus_two_log < begun.nominal_fit().cost
     np.testing.assert_allclose(found.values, truth, rtol=0.05, atol=1e-12)

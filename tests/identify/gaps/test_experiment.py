@@ -14,7 +14,7 @@ from identify.gaps.decision.experiment import (
     next_experiments,
     refit_hypothesis,
 )
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import SAME_EXPERIMENT
@@ -41,7 +41,9 @@ def believed():
 def cause(believed):
     """A cause at some value, known as exactly as its standard error says."""
     record, _ = believed
-    nothing = Search(reference_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nominal_fit().hypothesis
+    nothing = (
+        Search(nominal_variances_of(linearized(record, RIG)), *fit_nuisance(record, RIG), ()).nominal_fit().hypothesis
+    )
     library = candidates(scale_of(record, RIG), [s.name for s in RIG.sensors], record.zero_known)
 
     def hypothesis(name, value, error):

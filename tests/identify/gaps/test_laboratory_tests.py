@@ -5,7 +5,7 @@ import pytest
 
 from identify.gaps.decision.null_simulations import is_impulsive
 from identify.gaps.decision.prepare import search_record
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from rig.simulation.excitation import excitation_of, force_history
@@ -22,7 +22,7 @@ from tests.campaigns.laboratory_tests import TESTS, recorded
 def test_the_effect_is_the_likeliest(name, parameter, value, tmp_path):
     test = TESTS[name]
     record = record_of(recorded(test, tmp_path / "r.mcap", duration_s=20.0, effect=test.effect))
-    best = search_record(record, reference_of(linearized(record, record.rig))).hypotheses[0]
+    best = search_record(record, nominal_variances_of(linearized(record, record.rig))).hypotheses[0]
     assert best.effects == (test.effect.partition(":")[0],)
     index = best.parameters.names.index(parameter)
     assert abs(best.values[index] - value) < 3 * np.sqrt(best.covariance[index, index])

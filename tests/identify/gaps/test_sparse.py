@@ -9,7 +9,7 @@ from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search
 from identify.gaps.search.local_model import local_model
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.sparse import search, selected
+from identify.gaps.search.sparse import ranked_hypotheses, selected
 from rig.effects.added_mass import AddedMass
 from rig.effects.base_motion import ShakingBase
 from rig.effects.contact_damping import ContactDamping
@@ -29,7 +29,7 @@ def search_of(recording):
     linearization, residual = fit_nuisance(observation.record, recording.rig)
     names = [s.name for s in recording.rig.sensors]
     known = candidates(scale_of(observation.record, recording.rig), names, False)
-    return Search(observation.reference, linearization, residual, tuple(known))
+    return Search(observation.nominal_variances, linearization, residual, tuple(known))
 
 
 @pytest.fixture(scope="module")
@@ -41,12 +41,14 @@ def pair(recorded_machine):
 def model(pair):
     steady = [c for c in pair.candidates if not c.kind.stochastic]
     nothing = pair.nominal_fit().hypothesis
-    return local_model(pair.linearization, pair.residual, pair.reference, pair.linearization.rig, nothing, steady)
+    return local_model(
+        pair.linearization, pair.residual, pair.nominal_variances, pair.linearization.rig, nothing, steady
+    )
 
 
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
-    left = misfit(pair.linearization.record, pair.reference, pair.residual)
+    left = misfit(pair.linearization.record, pair.nominal_variances, pair.residual)
     cells, contacts = model.levels(np.zeros(len(model.spectra)))
     near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
     assert near.mean() > 0.9
@@ -67,7 +69,7 @@ def test_an_effect_that_dominates_is_selected_alone(pair, model):
 
 
 def test_finds_both_effects_with_their_numbers(pair):
-    best, *others = search(pair)
+    best, *others = ranked_hypotheses(pair)
     assert sorted(best.effects) == ["added_mass", "contact_damping"]
     values = dict(zip(best.effects, best.split(), strict=True))
     assert values["added_mass"] == pytest.approx([MASS.mass_kg, MASS.relative_position], rel=0.03)
@@ -78,14 +80,16 @@ def test_finds_both_effects_with_their_numbers(pair):
 
 
 def test_names_nothing_where_nothing_is(recorded_machine):
-    (nothing,) = search(search_of(recorded_machine(SETTINGS)))
+    (nothing,) = ranked_hypotheses(search_of(recorded_machine(SETTINGS)))
     assert nothing.candidates == ()
 
 
 def test_a_strong_base_motion_leads_to_what_stands_beside_it(recorded_machine):
     """Its spectrum is not fitted by Gauss-Newton: the mass is searched on the shaken rig."""
     shaking = ShakingBase(acceleration_rms_m_per_s2=1.4, low_hz=44.0, high_hz=66.0)
-    best, *_ = search(search_of(recorded_machine(SETTINGS, AddedMass(mass_kg=0.2, relative_position=0.7), shaking)))
+    best, *_ = ranked_hypotheses(
+        search_of(recorded_machine(SETTINGS, AddedMass(mass_kg=0.2, relative_position=0.7), shaking))
+    )
     values = dict(zip(best.effects, best.split(), strict=True))
     assert sorted(values) == ["added_mass", "base_motion"]
     assert values["added_mass"] == pytest.approx([0.2, 0.7], rel=0.05)

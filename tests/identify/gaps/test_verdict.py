@@ -11,7 +11,7 @@ from identify.gaps.decision.null_reference import NullReference, NullSimulation
 from identify.gaps.decision.verdict import acts_at_effects
 from identify.gaps.decision.verdict import decide as decide_verdict
 from identify.gaps.decision_table import Bounded
-from identify.gaps.residual.likelihood import Misfit, Reference
+from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.results import Matters
 from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.candidates import Candidate
@@ -56,12 +56,12 @@ ONES = np.ones((40, 6))
 
 def misfit_of_level(level: float) -> Misfit:
     """A residual of this variance in every band of every sensor."""
-    reference = Reference(
+    reference = NominalVariances(
         expected_variance=ONES, noise=0.5 * ONES, power=1e3 * ONES, lines=np.full(40, 50.0), observations=()
     )
     none = np.ones((20, 0))
     return Misfit(
-        reference=reference,
+        nominal_variances=reference,
         variance_by_second=np.full((20, 40, 6), level),
         variance_correction=ONES,
         contact_level_by_second=none,

@@ -76,7 +76,7 @@ def test_the_motion_of_the_fitted_modes_is_recovered(stations):
     true = {body.name: tones(stations, seed) for seed, body in enumerate(rig.bodies)}
     motion = motion_at_sensors(rig, lambda body: true[body.name])
     for body in rig.bodies:
-        equations = modal_equations(rig, motion, body, modes=stations)
+        equations = modal_equations(rig, motion, body, mode_count=stations)
         assert [e.name for e in equations] == [f"{body.name} {i + 1}" for i in range(stations)]
         for order, row in enumerate(("displacement", "velocity", "acceleration")):
             recovered = np.stack([getattr(e, row) for e in equations])

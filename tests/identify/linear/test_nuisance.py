@@ -51,7 +51,7 @@ def test_every_parameter_has_one_key_and_one_column(beams):
     parameters = [change.parameter for change in changes_of(observed(beams))]
     assert len(set(parameters)) == len(parameters)
     assert len({p.name for p in parameters}) == len(parameters)
-    bodywise = {p for p in parameters if p.mode is None}
+    bodywise = {p for p in parameters if p.mode_number is None}
     sensors = [s.name for s in beams.sensors]
     for kind, of in (
         (NuisanceKind.GAIN, sensors),
@@ -70,14 +70,18 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
     changes = {change.parameter: change for change in changes_of(observed(beams))}
     for body in beams.bodies:
         for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-            by_mode = [c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is not None]
-            (common,) = (c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode is None)
+            by_mode = [
+                c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode_number is not None
+            ]
+            (common,) = (
+                c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode_number is None
+            )
             np.testing.assert_allclose(sum(c.delivered for c in by_mode), common.delivered, rtol=1e-9, atol=1e-12)
     separate = [c.parameter for c in changes_of(observed(beams), common=False)]
     assert set(changes) - set(separate) == {
         p
         for p in changes
-        if p.mode is None and p.kind in (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+        if p.mode_number is None and p.kind in (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     }
 
 
@@ -132,7 +136,7 @@ def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
 def test_a_reading_gives_the_change_from_the_accelerations(settings):
     now = observed(settings.rig())
     accelerations = now.explained / now.sensor_response
-    read = [c for c in changes_of(now) if c.parameter.mode is not None or len(c.sensors) == 1]
+    read = [c for c in changes_of(now) if c.parameter.mode_number is not None or len(c.sensors) == 1]
     kinds = {c.parameter.kind for c in read if c.reading is not None}
     assert {NuisanceKind.GAIN, NuisanceKind.DELAY} <= kinds
     for change in read:

@@ -52,7 +52,7 @@ def nominal():
     return {rig_name: motion_of(modal, machine).sensed for rig_name, machine in MACHINES.items()}
 
 
-@pytest.mark.parametrize(("which", "name"), CASES)
+@pytest.mark.parametrize(("rig_name", "name"), CASES)
 def test_both_plants_move_alike_under_every_effect(nominal, rig_name, name):
     machine = effect_named(f"{name}:{STRONG.get(name, '')}").applied_to(MACHINES[rig_name])
     modes, elements = motion_of(modal, machine), motion_of(ancf, machine)

@@ -210,7 +210,9 @@ def test_the_plant_moves_a_basis_as_the_beam(text):
 
 def test_the_plant_takes_no_more_modes_than_there_are():
     machine = as_data(MACHINE, modes=6)
-    signals = [joined(modal.simulate(machine, np.ones(50), 2.0**-14, lambda _: None, modes=m)).sensed for m in (6, 16)]
+    signals = [
+        joined(modal.simulate(machine, np.ones(50), 2.0**-14, lambda _: None, modes_per_beam=m)).sensed for m in (6, 16)
+    ]
     np.testing.assert_array_equal(*signals)
 
 

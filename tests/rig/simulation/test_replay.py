@@ -81,7 +81,7 @@ def test_a_replay_holds_what_the_sensors_make_of_the_plant_under_that_force():
     step_s = 2.0**-15
     time_s = np.arange(round(needed_duration_s(BURDENED, 1.5) / step_s)) * step_s
     fine = CubicSpline(np.arange(force_n.size) / RATE_HZ, force_n)(np.minimum(time_s, (force_n.size - 1) / RATE_HZ))
-    motion = joined(modal.simulate(BURDENED, fine, step_s, lambda _: None, modes=24))
+    motion = joined(modal.simulate(BURDENED, fine, step_s, lambda _: None, modes_per_beam=24))
     for quantity in ("displacement", "acceleration"):
         rows = [k for k, s in enumerate(BURDENED.sensors) if s.quantity == quantity]
         for k, row in zip(rows, made.signals[quantity].values, strict=True):

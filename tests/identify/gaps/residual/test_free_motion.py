@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identify.gaps.residual.extent import RELEASE_S
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -32,13 +32,13 @@ def test_each_column_is_the_free_motion_of_a_mode(record):
     assert record.time_s[0] == pytest.approx(RELEASE_S, abs=0.01)
     assert len(model.free) > 5
     for motion in model.free:
-        dynamics = model.responses[motion.body].dynamics
-        hz, zeta = dynamics.natural_hz[motion.mode], dynamics.damping_ratios[motion.mode]
+        dynamics = model.responses[motion.body_index].dynamics
+        hz, zeta = dynamics.natural_hz[motion.mode_index], dynamics.damping_ratios[motion.mode_index]
         if not hz:  # rests or drifts
             continue
         rows = [free_motion(hz, zeta, first, record.sample_times_s)[0] for first in (0, 1)]
         sampled = np.array([record.spectrum(row) * (1j * record.omega) ** 2 for row in rows])
-        error = np.linalg.norm(record.sample_rate_hz * motion.units - sampled, axis=1)
+        error = np.linalg.norm(record.sample_rate_hz * motion.unit_accelerations - sampled, axis=1)
         assert np.all(error < 0.02 * np.linalg.norm(sampled, axis=1))
 
 
@@ -65,7 +65,7 @@ def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_
     every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
     (candidate,) = [c for c in every_candidate if c.name == effect]
     linearization, residual = fit_nuisance(record, record.rig, rounds=1)
-    search = Search(reference_of(linearized(record, record.rig)), linearization, residual, (candidate,))
+    search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, (candidate,))
     estimate = fit_effects(search, (candidate,), candidate.default, residual).hypothesis
     deviation = np.sqrt(estimate.covariance[0, 0])
     assert abs(estimate.values[0] - true) < 3 * deviation < 0.2 * true

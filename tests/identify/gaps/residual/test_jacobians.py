@@ -98,7 +98,7 @@ def test_nuisance_parameters_by_another_rig(believed):
     coarse = {s.name for s in RIG.sensors if s.station in at_contacts}
     linear, contacts = {}, {}
     for k, parameter in enumerate(residual.parameters):
-        if parameter.mode is not None or parameter.kind in ("position", "high-pass", "crosstalk"):
+        if parameter.mode_number is not None or parameter.kind in ("position", "high-pass", "crosstalk"):
             continue
         values = np.where(np.arange(len(residual.parameters)) == k, 1e-3, 0.0)
         changed_rig = with_nuisance(RIG, residual.parameters, values, linearization.record.tolerances)

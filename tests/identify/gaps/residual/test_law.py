@@ -1,6 +1,6 @@
 """Contact forces against the rig's laws."""
 
-from identify.gaps.residual.likelihood import misfit, reference_of
+from identify.gaps.residual.likelihood import misfit, nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
@@ -16,7 +16,7 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     held = effect_named("linear_spring:stiffness_n_per_m=300,relative_position=0.7,body=barrel").applied_to(believed)
     force_n = force_history(settings.force(), settings.duration_s, 1 / believed.sample_rate_hz)
     record = record_of(modal(believed, held, force_n, 1))
-    reference = reference_of(linearized(record, believed))
+    reference = nominal_variances_of(linearized(record, believed))
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
     assert max(springing.contacts) < 10
     assert max(floating.contacts) > 100

@@ -15,7 +15,7 @@ from identify.gaps.decision.comparison import (
 )
 from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value
 from identify.gaps.decision.null_simulations import phase_randomized
-from identify.gaps.residual.likelihood import Misfit, Reference
+from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
 from identify.gaps.residual.scales import band_levels, estimated_scales, posterior_level, prior_scales
 from identify.gaps.residual.spectra import record_of
@@ -26,7 +26,7 @@ from rig.simulation.replay import modal
 
 SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
 ONES = np.ones((BANDS, SENSORS))
-REFERENCE = Reference(
+REFERENCE = NominalVariances(
     expected_variance=ONES, noise=0.5 * ONES, power=1e4 * ONES, lines=np.full(BANDS, 50.0), observations=()
 )
 
@@ -35,7 +35,7 @@ def misfit_of_level(level: float, contact_n: float = 0.0, pulls: float = 0.0) ->
     """A linear residual of this level everywhere, a contact residual of so many newtons beside a force of 10 N."""
     contacts = np.ones((SECONDS, CONTACTS))
     return Misfit(
-        reference=REFERENCE,
+        nominal_variances=REFERENCE,
         variance_by_second=np.full((SECONDS, BANDS, SENSORS), level),
         variance_correction=ONES,
         contact_level_by_second=contacts * (1 + contact_n**2),

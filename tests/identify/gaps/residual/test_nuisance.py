@@ -106,7 +106,7 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
     record = record_of(modal(rig, rig, force_n, 1))
     linearization = linearized(record, rig)
     held = [
-        p.mode is None and p.kind not in ("position", "high-pass", "crosstalk")
+        p.mode_number is None and p.kind not in ("position", "high-pass", "crosstalk")
         for p in linearization.columns.parameters
     ]
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)

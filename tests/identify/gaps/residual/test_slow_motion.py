@@ -8,7 +8,7 @@ import pytest
 from scipy.io import loadmat
 
 from identify.gaps.residual.extent import OMITTED_FADES, OMITTED_S
-from identify.gaps.residual.likelihood import reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
@@ -62,7 +62,7 @@ def fitted_effects(record, *names):
     every_candidate = candidates(scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known)
     effects = tuple(next(c for c in every_candidate if c.kind.name == name) for name in names)
     linearization, residual = fit_nuisance(record, record.rig)
-    search = Search(reference_of(linearized(record, record.rig)), linearization, residual, effects)
+    search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, effects)
     estimate = fit_effects(search, effects, np.concatenate([p.default for p in effects]), residual).hypothesis
     return (
         estimate.values,

@@ -22,7 +22,7 @@ def exact():
     factor = round(1 / (step_s * BELIEVED.sample_rate_hz))
     samples = round(9.0 * BELIEVED.sample_rate_hz)
     fine = finer(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
-    blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes=24))
+    blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes_per_beam=24))
     coordinates_m = np.concatenate([b.displacement_m.coordinates for b in blocks])[::factor].T
     rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
     return case, joined(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
@@ -42,7 +42,7 @@ def modal(displacements_m):
 def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact):
     case, true_m, coordinates_m = exact
     motion = measured_motion(case.recording, BELIEVED, case.fitted())
-    now = slice(motion.first, true_m.shape[1] - 100)
+    now = slice(motion.first_sample, true_m.shape[1] - 100)
     true = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now]  # 24 modes a beam; two of the barrel's are rigid
     estimated, integrated = (
         modal(rows)[:, now] for rows in (motion.states[0], kinematics(case.recording).displacement_m)
@@ -55,7 +55,7 @@ def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact
 def test_rates_and_relative_displacements_are_the_true_ones(exact):
     case, true_m, _ = exact
     motion = measured_motion(case.recording, BELIEVED, case.fitted())
-    now = slice(motion.first, true_m.shape[1] - 100)
+    now = slice(motion.first_sample, true_m.shape[1] - 100)
     true = np.gradient(true_m, 1 / BELIEVED.sample_rate_hz, axis=1)[:, now]
     assert np.all((motion.states[1][:, now] - true).std(axis=1) < 0.02 * true.std(axis=1))
     stations = [s.station for s in BELIEVED.sensors]
@@ -80,7 +80,7 @@ def test_a_wrong_gain_makes_no_wrong_displacement_of_high_modes(exact):
 def test_the_predictor_takes_the_states(exact):
     case, *_ = exact
     motion = measured_motion(case.recording, BELIEVED, case.fitted())
-    first = np.array([motion.first, motion.stop - 100])
+    first = np.array([motion.first_sample, motion.stop_sample - 100])
     states = motion.states[:, :, first].transpose(2, 0, 1)
     moved = prediction.modal(motion.rig, motion.forces_n, first, 50, motion.stations, states)
     np.testing.assert_allclose(moved[:, :, :, 0], states, rtol=1e-9, atol=1e-12)

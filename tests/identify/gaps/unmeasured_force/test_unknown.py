@@ -129,7 +129,7 @@ def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     nothing, with_force = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
     assert with_force.same_place
     assert explained_share(with_force.held) < 0.5
-    assert with_force.held.gain > 2 * max(nothing.held.gain, 0.0)
+    assert with_force.held.criterion_decrease > 2 * max(nothing.held.criterion_decrease, 0.0)
 
 
 def test_nuisances_do_not_shrink_the_data(world):
@@ -139,7 +139,7 @@ def test_nuisances_do_not_shrink_the_data(world):
     gains = [v for p, v in zip(whitened.parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
     assert len(gains) == len(world.rig.sensors) + 1
     assert np.max(np.abs(gains)) < 4
-    shrinking = evidence_without_force(replace(whitened, trace=np.zeros_like(whitened.trace)))
+    shrinking = evidence_without_force(replace(whitened, trace_terms=np.zeros_like(whitened.trace_terms)))
     assert np.sum(shrinking.theta**2) > np.sum(fitted.theta**2)
 
 

@@ -80,7 +80,7 @@ def test_a_slow_force_bends_the_cradle_by_its_static_deflection():
     )
     step_s = 2.0**-10
     force_n = 10.0 * np.clip(np.arange(round(4 / step_s)) * step_s, 0, 1)
-    deflection = simulated(rig, force_n, step_s, modes=30).sensed[0, -1]
+    deflection = simulated(rig, force_n, step_s, modes_per_beam=30).sensed[0, -1]
     assert deflection == pytest.approx(10.0 / (3 * beam.bending_stiffness_n_m2), rel=1e-5)
 
 

@@ -202,7 +202,7 @@ def young():
 
 @pytest.mark.parametrize("modes", [12, 16])
 def test_both_plants_move_alike_while_contact_is_young(young, modes):
-    motion = young_motion(partial(modal.simulate, modes=modes), young.step_s)
+    motion = young_motion(partial(modal.simulate, modes_per_beam=modes), young.step_s)
     assert motion.contact_force_n.any()
     for body, difference in tip_difference(young, motion).items():
         assert difference < 0.03, body
@@ -248,7 +248,7 @@ def test_as_many_forces_as_the_rig_has_are_asked_for(plant):
 
 
 def test_six_modes_are_too_few_for_that(young):
-    difference = tip_difference(young, young_motion(partial(modal.simulate, modes=6), young.step_s))
+    difference = tip_difference(young, young_motion(partial(modal.simulate, modes_per_beam=6), young.step_s))
     assert max(difference.values()) > 0.03
 
 

@@ -76,7 +76,7 @@ def test_several_steps_at_once_are_those_one_by_one_under_a_force_that_grows_eve
     for k in range(400):
         single.advance(0.5 * (k + 1))
     for k in range(100):
-        fourfold.advance(2.0 * (k + 1), steps=4)
+        fourfold.advance(2.0 * (k + 1), step_count=4)
     assert fourfold.time_s == single.time_s
     np.testing.assert_allclose(fourfold.eta_m, single.eta_m, rtol=1e-9)
     np.testing.assert_allclose(fourfold.sensed, single.sensed, rtol=1e-6, atol=1e-9)
