@@ -5,8 +5,9 @@ from functools import reduce
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.answer import Simulator, diagnose
+from identify.gaps.decision.answer import MATTERS, Simulator, diagnose
 from identify.gaps.decision.null_reference import null_reference_of
+from identify.gaps.results import Matters
 from rig.effects import effect_named
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
@@ -39,12 +40,13 @@ def null_reference(tmp_path_factory):
     return path
 
 
-def diagnosed(actual, null_reference):
-    return diagnose(*records(actual), Simulator("modal", modal), null_reference)
+def diagnosed(actual, null_reference, matters=MATTERS):
+    return diagnose(*records(actual), Simulator("modal", modal), null_reference, matters=matters)
 
 
-def test_the_believed_rig_has_no_gap(null_reference):
-    gap, corrected = diagnosed(RIG, null_reference)
+def test_the_nominal_rig_is_consistent(null_reference):
+    """The force of a contact is bounded by 14 s to 3 or 4 %, as the motion goes."""
+    gap, corrected = diagnosed(RIG, null_reference, Matters(contact=0.1))
     assert gap.verdict == "consistent"
     assert corrected == RIG
 

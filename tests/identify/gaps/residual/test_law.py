@@ -19,4 +19,6 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     reference = nominal_variances_of(linearized(record, believed))
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
     assert max(springing.contacts) < 10
-    assert max(floating.contacts) > 100
+    assert max(floating.contacts) > 30 * max(
+        springing.contacts
+    )  # the motion is chaotic: 67 to 400 by force and rounding
