@@ -31,15 +31,15 @@ class Loss:
 
     group: str
     sample_rate_hz: float
-    kept_samples: int
-    found_samples: int
-    requested_samples: int | None
+    kept: int
+    found: int
+    asked: int | None
 
     def __str__(self) -> str:
-        rate, lost = self.sample_rate_hz, max(self.found_samples, self.requested_samples or 0) - self.kept_samples
-        unstored = "" if self.requested_samples is not None else ", besides what was never stored"
-        kept_s, lost_s = self.kept_samples / rate, lost / rate
-        return f"{self.group}: {self.kept_samples} samples kept ({kept_s:g} s), {lost} lost ({lost_s:g} s){unstored}"
+        rate, lost = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
+        unstored = "" if self.asked is not None else ", besides what was never stored"
+        kept_s, lost_s = self.kept / rate, lost / rate
+        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost} lost ({lost_s:g} s){unstored}"
 
 
 def recover(damaged: Path, target: Path) -> tuple[Loss, ...]:
@@ -115,7 +115,7 @@ def _loss(channels: Channels, blocks: dict[int, Block], kept_samples: int, reque
     return Loss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
-        kept_samples=kept_samples,
-        found_samples=sum(b.values.shape[1] for b in blocks.values()),
-        requested_samples=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
+        kept=kept_samples,
+        found=sum(b.values.shape[1] for b in blocks.values()),
+        asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
     )

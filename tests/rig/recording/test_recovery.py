@@ -125,9 +125,9 @@ def test_a_killed_recording_keeps_every_complete_chunk(recorder, complete, tmp_p
     check_prefix(recovered, undisturbed)
     assert recovered.samples == min(stored.values()) > 0
     for loss in losses:
-        assert loss.found_samples == stored[f"/rig/{loss.group}/block"]
-        assert loss.kept_samples == recovered.samples
-        assert loss.requested_samples == DURATION_S * RIG.sample_rate_hz
+        assert loss.found == stored[f"/rig/{loss.group}/block"]
+        assert loss.kept == recovered.samples
+        assert loss.asked == DURATION_S * RIG.sample_rate_hz
     if seed == 0:
         recover(truth_path(path).with_name(truth_path(path).name + ".part"), tmp_path / "saved.truth.mcap")
         check_prefix(read_truth(tmp_path / "saved.truth.mcap"), undisturbed_truth)
@@ -179,7 +179,7 @@ def test_a_sound_file_comes_back_whole_and_says_so(small, tmp_path):
     recovered = read(tmp_path / "saved.mcap")
     check_prefix(recovered, complete)
     assert recovered.samples == complete.samples
-    assert all(loss.kept_samples == loss.found_samples == complete.samples for loss in losses)
+    assert all(loss.kept == loss.found == complete.samples for loss in losses)
     assert recovered.provenance["made_by"] == "a test"
     assert "recovered from r.mcap; force: 12000 samples kept (23.4375 s), 0 lost" in recovered.provenance["history 1"]
 
@@ -206,7 +206,7 @@ def test_a_flipped_chunk_ends_what_is_recovered_and_what_lies_behind_is_counted_
     (tmp_path / "bad.mcap").write_bytes(content)
     losses = recover(tmp_path / "bad.mcap", tmp_path / "saved.mcap")
     check_prefix(read(tmp_path / "saved.mcap"), complete)
-    assert all(0 < loss.kept_samples < loss.found_samples < complete.samples for loss in losses)
+    assert all(0 < loss.kept < loss.found < complete.samples for loss in losses)
 
 
 def test_blocks_that_claim_the_same_place_with_other_values_end_what_is_recovered(small, tmp_path):
