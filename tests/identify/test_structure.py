@@ -16,6 +16,8 @@ from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read
 from scenarios.jitter import jittered
 
+pytestmark = pytest.mark.long
+
 FINELY = np.linspace(0, 1, 401)
 
 

@@ -5,6 +5,8 @@ import pytest
 from identify.contacts import identify_contact
 from tests.campaigns.laboratory_tests import TESTS, beams, recorded
 
+pytestmark = pytest.mark.long
+
 SHORT = [name for name in TESTS if name.startswith("one mass")] + [
     "two beams, a hammer's hit every two seconds",
     "two beams, stepped sine",

@@ -13,6 +13,8 @@ from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import channel_groups, writing
 from rig.simulation.reference import BarrelCradle, Sdof
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("shared", [0.0, 0.8, 3.0])
 def test_pooled_intervals_cover(shared):

@@ -10,6 +10,8 @@ from rig.errors import RigError
 from rig.recording import read
 from tests.campaigns.topologies import RIGS, chain, recorded
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.parametrize("name", RIGS)
 def test_every_contact_is_found(name, tmp_path):

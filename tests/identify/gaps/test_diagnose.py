@@ -25,6 +25,8 @@ from rig.simulation.excitation import force_history
 from rig.simulation.reference import Sdof
 from rig.simulation.replay import modal
 
+pytestmark = pytest.mark.long
+
 SETTINGS = Sdof(sensors="displacement", duration_s=20.0)
 RIG = SETTINGS.rig()
 RIG = replace(RIG, sensors=tuple(replace(s, noise_density=1e-7) for s in RIG.sensors))

@@ -14,6 +14,8 @@ from rig.errors import RigError
 from rig.simulation.replay import modal
 from tests.campaigns.laboratory_tests import STIFFER, TESTS, VALIDATES, recorded
 
+pytestmark = pytest.mark.long
+
 ACCELEROMETER, DISPLACEMENT = "one mass, free decay, no force measured", "one mass, free decay, displacement"
 
 

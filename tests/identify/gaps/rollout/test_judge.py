@@ -21,6 +21,8 @@ from rig.errors import RigError
 from rig.simulation import prediction
 from tests.identify.gaps.rollout.conftest import BELIEVED, CLEARANCE, DAMPING, FRICTION
 
+pytestmark = pytest.mark.long
+
 MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 
 
