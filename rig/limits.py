@@ -6,10 +6,13 @@ pieces, or refused before it is decoded. Links from a file to another are never 
 
 import json
 import math
-from typing import Any
+from typing import Any, TypeVar
+
+import msgspec
 
 from rig.errors import RigError, TooLargeError
 
+Result = TypeVar("Result")
 BASE_BYTES = 300_000_000
 BYTES_PER_FILE_BYTE = 8
 MAX_JSON_BYTES = 16 * 1024 * 1024
@@ -106,6 +109,18 @@ def _name(path: tuple[Any, ...]) -> str:
         path, key = path
         keys.append(key)
     return "".join(reversed(keys)).removeprefix(".")
+
+
+def decoded_result(text: bytes, result_type: type[Result], source: str, name: str, advice: str) -> Result:
+    """Result in a JSON text, as its type.
+
+    Raises RigError with `source` and `advice` if it is no result of this `name`, or of a later schema version.
+    """
+    try:
+        check_schema_version(msgspec.json.decode(text), source)
+        return msgspec.json.decode(text, type=result_type)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise RigError(f"{source}: is no {name} ({error}); {advice}") from error
 
 
 def check_schema_version(decoded: object, source: str) -> None:

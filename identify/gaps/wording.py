@@ -46,7 +46,7 @@ HINT_EXPLAINED = 0.1
 DESCRIPTION_EXPLAINED = 0.5
 """Explained share below which a description of an unmeasured force is a hint only."""
 LARGEST_PROBABILITY = 1 - 1e-9
-"""No probability is written as one. Display."""
+"""Largest probability that is written: none is one. Display."""
 NEGLIGIBLE_SHARE = 0.01
 """Lower end of the interval below which a cause is said to close nothing."""
 SMALLEST_P_VALUE = 1e-12

@@ -4,15 +4,13 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-import msgspec
-
 from identify.contacts import identify_contact
 from identify.contacts.results import ContactReport
 from identify.history.changes import Observation
 from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.files import contents, sha256_of
-from rig.limits import check_schema_version
+from rig.limits import decoded_result
 from rig.model.tolerances import Tolerances
 from rig.recording import read, recorded_at, recordings_in
 
@@ -59,8 +57,4 @@ def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observat
 
 
 def _report(path: Path) -> ContactReport:
-    try:
-        check_schema_version(msgspec.json.decode(text := contents(path)), str(path))
-        return msgspec.json.decode(text, type=ContactReport)
-    except msgspec.DecodeError as error:
-        raise RigError(f"{path}: is no {RESULT} ({error}); identify the recording again") from error
+    return decoded_result(contents(path), ContactReport, str(path), RESULT, "identify the recording again")

@@ -9,7 +9,7 @@ import msgspec
 
 from rig.errors import RigError
 from rig.files import contents
-from rig.limits import check_schema_version
+from rig.limits import decoded_result
 from rig.model.description import Rig, Station
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
@@ -92,11 +92,7 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
 
 
 def _decoded(file: Path) -> _Gap:
-    try:
-        check_schema_version(msgspec.json.decode(text := contents(file)), str(file))
-        report = msgspec.json.decode(text, type=_Gap)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{file}: is no gap.json ({error}); make one by `identify gap`") from error
+    report = decoded_result(contents(file), _Gap, str(file), "gap.json", "make one by `identify gap`")
     attribution = report.attribution
     by_station = (share for places in attribution.positions_m.values() for share in places.values())
     if not all(0 <= share <= 1.001 for share in (*by_station, *(interval.share for interval in attribution.time_s))):

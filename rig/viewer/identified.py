@@ -12,7 +12,7 @@ from scipy.interpolate import CubicSpline
 
 from rig.errors import RigError
 from rig.files import contents
-from rig.limits import check_schema_version
+from rig.limits import decoded_result
 from rig.model.contact_laws import ContactLaw, DeadZone
 from rig.model.description import Rig
 
@@ -124,11 +124,7 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
 
     Raises RigError if the file is unreadable or invalid, or names a contact that the rig does not have.
     """
-    try:
-        check_schema_version(msgspec.json.decode(text := contents(path)), str(path))
-        report = msgspec.json.decode(text, type=_Report)
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{path}: is no contact.json ({error}); make one by `identify contact`") from error
+    report = decoded_result(contents(path), _Report, str(path), "contact.json", "make one by `identify contact`")
     names = [c.name for c in rig.contacts]
     for contact in report.contacts:
         if contact.name not in names:

@@ -11,9 +11,9 @@ import rig
 from identify.gaps.results import Matters
 from rig.model.description import read_rig, to_json
 
-SOME = Matters(contact=0.2)
-"""What half a minute of one mass bounds: by five forces 9 to 13 %."""
-MASS = rig.Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
+SOME = Matters(contact=0.1)
+"""What a minute of one mass bounds: by two forces 1.2 and 3.4 %; half a minute up to 13 %."""
+MASS = rig.Sdof(duration_s=60.0, step_s=2.0**-12, sensors="displacement")
 
 
 @pytest.fixture(scope="module")

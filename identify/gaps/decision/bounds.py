@@ -33,7 +33,7 @@ HIDING_NOISE_SHARE = 0.25
 PARAMETER_DEVIATIONS = 3.0
 """Threshold of a contact parameter's distance from rig.json, in stated standard deviations: convention."""
 CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
-"""Tolerance fields of a contact. Convention."""
+"""Tolerance fields of a contact."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
 
 

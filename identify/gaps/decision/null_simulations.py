@@ -186,7 +186,7 @@ def with_force_noise(
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
 """Durations of the blow, in longest periods of the rig: short blows excite higher modes, which decay sooner. Effort."""
 SCALING_STEPS = 4
-"""Short simulations that scale each blow. Set by hand."""
+"""Number of short simulations that scale each blow. Effort."""
 SCALED_S, INTERVALS = 8, 8
 """Beginning of the record, s, whose motion the blow reproduces, and its number of intervals. Set by hand."""
 

@@ -20,7 +20,7 @@ from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
 TAPER_S = 0.5
-"""Fade at the record's ends. Set by hand."""
+"""Length of the fade at either end of a record. Set by hand."""
 OMITTED_S, OMITTED_SHARE = 4.5, 0.45
 """Seconds omitted at a record's end, where taper and integration distort residuals, and their largest share of it. Set
 by hand."""

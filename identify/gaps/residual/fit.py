@@ -27,7 +27,7 @@ DERIVATIVE_STEP = 1e-3
 """Share of a candidate's steps over which derivatives are taken: eliminating nuisance parameters leaves little. Set by
 hand, between rounding and curvature."""
 BOUND_SLACK, SINGLE_PRECISION = 1e-9, 1e-6
-"""Slack of bounds. Numerical."""
+"""Slack of bounds; share added to the diagonal where rounding makes the normal equations indefinite. Numerical."""
 COST_TOLERANCE = 3e-5
 """Relative decrease of the cost that ends a fit, a tenth of a standard error; ... Derived: a tenth of a standard error
 costs 0.01 of 25 s * 20 Hz = 500 independent samples, 2e-5."""

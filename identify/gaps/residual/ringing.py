@@ -22,7 +22,7 @@ SIGNAL_RATIO, SMOOTHED_LINES = 8.0, 9
 LEAST_FREQUENCY_ERROR, LEAST_DAMPING_ERROR = 3e-4, 0.03
 """Least relative errors of a mode's frequency and damping ratio: those by subspaces, fade and stations. Set by hand."""
 INEFFICIENCY = 2.0
-"""Error of subspaces over the Cramer-Rao bound. Set by hand."""
+"""Standard error by subspaces over the Cramer-Rao bound. Set by hand."""
 MODE_COUNT = 12
 """Number of modes sought. Set by hand."""
 

@@ -21,7 +21,8 @@ BAND_HZ = 2.0
 """Width of the bands in which a sensor's discrepancy has one scale: some hundred independent values in 30 s. Derived:
 30 s * 2 Hz * 2 = 120 real values tell a variance to 13 %."""
 SEGMENT_S = 1.0
-"""Segment of the band levels. Derived: a Hann window of 1 s resolves 1.5 Hz, less than a band."""
+"""Length of the segments from which the level of a band follows, s. Derived: a Hann window of 1 s resolves 1.5 Hz, less
+than a band."""
 
 
 @dataclass(frozen=True)

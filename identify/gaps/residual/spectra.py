@@ -46,7 +46,7 @@ RING_S, LONGEST_RING_S, DECAY_TIMES = 12.0, 60.0, 20.0
 """Padding in which beams ring down before the transform wraps around, s; without contacts DECAY_TIMES of the slowest
 mode, within both bounds, so that with two fifths of its damping it falls to 3e-4."""
 SMOOTHED_HZ = 1.0
-"""Smoothing of the acceleration's power P. Set by hand."""
+"""Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,7 @@ WORSE, BETTER = 0.05, 0.05
 """Least mean log ratios of errors for a veto: by which the corrected rig is worse, or would be better if right. Set by
 hand."""
 BOOTSTRAP_DRAWS = 400
-"""Bootstrap. Effort."""
+"""Bootstrap draws. Effort."""
 FREQUENCY_MATCH = 0.2
 """Relative difference of frequencies below which a predicted mode is the measured one. Set by hand."""
 

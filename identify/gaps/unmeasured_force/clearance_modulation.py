@@ -17,7 +17,7 @@ from rig.model.description import Contact
 from rig.model.unmeasured_force import UnmeasuredForce
 
 LOWEST_HZ = 0.2
-"""Lowest swing. Set by hand."""
+"""Lowest frequency of a harmonic change of the clearance. Set by hand."""
 PRESSED_SHARE = 0.5
 """A contact counts as pressed where its tangent stiffness, low-passed, exceeds this share of the largest. Set by
 hand."""

@@ -21,13 +21,14 @@ LAW_SEARCH_SHARE = 0.2
 LAW_GAIN_SHARE = 0.7
 """Share of the free force's gain from which a law is named. Set by hand."""
 IN_BAND = 0.9
-"""Power within the stated band; share in contact; trend. Set by hand."""
+"""Share of the power within the stated band; share in contact, and correlation with time, from which they are stated.
+Set by hand."""
 CELLS, PARTS = 24, 8
-"""Cells of the drawn surface, parts of the time. Display."""
+"""Cells of the drawn surface along either axis, and intervals of the time. Display."""
 GROWTH_RATIO = 1.5
-"""Last over first part of the time: "growing". Set by hand."""
+"""Ratio of the last to the first interval of the time above which a force grows. Set by hand."""
 MOSTLY_CLOSED_SHARE = 0.7
-"""Share of the time: a contact is nearly always closed. Set by hand."""
+"""Share of the time above which a contact is nearly always closed. Set by hand."""
 RANDOM_RATIO = 0.5
 """Rms before the excitation over that after its start, above which a force without a law is called random. Set by
 hand."""

@@ -21,7 +21,7 @@ from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord
 ROUNDS, SCORINGS = 4, 5
 """Rounds of s and S in turn with theta; steps of Fisher scoring within each. Effort."""
 VARIANCE_FLOOR = 1e-12
-"""Smallest variance. Numerical."""
+"""Smallest variance of a band, as a share of its squares. Numerical."""
 
 
 @dataclass(frozen=True)

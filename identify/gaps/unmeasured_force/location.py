@@ -23,8 +23,8 @@ from rig.model.description import Rig, Sensor, Station
 
 Kind = Literal["force", "pair", "sensor", "distributed"]
 SPACING_M, FINE_M = 0.05, 0.002
-"""Scan, and its refinement. Set by hand; below the wavelength of any mode in the band; a strong force's place is known
-to some mm."""
+"""Spacing of the scan over places, and of its refinement. Set by hand: below the wavelength of any mode in the band;
+the place of a strong force is known to some mm."""
 REFITTED_PER_KIND = 3
 """Count of candidates of each kind, the best with theta fixed, whose J is computed again with theta fitted. Effort."""
 FLAT_PRIOR = 1e4

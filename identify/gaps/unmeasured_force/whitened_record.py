@@ -29,9 +29,9 @@ from rig.errors import RigError
 from rig.model.description import Rig, Station
 
 BAND_HZ = 2.0
-"""Bands of s and S. As `scales.BAND_HZ`."""
+"""Width of the bands in which s and S are constant, as `scales.BAND_HZ`."""
 GATE_FADE_S = 0.5
-"""Fade of the gate. Set by hand."""
+"""Length of the fade of the gate. Set by hand."""
 LOWEST_HZ = 0.75
 """Lowest line: below, integration falsifies every motion. Derived: 1.5 times the integration corner."""
 OBSERVABILITY_LIMIT = 1e-2
