@@ -146,7 +146,7 @@ def _judged_recording(folder: Path, content: bytes, rig: Rig | None) -> str:
         losses = recover(path, saved)
         back = read(saved)
         _check_recording(back, rig, whole=False)
-        assert all(loss.kept_samples == back.samples for loss in losses)
+        assert all(loss.kept == back.samples for loss in losses)
 
     outcomes = [refused_or_right(folder, work) for work in (read_it, recover_it)]
     return "right" if "right" in outcomes else "refused"
