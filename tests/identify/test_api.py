@@ -59,6 +59,7 @@ def test_contacts_from_a_file(file, tmp_path):
     assert (tmp_path / "results" / "contact.html").exists()
 
 
+@pytest.mark.study
 def test_the_identified_rig_is_believed_instead_of_a_wrong_one(file, tmp_path):
     """An owner believes in 1.2 times the clearance; what `identify contact` finds leaves no gap."""
     right = MASS.rig().contacts[0]

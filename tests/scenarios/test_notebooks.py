@@ -51,6 +51,7 @@ def test_own_data_give_what_their_own_simulator_has(run, tmp_path):
     assert (tmp_path / "contact" / "contact.html").exists()
 
 
+@pytest.mark.study
 def test_the_gap_is_the_mass_that_was_added(run, tmp_path):
     names = run("gap")
     assert names["best"].effects == ("added_mass",)

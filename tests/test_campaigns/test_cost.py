@@ -10,6 +10,7 @@ def test_the_exponent_is_that_of_the_power_law():
     assert cost._exponent(series, "root") == pytest.approx(0.5)
 
 
+@pytest.mark.study
 def test_every_step_is_timed_printed_and_drawn(tmp_path, capsys):
     cost.cost_table(tmp_path, cost.Plan(series={"length of the record, s": (12.0, 16.0)}, runs=1, block_s=1.0))
     printed = capsys.readouterr().out

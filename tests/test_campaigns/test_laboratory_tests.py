@@ -14,13 +14,12 @@ SHORT = [name for name in TESTS if name.startswith("one mass")] + [
     "two beams, two stations each",
     "two beams, no quiet start",
     "two beams, no quiet start, displacements",
-    "two beams, free decay, no force measured",
-    "two beams, free decay, displacements",
     "two beams, a shaker on each",
 ]
+STUDIES = ["two beams, free decay, no force measured", "two beams, free decay, displacements"]
 
 
-@pytest.mark.parametrize("name", SHORT)
+@pytest.mark.parametrize("name", [*SHORT, *(pytest.param(name, marks=pytest.mark.study) for name in STUDIES)])
 def test_every_contact_is_found(name, tmp_path):
     test = TESTS[name]
     duration_s = 24.0 if name.startswith("one mass") else 12.0 + test.without_s

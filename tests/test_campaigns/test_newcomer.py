@@ -38,6 +38,7 @@ def test_the_cantilever_has_the_frequencies_and_the_tip_of_the_textbook():
     np.testing.assert_allclose(np.abs(shapes[1]) * np.sqrt(7850 * 0.04 * 0.008 * 0.5), 2.0, rtol=1e-3)
 
 
+@pytest.mark.study
 def test_a_short_session_of_one_mass(tmp_path):
     steps = one_mass(tmp_path, 15.0)
     assert [step.words.split()[:2] for step in steps][-1] == ["identify", "gap"]

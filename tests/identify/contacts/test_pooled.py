@@ -55,6 +55,7 @@ def test_a_long_record_in_segments(one_mass, tolerances, relative_error):
     assert msgspec.convert(msgspec.to_builtins(report), type(report)) == report
 
 
+@pytest.mark.study
 def test_accelerometers_in_motion_tell_as_much(simulate, tmp_path):
     settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=58.0, step_s=2.0**-13)
     path = simulate(settings, tmp_path / "long.mcap")

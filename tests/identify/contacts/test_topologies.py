@@ -13,7 +13,10 @@ from tests.campaigns.topologies import RIGS, chain, recorded
 pytestmark = pytest.mark.long
 
 
-@pytest.mark.parametrize("name", RIGS)
+STUDIES = "three masses in a chain", "three masses, displacements"
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.study if n in STUDIES else ()) for n in RIGS])
 def test_every_contact_is_found(name, tmp_path):
     case = RIGS[name]
     report = identify_contact(read(recorded(case, tmp_path / "r.mcap", duration_s=24.0))).report

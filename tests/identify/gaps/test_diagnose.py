@@ -135,6 +135,7 @@ def test_an_effect_in_a_file_of_its_own_is_found_by_itself(monkeypatch, null_ref
 @pytest.mark.parametrize(
     ("text", "verdict"), [("contact_clearance:factor=1.1", Verdict.EXPLAINED), ("", Verdict.CANNOT_TELL)]
 )
+@pytest.mark.study
 def test_what_the_validation_hardly_reaches_is_not_called_consistent(text, verdict):
     """The contact closes in the record that is fitted, and hardly in the other."""
     actual = effect_named(text).applied_to(RIG) if text else RIG

@@ -90,6 +90,7 @@ def test_every_force_has_a_gain_of_its_own(records):
     assert [p.of for p in parameters if p.kind == "force gain"] == ["force_1", "force_2"]
 
 
+@pytest.mark.study
 def test_the_effect_is_found_and_no_gain_taken_for_it(records):
     found = identify.gap(*records).report
     assert found.verdict == "explained"

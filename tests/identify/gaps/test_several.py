@@ -76,6 +76,7 @@ def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     assert both_records.values[0] == pytest.approx(mass_kg, abs=1.96 * errors[2])
 
 
+@pytest.mark.study
 def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(null_reference):
     wider = with_effect("contact_clearance:factor=1.05")
     gap, _ = diagnose(recordings(RIG, RIG, wider), None, SIMULATOR, null_reference)

@@ -84,6 +84,7 @@ def test_names_nothing_where_nothing_is(recorded_machine):
     assert nothing.candidates == ()
 
 
+@pytest.mark.study
 def test_a_strong_base_motion_leads_to_what_stands_beside_it(recorded_machine):
     """Its spectrum is not fitted by Gauss-Newton: the mass is searched on the shaken rig."""
     shaking = ShakingBase(acceleration_rms_m_per_s2=1.4, low_hz=44.0, high_hz=66.0)

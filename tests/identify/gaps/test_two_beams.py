@@ -59,7 +59,12 @@ def test_the_nominal_rig_is_consistent(null_reference):
             "base_motion.acceleration_rms_m_per_s2",
             0.3,
         ),
-        (("contact_clearance:factor=1.2,contact=contact_1", "added_mass:mass_kg=0.2"), "added_mass.mass_kg", 0.2),
+        pytest.param(
+            ("contact_clearance:factor=1.2,contact=contact_1", "added_mass:mass_kg=0.2"),
+            "added_mass.mass_kg",
+            0.2,
+            marks=pytest.mark.study,
+        ),
     ],
 )
 def test_effects_are_named_with_their_size(null_reference, effects, parameter, value):
@@ -70,6 +75,7 @@ def test_effects_are_named_with_their_size(null_reference, effects, parameter, v
     assert abs(estimate.value - value) < 4 * estimate.standard_error
 
 
+@pytest.mark.study
 def test_what_the_library_lacks_is_unknown_and_described(null_reference):
     """A third contact, of the cradle with the ground."""
     law = DeadZone(lower_clearance_m=1e-3, upper_clearance_m=1e-3, stiffness_n_per_m=3e4)

@@ -54,7 +54,10 @@ def test_a_null_is_at_the_floor_and_not_vetoed(null, nulls):
     assert rollout.log_ratio == 0.0
 
 
-@pytest.mark.parametrize("wrong", [FRICTION, "added_mass:mass_kg=0.2,relative_position=0.8,body=barrel"])
+@pytest.mark.parametrize(
+    "wrong",
+    [pytest.param(FRICTION, marks=pytest.mark.study), "added_mass:mass_kg=0.2,relative_position=0.8,body=barrel"],
+)
 def test_a_wrong_correction_is_vetoed(null, nulls, wrong):
     rollout = judge_correction(null.recording, null.fitted(), null.fitted(wrong), nulls, prediction.modal)
     assert rollout.code == "worse"

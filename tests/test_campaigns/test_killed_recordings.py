@@ -1,14 +1,14 @@
-"""A few of the kills: python -m tests.kills --kills 20 is the whole."""
+"""A few of the kills: python -m tests.campaigns.killed_recordings --kills 20 is the whole."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parent.parent.parent
 
 
 def test_what_a_kill_a_full_disk_and_an_interruption_leave_is_whole_and_true():
-    words = [sys.executable, "-m", "tests.kills", "--kills", "2", "--seed", "3"]
+    words = [sys.executable, "-m", "tests.campaigns.killed_recordings", "--kills", "2", "--seed", "3"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == [

@@ -1,4 +1,4 @@
-"""Recordings killed at random moments, and what is left of them: python -m tests.kills --kills 20 --seed 1.
+"""Recordings killed at random moments, and what is left of them: python -m tests.campaigns.killed_recordings --kills 20 --seed 1.
 
 `rig record` runs in a process of its own and is ended by SIGKILL somewhere between its first and its last byte. Every
 complete chunk that mcap's own reader finds must come back through `rig recover` with the values of an undisturbed
@@ -32,7 +32,7 @@ CLEARANCE_M = Sdof().clearance_m
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.kills", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.campaigns.killed_recordings", description=__doc__)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
