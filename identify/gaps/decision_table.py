@@ -46,8 +46,8 @@ class Bounded(msgspec.Struct, frozen=True):
     """Quantity that matters: its estimate, the upper end of its one-sided 97.5 % interval, and its threshold, in
     `unit`.
 
-    upper is None where the records do not bound it: `why` then gives the reason, and `remedy` what would show it. value
-    is None where they do not even estimate it.
+    upper is None where the records do not bound it. Unless value shows that it matters, `why` then gives the reason,
+    and `remedy` what would show it. value is None where they do not even estimate it.
     """
 
     name: str
@@ -60,8 +60,8 @@ class Bounded(msgspec.Struct, frozen=True):
 
     @property
     def not_seen(self) -> bool:
-        """True if the records neither bound it nor show that it matters."""
-        return not self.holds and (self.upper is None or self.value is None or self.value < self.threshold)
+        """True if the records neither bound it nor show that it matters: there is a reason, or its value is small."""
+        return not self.holds and (bool(self.why) or self.value is None or self.value < self.threshold)
 
     @property
     def holds(self) -> bool:

@@ -70,8 +70,10 @@ def p_value_words(p_value: float) -> str:
 
 def bound_words(bound: Bounded) -> str:
     """Quantity that is not bounded, in words: its value and upper bound, or the reason why there are none."""
-    if bound.value is None or bound.upper is None:
+    if bound.why or bound.value is None:
         return f"the {bound.name} ({bound.why})"
+    if bound.upper is None:
+        return f"the {bound.name}, of which {percent(bound.value)} are unexplained"
     if bound.unit == "1":
         return f"the {bound.name}, of which {percent(bound.value)} and at most {percent(bound.upper)} are unexplained"
     value, upper, limit = (number(size, 3) for size in (bound.value, bound.upper, bound.threshold))

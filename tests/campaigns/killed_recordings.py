@@ -1,4 +1,6 @@
-"""Recordings killed at random moments, and what is left of them: python -m tests.campaigns.killed_recordings --kills 20 --seed 1.
+"""Recordings killed at random moments, and what is left of them.
+
+python -m tests.campaigns.killed_recordings --kills 20 --seed 1
 
 `rig record` runs in a process of its own and is ended by SIGKILL somewhere between its first and its last byte. Every
 complete chunk that mcap's own reader finds must come back through `rig recover` with the values of an undisturbed

@@ -3,8 +3,8 @@
 `rig record`, `rig import`, `rig export`, `identify contact` and `identify gap` run in processes of their own and are
 ended by SIGKILL at a random moment between their start and the time that they need undisturbed. Afterwards every file
 under its final name must be byte for byte, or number for number, what an undisturbed run writes; what else is there
-must be named `.part`; and the same command, run again, must give the undisturbed result. (`python -m tests.campaigns.killed_recordings` looks
-further into what `rig recover` saves of a killed recording.)
+must be named `.part`; and the same command, run again, must give the undisturbed result. (`python -m
+tests.campaigns.killed_recordings` looks further into what `rig recover` saves of a killed recording.)
 """
 
 import argparse

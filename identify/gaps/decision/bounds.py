@@ -35,6 +35,8 @@ PARAMETER_DEVIATIONS = 3.0
 CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
 """Tolerance fields of a contact."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
+TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
+"""Reason why a share without a scatter over seconds has no bound, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,7 @@ class ContactDistances:
 
 def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
-    upper = _upper_share(misfit.share_by_second)
-    quantities = [Bounded("motion", "1", misfit.share, _at_least(misfit.share, upper), matters.motion)]
+    quantities = [_bounded_share("motion", misfit.share, misfit.share_by_second, matters.motion)]
     for j, name in enumerate(contacts):
         force_n2 = float(np.mean(misfit.force_n2[:, j]))
         weights, share = misfit.nominal_variances.observations[j].weights, float(misfit.contact_shares[j])
@@ -72,13 +73,16 @@ def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> t
         if noise_n2 > HIDING_NOISE_SHARE * force_n2:
             quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER_ADVICE))
         else:
-            upper = _at_least(share, _upper_share(misfit.contact_n2[:, j] / max(force_n2, 1e-300)))
-            quantities.append(Bounded(name, "1", share, upper, matters.contact))
+            squares = misfit.contact_n2[:, j] / max(force_n2, 1e-300)
+            quantities.append(_bounded_share(name, share, squares, matters.contact))
     return tuple(quantities)
 
 
-def _at_least(value: float, upper: float | None) -> float | None:
-    return None if upper is None else max(value, upper)
+def _bounded_share(name: str, share: float, squares: Float[np.ndarray, " seconds"], threshold: float) -> Bounded:
+    upper = _upper_share(squares)
+    if upper is not None:
+        return Bounded(name, "1", share, max(share, upper), threshold)
+    return Bounded(name, "1", share, None, threshold, *(TOO_SHORT if share < threshold else ()))
 
 
 def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:

@@ -158,16 +158,13 @@ def _yes_no(answer: bool) -> str:
 
 
 def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
-    if quantity.value is None or quantity.upper is None:
+    if quantity.why or quantity.value is None:
         return quantity.name, "", "", "", f"not seen: {quantity.why}"
     mark = "" if quantity.holds else "not seen" if quantity.not_seen else "beyond"
+    values = (quantity.value, quantity.upper, quantity.threshold)
     if quantity.unit == "1":
-        return quantity.name, percent(quantity.value), percent(quantity.upper), percent(quantity.threshold), mark
-    return (
-        quantity.name,
-        *(f"{number(size, 3)} {quantity.unit}" for size in (quantity.value, quantity.upper, quantity.threshold)),
-        mark,
-    )
+        return quantity.name, *("no bound" if v is None else percent(v) for v in values), mark
+    return quantity.name, *("no bound" if v is None else f"{number(v, 3)} {quantity.unit}" for v in values), mark
 
 
 def _prediction_table(rollout: Rollout) -> str:

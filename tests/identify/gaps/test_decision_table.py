@@ -92,3 +92,11 @@ def test_what_is_no_number_bounds_nothing(upper):
     )
     assert evidence.verdict == "cannot_tell"
     assert evidence.not_seen == (quantity,)
+
+
+@pytest.mark.parametrize(
+    ("value", "why", "not_seen"), [(0.4, "", False), (0.4, "noise hides it", True), (0.1, "", True)]
+)
+def test_what_certainly_matters_is_seen_though_no_bound_is_known(value, why, not_seen):
+    """A single second leaves no scatter, and so no bound."""
+    assert Bounded("motion", "1", value, None, 0.2, why).not_seen == not_seen
