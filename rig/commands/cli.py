@@ -28,6 +28,7 @@ from rig.commands.command_line import (
     say,
     working,
 )
+from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
@@ -268,6 +269,7 @@ def view(
         open_viewer(target)
 
 
+app.command()(demo)
 app.command()(recover)
 app.command("import")(import_)
 app.command("export")(export_)

@@ -74,3 +74,7 @@ def _doctor() -> None:
     from rig.commands.doctor import doctor
 
     sys.exit(doctor())
+
+
+if __name__ == "__main__":
+    both()

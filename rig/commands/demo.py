@@ -1,0 +1,136 @@
+"""Demonstration: the barrel-cradle rig recorded, identified, changed and diagnosed, each answer beside the truth.
+
+Notes for maintainers
+1. Every step is a command of `rig` or `identify` in a process of its own, as a user would type it; nothing here knows
+   how an answer is found. Answers are read from contact.json and gap.json.
+2. Two chains run at the same time, one a core: record and identify; record the changed machine and diagnose it.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+import webbrowser
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from importlib.util import find_spec
+from pathlib import Path
+from shlex import join
+from shutil import get_terminal_size
+from textwrap import wrap
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+from rig.commands.command_line import Force, refuse_existing, say
+from rig.errors import RigError
+from rig.simulation.reference import BarrelCradle
+
+MASS_KG, POSITION_M = 0.15, 0.8
+"""Unknown mass, and its place on the barrel, of the changed machine."""
+SETTINGS = {"sensors": "acceleration", "noise_density": 1e-3, "stations": 4, "sample_rate_hz": 2048, "high_hz": 60}
+NOMINAL_S, CHANGED_S = 10.0, 32.0
+"""Lengths of the two records: of the shortest that bound the contacts to 1 %, and that leave 4 s for validation."""
+COVERED = 1.96
+"""Half-width of a 95 % interval over its standard error."""
+
+Show = Callable[[str], None]
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for recordings, answers and pages.")] = Path("demo"),
+    show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser at the end.")] = True,
+    force: Force = False,
+) -> None:
+    """Record, identify, change and diagnose the barrel-cradle rig in a minute, each answer beside the truth.
+
+    Example: rig demo --out demo
+    """
+    started_s = time.monotonic()
+    plant = "ancf" if find_spec("exudyn") else "modal"
+    settings = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
+    nominal, changed = out / "nominal.mcap", out / "changed.mcap"
+    pages = out / "contact" / "contact.html", out / "gap" / "gap.html"
+    for path in (nominal, changed, *pages):
+        refuse_existing(path, force, new_folder=True)
+    out.mkdir(parents=True, exist_ok=True)
+    mass = f"added_mass:mass_kg={MASS_KG},relative_position={POSITION_M / BarrelCradle().length_m}"
+    record = ("rig", "record", "barrel_cradle", *settings)
+    again = ("--force",) if force else ()
+    identification = (
+        (*record, "--plant", plant, "--duration", NOMINAL_S, "--out", nominal, *again),
+        ("identify", "contact", nominal, "--out", out / "contact", *again),
+    )
+    diagnosis = (
+        (*record, "--plant", "modal", "--duration", CHANGED_S, "--seed", 2, "--effect", mass, "--out", changed, *again),
+        ("identify", "gap", changed, "--out", out / "gap", *again),
+    )
+    console = Console(stderr=True)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+
+        def shown(task: Any) -> Show:
+            return lambda text: progress.update(task, description=text)
+
+        with ThreadPoolExecutor(2) as pool:
+            chains = [
+                pool.submit(_run_all, commands, shown(progress.add_task("")))
+                for commands in (identification, diagnosis)
+            ]
+            chains[0].result()
+            _print_contacts(identification, out / "contact")
+            chains[1].result()
+            _print_diagnosis(diagnosis, out / "gap")
+    pages = out / "contact" / "contact.html", out / "gap" / "gap.html"
+    say(f"\n{time.monotonic() - started_s:.0f} s. Pages: {pages[0]}, {pages[1]}")
+    if show and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform in ("darwin", "win32")):
+        with suppress(webbrowser.Error):
+            webbrowser.open(pages[1].resolve().as_uri())
+
+
+def _run_all(commands: tuple[tuple[object, ...], ...], show: Show) -> None:
+    """Run commands one after another; raise RigError with the last line of one that fails."""
+    for command in commands:
+        show(" ".join(map(str, command[:3])))
+        words = [sys.executable, "-m", "rig.commands.start", *map(str, command)]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            reason = done.stderr.strip().splitlines()[-1:] or ["no reason was given"]
+            raise RigError(f"{' '.join(map(str, command[:2]))} failed: {reason[0]}")
+
+
+def _print_commands(commands: tuple[tuple[object, ...], ...]) -> None:
+    print()
+    for command in commands:
+        say(f"$ {join(map(str, command))}")
+
+
+def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> None:
+    """Clearance and stiffness of each contact with 95 % intervals, beside the settings of the rig."""
+    _print_commands(commands)
+    settings = BarrelCradle()
+    answer = json.loads((folder / "contact.json").read_text(encoding="utf-8"))
+    clearances_m = settings.clearance_1_m, settings.clearance_2_m
+    stiffnesses_n_per_m = settings.stiffness_1_n_per_m, settings.stiffness_2_n_per_m
+    for contact, clearance_m, stiffness in zip(answer["contacts"], clearances_m, stiffnesses_n_per_m, strict=True):
+        _print_value(f"clearance of {contact['name']}", contact["clearance_m"], clearance_m, 1e3, "mm", 3)
+        _print_value(f"stiffness of {contact['name']}", contact["stiffness_n_per_m"], stiffness, 1e-3, "N/mm", 2)
+
+
+def _print_value(name: str, estimate: dict[str, float], true: float, scale: float, unit: str, decimals: int) -> None:
+    value, half_width = scale * estimate["value"], COVERED * scale * estimate["standard_error"]
+    say(f"  {name}: {value:.{decimals}f} ± {half_width:.{decimals}f} {unit}   (true: {scale * true:g} {unit})")
+
+
+def _print_diagnosis(commands: tuple[tuple[object, ...], ...], folder: Path) -> None:
+    """Verdict and its first sentence, beside the effect that the changed machine has."""
+    _print_commands(commands)
+    answer = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
+    answer_text = f"{answer['verdict'].replace('_', ' ')}: {answer['sentence']}"
+    for line in wrap(answer_text, get_terminal_size().columns - 2):
+        say(f"  {line}")
+    say(f"  (true: a mass of {MASS_KG:g} kg on the barrel at {POSITION_M:g} m)")
