@@ -197,7 +197,8 @@ class GapResult:
         """Write gap.html, a self-contained page, gap.json and the corrected rig.json."""
         from identify.gaps.page.report import write_all
 
-        write_all(self.report, self.corrected, self.title, Path(folder), self.sources)
+        sentences = tuple(finding.sentence for finding in self.findings)
+        write_all(self.report, self.corrected, self.title, Path(folder), self.sources, sentences)
 
     def __str__(self) -> str:
         return self.report.sentence

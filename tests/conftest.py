@@ -23,6 +23,7 @@ settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
 
 _MEASURE = """
+this.contentDocument.querySelectorAll("details").forEach(one => one.open = true);
 setTimeout(() => {
 const page = this.contentDocument;
 const pictures = [...page.images].map(image => image.naturalWidth);

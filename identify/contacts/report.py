@@ -16,6 +16,7 @@ from identify.contacts.paper_methods import attempted
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.contacts.separation import is_unforced
 from identify.pages import page
+from identify.pages.machine import machine
 from identify.pages.style import Picture
 from identify.pages.wording import interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
@@ -48,6 +49,15 @@ _CAPTIONS = {
     "frf": "The linear FRF that NIFO finds beside the contacts, and that of rig.json.",
     "outputs": "The main modal coordinate as measured, and as it would be without contacts.",
 }
+DECISIVE_FIGURE = "separated"
+"""Figure beside the drawing of the rig: contact force over relative displacement, and the law found."""
+VARIANCE_SOURCES = {
+    "scatter": "scatter of the record",
+    "tolerances": "tolerances of rig.json",
+    "drift": "slow motion",
+    "law": "what the law leaves",
+}
+"""Sources of variance in words."""
 Laws = Mapping[str, ContactLaw]
 
 
@@ -194,31 +204,65 @@ def write_page(
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
     identified, count = len(report.contacts), len(result.rig.contacts)
+    findings = page.listed(f.sentence for f in report.findings)
     page.write(
         path,
         title=title,
-        colour="red" if report.findings or not identified else "green" if identified == count else "yellow",
-        verdict="not to be relied on"
-        if report.findings
-        else "identified"
-        if identified == count
-        else f"{identified} of {count} contacts identified",
-        sentence=_sentence(result),
+        answer=page.Answer(
+            "red" if not identified else "green" if identified == count and not report.findings else "yellow",
+            "not to be relied on"
+            if report.findings
+            else "identified"
+            if identified == count
+            else f"{identified} of {count} contacts identified",
+            _sentence(result),
+        ),
+        first=[
+            f"{findings if report.findings else ''}{_drawing(result)}{_values(result, laws, laws_name)}",
+            "".join(_figures({n: p for n, p in figures.items() if n == DECISIVE_FIGURE}, page.FIRST_PX)),
+        ],
         sections=[
-            *(
-                [("What speaks against it", page.listed(f.sentence for f in report.findings))]
-                if report.findings
-                else []
-            ),
-            ("What was found", _values(result, laws, laws_name)),
             *([("What was refused", _refusals(result))] if report.unanswered else []),
             ("What would make it surer", page.listed(recommendations(result))),
+        ],
+        folded=[
+            *(
+                [("Does it fit?", "".join(other_figures))]
+                if (other_figures := _figures({n: p for n, p in figures.items() if n != DECISIVE_FIGURE}))
+                else []
+            ),
+            *([("How sure is it?", _variance_table(result))] if identified else []),
             ("What was assumed", page.listed(assumptions(result))),
-            ("Figures", _figures(figures)),
             ("Beside it: the paper's methods", _methods(result)),
         ],
         foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
+    )
+
+
+def _drawing(result: Identification) -> str:
+    """Drawing of the rig, with what was identified beside each contact."""
+    lines: dict[str, tuple[str, ...]] = {
+        contact.name: (
+            _interval(contact.clearance_m, "mm", 1e3),
+            _interval(contact.stiffness_n_per_m, "N/m"),
+        )
+        for contact in result.report.contacts
+    }
+    lines |= {unanswered.name: ("not told by this record",) for unanswered in result.report.unanswered}
+    caption = "<figcaption>The rig, to scale along the bodies, and what was identified (95 % intervals).</figcaption>"
+    return f"<figure>{machine(result.rig, lines)}{caption}</figure>"
+
+
+def _variance_table(result: Identification) -> str:
+    """Table of the share of each estimate's variance by source."""
+    rows = [
+        (f"{quantity} of {name}", *(percent(shares.get(source, 0.0)) for source in VARIANCE_SOURCES))
+        for name, estimate in result.outcomes.estimates.items()
+        for quantity, shares in variance_shares(estimate).items()
+    ]
+    return "<p>Where the variance of each value comes from.</p>" + page.table(
+        ("value", *VARIANCE_SOURCES.values()), rows
     )
 
 
@@ -238,15 +282,18 @@ def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
 
 
 def _values(result: Identification, laws: Laws, laws_name: str) -> str:
-    tables = [
-        f"<h3>{escape(c.name)}</h3>" + page.table(("", "identified", laws_name, "differs by"), _rows(c, laws[c.name]))
-        for c in result.report.contacts
-    ]
-    if not tables:
-        return "<p>Nothing.</p>"
+    """Table of the identified values with 95 % intervals beside the reference values, and sentences on other laws."""
+    contacts = result.report.contacts
+    if not contacts:
+        return ""
+    rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
+    law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
     note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
-    law_sentences = [f"{c.law_sentence}." for c in result.report.contacts if c.law_sentence]
-    return note + "".join(tables) + (page.listed(law_sentences) if law_sentences else "")
+    return (
+        page.table(("", "", "identified", laws_name, "differs by"), rows)
+        + note
+        + (page.listed(law_sentences) if law_sentences else "")
+    )
 
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
@@ -260,7 +307,13 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
     ):
         if estimate is not None:
             difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if reference_value else ""
-            yield f"{name}, {unit}", _interval(estimate, "1", scale), number(scale * reference_value), difference
+            yield (
+                contact.name if name == "clearance" else "",
+                f"{name}, {unit}",
+                _interval(estimate, "1", scale),
+                number(scale * reference_value),
+                difference,
+            )
 
 
 def _refusals(result: Identification) -> str:
@@ -269,11 +322,12 @@ def _refusals(result: Identification) -> str:
     )
 
 
-def _figures(figures: Mapping[str, Picture]) -> str:
+def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:
+    """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
     named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]]))
-    return (page.listed(notes) if notes else "") + "".join(html.values())
+    html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    return [*([page.listed(notes)] if notes else []), *html.values()]
 
 
 def _methods(result: Identification) -> str:

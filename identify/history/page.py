@@ -147,9 +147,11 @@ def write_page(history: History, figure: Picture, path: Path) -> None:
     page.write(
         path,
         title=f"{history.rig}: {len(history.used)} recordings compared",
-        colour="red" if findings else "yellow" if changed else "green",
-        verdict="not to be relied on" if findings else "changed" if changed else "no change",
-        sentence=sentence(history),
+        answer=page.Answer(
+            "yellow" if findings or changed else "green",
+            "not to be relied on" if findings else "changed" if changed else "no change",
+            sentence(history),
+        ),
         sections=_sections(history, figure),
         foot="Made by identify compare or identify history; the numbers are in history.csv and history.json.",
     )

@@ -46,14 +46,16 @@ def write_page(
     page.write(
         path,
         title=title,
-        colour="red" if report.findings or not laws else "yellow" if unanswered else "green",
-        verdict="not to be relied on"
-        if report.findings
-        else "contact law found"
-        if not unanswered
-        else f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found",
-        sentence="; ".join(f"{law.contact}: {law.verdict}" for law in laws)
-        or "This record tells nothing of the contacts; below stands why, and what to do.",
+        answer=page.Answer(
+            "red" if not laws else "yellow" if report.findings or unanswered else "green",
+            "not to be relied on"
+            if report.findings
+            else "contact law found"
+            if not unanswered
+            else f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found",
+            "; ".join(f"{law.contact}: {law.verdict}" for law in laws)
+            or "This record tells nothing of the contacts; below stands why, and what to do.",
+        ),
         sections=[
             *(
                 [("What speaks against it", page.listed(f.sentence for f in report.findings))]

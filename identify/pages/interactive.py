@@ -42,8 +42,11 @@ LabelledRenderers = Iterator[tuple[str, Any]]
 """Labels and their Bokeh renderers; a label that begins with _ is not shown."""
 
 
-def interactive(figure: Any) -> str:
-    """HTML of a figure, which needs `library` on its page; empty if it has more than curves, bars and hexagons."""
+def interactive(figure: Any, height_px: int | None = None) -> str:
+    """HTML of a figure, which needs `library` on its page; empty if it has more than curves, bars and hexagons.
+
+    With a height, its panels have that height together, one below the other, and only the first has a legend.
+    """
     panels = [axes for axes in figure.axes if axes.get_label() != _BAR]
     title = figure.get_suptitle()
     if {text.get_text() for text in figure.texts} - {title} or not panels or not all(map(_is_plain, panels)):
@@ -56,10 +59,20 @@ def interactive(figure: Any) -> str:
     for _, row in groupby(sorted(panels, key=_row_of), key=_row_of):
         plots = [_plot(axes, figure, ranges) for axes in row]
         rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
+    if height_px is not None:
+        _limit_height([plot for row in rows for plot in row.children], height_px)
     name = f"plot_{next(_plot_numbers)}"
     item = json.dumps(json_item(Column(children=rows, sizing_mode="stretch_width"), name)).replace("<", "\\u003c")
     heading = f"<h3>{escape(title)}</h3>" if title else ""
     return f'{heading}<div id="{name}" class="plot"></div><script>Bokeh.embed.embed_item({item})</script>'
+
+
+def _limit_height(plots: list[Any], height_px: int) -> None:
+    for plot in plots:
+        plot.height = max(_LEAST_PX, height_px // len(plots))
+    for plot in plots[1:]:
+        for legend in plot.legend:
+            legend.visible = False
 
 
 def library() -> str:

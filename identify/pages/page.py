@@ -3,6 +3,7 @@
 import sys
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from html import escape
 from importlib.metadata import version
@@ -15,16 +16,18 @@ from rig.files import sha256_of, write_bytes
 
 Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]
+FIRST_PX = 440
+"""Height of the plot on the first screen, of 800 pixels with title, verdict and what to do next. Display."""
 SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
 
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
---green:#1d7a48;--yellow:#9a6400;--red:#b3321f}
+--green:#1d7a48;--yellow:#9a6400;--red:#b3321f;--found:#1f5fa8;--cause:#b3411b}
 @media(prefers-color-scheme:dark){:root{--ink:#e6e8ea;--dim:#a2a9b0;--page:#16181b;--line:#3a3f45;--card:#202327;
---green:#5cc48c;--yellow:#e0ac4a;--red:#f0806c}}
+--green:#5cc48c;--yellow:#e0ac4a;--red:#f0806c;--found:#86b8ee;--cause:#f29a72}}
 *{box-sizing:border-box}
-body{margin:0 auto;padding:1rem;max-width:66rem;background:var(--page);color:var(--ink);
+body{margin:0 auto;padding:1rem;max-width:76rem;background:var(--page);color:var(--ink);
 font:16px/1.5 system-ui,sans-serif;overflow-wrap:anywhere}
 h1{font-size:1.4rem;margin:.2rem 0}h2{font-size:1.2rem;margin:2.2rem 0 .5rem;border-bottom:1px solid var(--line)}
 h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;padding-left:1.2rem}
@@ -32,7 +35,8 @@ h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;paddi
 .verdict b{display:block;font-size:.85rem;text-transform:uppercase;letter-spacing:.04em}
 .verdict p{color:var(--ink);font-size:1.15rem}.green{color:var(--green)}.yellow{color:var(--yellow)}
 .red{color:var(--red)}.dim{color:var(--dim);font-size:.9rem}
-.wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
+.wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}
+table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
 th,td{text-align:left;padding:.25rem .9rem .25rem 0;border-bottom:1px solid var(--line);vertical-align:top;
 overflow-wrap:break-word}th{color:var(--dim);font-weight:600}td.number{white-space:nowrap}
 .pictures{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,22rem),1fr));gap:.8rem;margin:.8rem 0;
@@ -42,6 +46,21 @@ figure{margin:1rem 0}figure div{overflow-x:auto}figure img{max-width:46rem;min-w
 .pictures figure img{min-width:0}
 figcaption{color:var(--dim);font-size:.9rem;margin-top:.2rem}
 summary{cursor:pointer;color:var(--dim)}
+.folded>summary{margin-top:1.1rem;color:var(--ink);border-bottom:1px solid var(--line)}
+.folded h2{display:inline;border:0}
+.first{display:grid;grid-template-columns:repeat(auto-fit,minmax(min(100%,30rem),1fr));gap:0 1.6rem}
+.first figure{margin:.2rem 0}.first h2{margin-top:1rem}.first figure img{min-width:0}
+.machine{width:100%;height:auto;max-height:25rem}
+.machine text{font-size:14px;fill:var(--ink);paint-order:stroke;stroke:var(--page);stroke-width:4px}
+.machine .name{font-weight:600}.machine .value{fill:var(--found)}
+.machine .dim{fill:var(--dim)}.machine path{fill:none;stroke:var(--ink);stroke-width:1.8}
+.machine .thin{stroke-width:1}
+.machine .fork,.machine .found{stroke-width:2.4}.machine .found{stroke:var(--found)}
+.machine .force{stroke:var(--dim);stroke-width:2.4}
+.machine .sensor{fill:var(--page);stroke:var(--dim);stroke-width:1.2}
+.machine .body{fill:var(--line);stroke:var(--ink)}
+.machine .mark{fill:none;stroke:var(--cause);stroke-width:2.4}.machine .mark-words{fill:var(--cause);font-weight:600}
+@media print{body{max-width:none}.plot,figure,tr{break-inside:avoid}.first{grid-template-columns:1fr 1fr}}
 @media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;overflow-wrap:anywhere;hyphens:auto;
 min-width:2.9rem}td:first-child:not(.number){min-width:5rem}td.number{
 white-space:normal;overflow-wrap:normal}}
@@ -51,38 +70,52 @@ _PAGE = """<!DOCTYPE html>
 <title>{title}</title><style>{style}</style>{script}</head>
 <body><h1>{title}</h1>
 <div class="verdict {colour}"><b>{verdict}</b><p>{sentence}</p></div>
-{sections}
+{content}
 <p class="dim">{foot}</p>
+<script>addEventListener("beforeprint",()=>document.querySelectorAll("details").forEach(one=>one.open=true))</script>
 </body></html>
 """
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer that a page begins with: its colour, a verdict of few words, and a sentence."""
+
+    colour: Colour
+    verdict: str
+    sentence: str
 
 
 def write(
     path: Path,
     *,
     title: str,
-    colour: Colour,
-    verdict: str,
-    sentence: str,
+    answer: Answer,
     sections: Iterable[tuple[str, str]],
     foot: str,
     sources: Sequence[Path] = (),
+    first: Iterable[str] = (),
+    folded: Iterable[tuple[str, str]] = (),
 ) -> None:
     """Write a page that needs no other file: to a temporary file, which is then renamed.
 
-    A section is its heading and its HTML; everything else is plain text. Below the foot stand date, version, command,
-    and the source recordings with the first digits of their SHA-256.
+    `first` stands side by side below the verdict, as far as there is room. A section is its heading and its HTML, and
+    folded ones open by a click, or for the printer; everything else is plain text. Below the foot stand date, version,
+    command, and the source recordings with the first digits of their SHA-256.
     """
-    sections = list(sections)
-    plots = any("Bokeh.embed" in html for _, html in sections)
+    content = "".join(f"<div>{html}</div>" for html in first if html)
+    content = f'<div class="first">{content}</div>\n' if content else ""
+    content += "\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections)
+    for heading, html in folded:
+        content += f'\n<details class="folded"><summary><h2>{escape(heading)}</h2></summary>\n{html}</details>'
     page = _PAGE.format(
-        script=library() if plots else "",
+        script=library() if "Bokeh.embed" in content else "",
         title=escape(title),
         style=_STYLE,
-        colour=colour,
-        verdict=escape(verdict),
-        sentence=escape(sentence),
-        sections="\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections),
+        colour=answer.colour,
+        verdict=escape(answer.verdict),
+        sentence=escape(answer.sentence),
+        content=content,
         foot=f"{escape(foot)}<br>{escape(_provenance(sources))}",
     )
     write_bytes(page.encode(), path)
@@ -101,9 +134,9 @@ def picture(name: str, png: bytes) -> str:
     return f'<img alt="{escape(name.replace("_", " "))}" src="data:image/png;base64,{b64encode(png).decode()}">\n'
 
 
-def figure(name: str, image: Picture, caption: str = "") -> str:
-    """HTML of an interactive plot, or else of a picture, with its caption below."""
-    plot = interactive(image.figure) or f"<div>{picture(name, image.png)}</div>"
+def figure(name: str, image: Picture, caption: str = "", height_px: int | None = None) -> str:
+    """HTML of an interactive plot, of this height in a column, or else of a picture, with its caption below."""
+    plot = interactive(image.figure, height_px) or f"<div>{picture(name, image.png)}</div>"
     figcaption = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f"<figure>{plot}{figcaption}</figure>\n"
 

@@ -85,8 +85,8 @@ def demo(
             _print_contacts(identification, out / "contact")
             chains[1].result()
             _print_diagnosis(diagnosis, out / "gap")
-    pages = out / "contact" / "contact.html", out / "gap" / "gap.html"
-    say(f"\n{time.monotonic() - started_s:.0f} s. Pages: {pages[0]}, {pages[1]}")
+    print()
+    say(f"{time.monotonic() - started_s:.0f} s. Pages: {pages[0]}, {pages[1]}")
     if show and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform in ("darwin", "win32")):
         with suppress(webbrowser.Error):
             webbrowser.open(pages[1].resolve().as_uri())

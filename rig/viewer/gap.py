@@ -11,6 +11,7 @@ from rig.errors import RigError
 from rig.files import contents
 from rig.limits import decoded_result
 from rig.model.description import Rig, Station
+from rig.model.layout import station_named
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 EFFECT_VERDICTS = {"explained", "partly_explained", "small"}
@@ -120,7 +121,7 @@ def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
         label = effect if occurrences[effect] == 1 else f"{effect}_{occurrences[effect]}"
         position = cause.parameters.get(f"{label}.relative_position")
         for name, place in cause.places.items():
-            station = _station(rig, place, 0.5 if position is None else position.value)
+            station = station_named(rig, place, 0.5 if position is None else position.value)
             if name.partition(".")[0] == label and station is not None:
                 yield Mark(station, words)
 
@@ -133,7 +134,7 @@ def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
     strengths = tuple(rms / largest for rms in force.by_time) if largest > 0 else (1.0,)
     if named := force.contact or force.sensor:
         label = "clearance that swings" if force.contact else "fault of the sensor"
-        if place := _station(rig, named, 0.5):
+        if place := station_named(rig, named, 0.5):
             yield Mark(place, f"{named}: {label}", strengths)
         return
     words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
@@ -141,13 +142,6 @@ def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
     for body, x, label in force_ends:
         if body is not None and x is not None:
             yield Mark(Station(body, x), label, strengths, in_contact=force.when == "in contact")
-
-
-def _station(rig: Rig, name: str, relative_position: float) -> Station | None:
-    """Station of a contact, a sensor, or a relative position on a body; None for other names."""
-    named = {b.name: Station(b.name, relative_position * b.length_m) for b in rig.bodies}
-    named |= {s.name: s.station for s in rig.sensors} | {c.name: c.at for c in rig.contacts}
-    return named.get(name)
 
 
 def _text(report: _Gap) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.model.description import Body, Contact, Rig, Station
-from rig.viewer.stage import left_ends
+from rig.model.layout import left_ends
 from rig.viewer.svg import FAINT, FORCE, INK, MOVING, SENSOR, Drawing
 
 LENGTH_PX, LEVEL_PX, HALF_PX, GAP_PX, REACH_PX = 800.0, 300.0, 7.0, 12.0, 62.0

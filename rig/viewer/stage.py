@@ -8,6 +8,7 @@ from jaxtyping import Float, Int
 
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Contact, Rig, Station
+from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
 
 FRAMES = 6000
@@ -126,18 +127,6 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     rate = min(np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ), MAX_FRAMES * sample_rate_hz / samples)
     frames = np.arange(0, samples, max(1, round(sample_rate_hz / rate)))
     return Stage(deflection, left_m, extent_m, magnification, sample_rate_hz, frames)
-
-
-def left_ends(rig: Rig) -> dict[str, float]:
-    """Position of every body's left end, m: 0 for the first; the two stations of a contact have the same x."""
-    left_m = {rig.bodies[0].name: 0.0}
-    for _ in rig.bodies:
-        for contact in rig.contacts:
-            if contact.against is not None:
-                for placed, unplaced in ((contact.at, contact.against), (contact.against, contact.at)):
-                    if placed.body in left_m:
-                        left_m.setdefault(unplaced.body, left_m[placed.body] + placed.position_m - unplaced.position_m)
-    return {b.name: left_m.get(b.name, 0.0) for b in rig.bodies}
 
 
 def _rounded_down(value: float) -> float:

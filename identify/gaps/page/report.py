@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from identify.gaps.decision_table import Verdict
+from identify.gaps.page.marks import marks
 from identify.gaps.page.screen import colour
 from identify.gaps.page.sections import (
     cause_tables,
@@ -21,6 +22,7 @@ from identify.gaps.page.sections import (
 from identify.gaps.results import Curve, Gap
 from identify.gaps.wording import verdict
 from identify.pages import page
+from identify.pages.machine import machine
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
@@ -37,26 +39,49 @@ CAPTIONS = {
     "arrow along the direction in which it pushes and pulls.",
 }
 """Captions of the wide pictures; the others carry their titles."""
+DRAWING_CAPTION = "The rig, to scale along the bodies; what differs is marked at its place."
+DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("large_bands",)) | {
+    Verdict.UNEXPLAINED: ("unknown_law", "large_bands")
+}
+"""Figures beside the drawing of the rig, by verdict: the first that there is."""
 
 
-def write_all(gap: Gap, corrected: Rig, title: str, folder: Path, sources: Sequence[Path] = ()) -> None:
-    """Write gap.html, the corrected rig.json and gap.json, each atomically."""
+def write_all(
+    gap: Gap, corrected: Rig, title: str, folder: Path, sources: Sequence[Path] = (), findings: Sequence[str] = ()
+) -> None:
+    """Write gap.html, the corrected rig.json and gap.json, each atomically; `findings` are those of the check."""
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    write_page(gap, pictures(gap, corrected), title, folder / "gap.html", sources)
+    drawing = machine(corrected, {}, marks(gap, corrected))
+    write_page(gap, pictures(gap, corrected), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")
 
 
-def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path, sources: Sequence[Path] = ()) -> None:
-    """Write the page atomically, pictures included.
+def write_page(
+    gap: Gap,
+    figures: Mapping[str, Picture],
+    title: str,
+    path: Path,
+    sources: Sequence[Path] = (),
+    findings: Sequence[str] = (),
+    drawing: str = "",
+) -> None:
+    """Write the page atomically, pictures included; `findings` of the check and the drawing of the rig stand on top.
 
-    The first word of a picture's name is its section, as named in `identify.gaps.page.pictures`.
+    The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
+    figures = dict(figures)
+    decisive = next((name for name in DECISIVE_FIGURES[gap.verdict] if name in figures), None)
+    left = page.listed(findings) if findings else ""
+    if drawing:
+        left += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
+    left += f"<h2>What to do next</h2>{next_steps_list(gap)}"
+    right = page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PX) if decisive else ""
     unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
-    sections = [
-        ("What to do next", "next", next_steps_list(gap)),
+    experiments = _figures_html(figures, "next")
+    folded = [
         ("How large is the difference?", "large", mismatch_size(gap)),
         ("What causes it?", "why", cause_tables(gap)),
         ("How was it decided?", "decided", decision(gap)),
@@ -69,10 +94,12 @@ def write_page(gap: Gap, figures: Mapping[str, Picture], title: str, path: Path,
     page.write(
         path,
         title=title,
-        colour=colour(gap),
-        verdict=verdict(gap),
-        sentence=gap.sentence,
-        sections=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in sections],
+        answer=page.Answer(
+            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), gap.sentence
+        ),
+        first=[left, right],
+        sections=[("Which further recording?", experiments)] if experiments else [],
+        folded=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in folded],
         foot="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
     )

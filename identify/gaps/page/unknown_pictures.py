@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from identify.gaps.unmeasured_force.location import offset_m
 from identify.pages.style import BLUE, GREY, INK, RED
 from identify.pages.wording import COVERED
 from rig.model.description import Rig, Station
+from rig.model.layout import left_ends
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce
 
 _HEIGHT_IN = 3.2
@@ -37,25 +37,10 @@ def drawings(unknown: UnmeasuredForce, rig: Rig) -> Iterator[tuple[str, float, C
         yield "time", _HEIGHT_IN, partial(_time, unknown=unknown)
 
 
-def left_ends_m(rig: Rig) -> dict[str, float]:
-    """Left end of each body along the first, m, such that stations in contact have the same abscissa."""
-    offsets_m: dict[str, float] = {}
-    for body in rig.bodies:
-        touching = [
-            offsets_m[placed_body] - offset_m(rig, placed_body, body.name)
-            for placed_body in offsets_m
-            if any(
-                c.against is not None and {c.at.body, c.against.body} == {placed_body, body.name} for c in rig.contacts
-            )
-        ]
-        offsets_m[body.name] = touching[0] if touching else 0.0
-    return offsets_m
-
-
 def _place(figure: Any, unknown: UnmeasuredForce, rig: Rig) -> None:
     """Bodies in rows with contacts, sensors and measured forces, and the unmeasured force in red."""
     axes = figure.subplots()
-    offsets_m = left_ends_m(rig)
+    offsets_m = left_ends(rig)
     rows = {body.name: -float(i) for i, body in enumerate(rig.bodies)}
     longest_m = max(body.length_m for body in rig.bodies) or 1.0
 

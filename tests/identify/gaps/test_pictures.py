@@ -12,8 +12,8 @@ from matplotlib.text import Text
 from msgspec.structs import replace
 
 from identify.gaps.page.pictures import pictures
-from identify.gaps.page.unknown_pictures import left_ends_m
 from identify.gaps.results import Attribution
+from rig.model.layout import left_ends
 from rig.model.unmeasured_force import Value
 from rig.simulation.reference import BarrelCradle
 
@@ -131,7 +131,7 @@ def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
 
 def test_bodies_lie_so_that_what_touches_is_one_above_the_other():
     rig = BarrelCradle().rig()
-    ends = left_ends_m(rig)
+    ends = left_ends(rig)
     for contact in rig.contacts:
         at, against = (ends[s.body] + s.position_m for s in (contact.at, contact.against))
         assert at == pytest.approx(against)
@@ -143,7 +143,7 @@ def test_the_unknown_force_is_drawn_at_its_place(gaps, rig_of, name):
     _, figures = drawn(gap, rig)
     (axes,) = figures["unknown_place"].axes
     force = next(line for line in axes.get_lines() if line.get_marker() == "o" and line.get_xdata().size)
-    assert float(force.get_xdata()[0]) == pytest.approx(left_ends_m(rig)[gap.unknown.body] + gap.unknown.position_m)
+    assert float(force.get_xdata()[0]) == pytest.approx(left_ends(rig)[gap.unknown.body] + gap.unknown.position_m)
     assert axes.get_yticklabels()[[b.name for b in rig.bodies].index(gap.unknown.body)].get_text() == gap.unknown.body
     assert float(force.get_ydata()[0]) == axes.get_yticks()[[b.name for b in rig.bodies].index(gap.unknown.body)]
     legend = [text.get_text() for text in figures["unknown_place"].legends[0].get_texts()]

@@ -15,6 +15,7 @@ from rich.console import Console
 
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
+from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import curves, write_all, write_page
 from identify.gaps.page.screen import screen_view
@@ -77,6 +78,7 @@ def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
     unknown = [named] if gap.unknown else []
     assert page.headings == [
         "What to do next",
+        *(["Which further recording?"] if gap.next_experiments else []),
         "How large is the difference?",
         "What causes it?",
         "How was it decided?",
@@ -269,7 +271,24 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
     said = {*channels, "</table>", "</title>", odd.sentence, "To test <script>alert(1)</script>."}
     assert said <= set(page.texts)
     assert page.tags.count("b") == 1  # the verdict
-    assert not {"i", "script"} & set(page.tags)
+    assert "i" not in page.tags
+    assert page.tags.count("script") == 1  # the page's own, for the printer
+
+
+def test_findings_of_the_check_turn_the_page_amber_and_stand_on_top(gaps, tmp_path):
+    write_page(gaps["explained"], {}, "mass", tmp_path / "gap.html", findings=("barrel_6 is upside down <",))
+    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert '<div class="verdict yellow"><b>explained' in html
+    assert html.index("barrel_6 is upside down &lt;") < html.index("What to do next")
+
+
+def test_what_the_verdict_names_is_marked_at_its_place(gaps, rig_of):
+    gap = gaps["explained"]
+    (mark,) = marks(gap, rig_of(gap))
+    position_m = gap.causes[0].parameters["added_mass.relative_position"].value * rig_of(gap).body("barrel").length_m
+    assert (mark.station.body, mark.station.position_m) == ("barrel", pytest.approx(position_m))
+    assert mark.words == gap.causes[0].words[0]
+    assert marks(gaps["consistent"], rig_of(gaps["consistent"])) == ()
 
 
 def test_a_page_is_replaced_whole(gaps, tmp_path):

@@ -248,12 +248,12 @@ def test_the_page_of_a_law_stands_alone(clearance, command, tmp_path):
     assert clearance.result.formula in text
 
 
-def test_a_finding_makes_the_page_red(clearance, tmp_path):
+def test_a_finding_makes_the_page_amber(clearance, tmp_path):
     finding = Finding(cause="clock", evidence="all bodies vibrate too fast", mend="check the sampling rate")
     report = LawReport(rig="one mass", laws=(clearance.result,), unanswered=(), findings=(finding,))
     write_page(report, {}, "mass", tmp_path / "law.html")
     html = (tmp_path / "law.html").read_text(encoding="utf-8")
-    assert '<div class="verdict red"><b>not to be relied on</b>' in html
+    assert '<div class="verdict yellow"><b>not to be relied on</b>' in html
     assert finding.sentence in html
 
 

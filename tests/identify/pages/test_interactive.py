@@ -111,7 +111,7 @@ def test_a_browser_draws_them(opened, tmp_path):
     odd = "</script><b>$$x$$ <!--<script>"
     html = page.figure("a", picture(lambda figure: curves(figure, odd)), odd) + page.figure("b", picture(everything))
     html += page.figure("c", picture(logarithmic))
-    page.write(tmp_path / "p.html", title=odd, colour="red", verdict="", sentence="", sections=[("A", html)], foot="")
+    page.write(tmp_path / "p.html", title=odd, answer=page.Answer("red", "", ""), sections=[("A", html)], foot="")
     browser_page = opened(tmp_path / "p.html", PHONE_PX)
     assert browser_page.console == ()
     assert browser_page.scroll_px == PHONE_PX

@@ -8,7 +8,7 @@ PHONE_PX = 375
 
 
 def written(path, html):
-    page.write(path, title="A page", colour="green", verdict="so", sentence="It is.", sections=[("One", html)], foot="")
+    page.write(path, title="A page", answer=page.Answer("green", "so", "It is."), sections=[("One", html)], foot="")
     return path
 
 

@@ -1,0 +1,39 @@
+"""Marks of a diagnosis on the drawing of the rig: the named effects, and the unmeasured force, each at its place."""
+
+from collections.abc import Iterator
+
+from identify.gaps.decision_table import Verdict
+from identify.gaps.results import Gap
+from identify.pages.machine import Mark
+from rig.model.description import Rig, Station
+from rig.model.layout import station_named
+
+UNLOCATED = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
+"""Verdicts that locate no difference."""
+
+
+def marks(gap: Gap, rig: Rig) -> tuple[Mark, ...]:
+    """Marks of what the verdict names and of what stays unexplained; none where no difference is certain."""
+    return () if gap.verdict in UNLOCATED else (*_effect_marks(gap, rig), *_force_marks(gap))
+
+
+def _effect_marks(gap: Gap, rig: Rig) -> Iterator[Mark]:
+    """Marks of the named effects of the likeliest cause; an effect of the whole rig has none."""
+    for cause in gap.causes[:1]:
+        for label, words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
+            position = cause.parameters.get(f"{label}.relative_position")
+            stations = (
+                station_named(rig, place, 0.5 if position is None else position.value)
+                for name, place in cause.places.items()
+                if name.partition(".")[0] == label
+            )
+            station = next(filter(None, stations), None)
+            if strength.is_named and station is not None:
+                yield Mark(station, words)
+
+
+def _force_marks(gap: Gap) -> Iterator[Mark]:
+    """Mark of the unmeasured force that describes the rest, at its body."""
+    force = gap.unknown
+    if force is not None and force.body is not None and force.position_m is not None:
+        yield Mark(Station(force.body, force.position_m), f"unmeasured force, {force.rms_n:.3g} N rms")

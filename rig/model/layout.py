@@ -1,0 +1,22 @@
+"""Layout of a rig for drawings: positions of the bodies along one axis, and stations by the names of what is there."""
+
+from rig.model.description import Rig, Station
+
+
+def left_ends(rig: Rig) -> dict[str, float]:
+    """Position of every body's left end, m: 0 for the first; the two stations of a contact have the same x."""
+    left_m = {rig.bodies[0].name: 0.0}
+    for _ in rig.bodies:
+        for contact in rig.contacts:
+            if contact.against is not None:
+                for placed, unplaced in ((contact.at, contact.against), (contact.against, contact.at)):
+                    if placed.body in left_m:
+                        left_m.setdefault(unplaced.body, left_m[placed.body] + placed.position_m - unplaced.position_m)
+    return {b.name: left_m.get(b.name, 0.0) for b in rig.bodies}
+
+
+def station_named(rig: Rig, name: str, relative_position: float = 0.5) -> Station | None:
+    """Station of a contact, a sensor, or a relative position on a body; None for other names."""
+    stations = {b.name: Station(b.name, relative_position * b.length_m) for b in rig.bodies}
+    stations |= {s.name: s.station for s in rig.sensors} | {c.name: c.at for c in rig.contacts}
+    return stations.get(name)

@@ -1,0 +1,58 @@
+"""The drawing of a rig on a page: what touches stands one above the other, and no text lies over another."""
+
+import re
+from itertools import combinations
+from xml.etree import ElementTree
+
+import pytest
+from msgspec.structs import replace
+
+from identify.pages.machine import LETTER, WIDTH, Mark, machine
+from rig.model.description import Station
+from rig.simulation.reference import BarrelCradle, Sdof
+from tests.campaigns.topologies import RIGS
+
+DRAWN = {"mass": Sdof().rig(), "beams": BarrelCradle().rig(), **{name: case.rig for name, case in RIGS.items()}}
+WORDS = "5.003 ± 0.024 mm", "100100 ± 1000 N/m"
+
+
+def drawing(rig, *marks):
+    return ElementTree.fromstring(machine(rig, {c.name: WORDS for c in rig.contacts}, marks))
+
+
+def boxes(svg):
+    """Left, right and baseline of every text but the names of masses, which lie in their blocks."""
+    for text in svg.iter("text"):
+        x, y, half = float(text.get("x")), float(text.get("y")), LETTER * len(text.text) / 2
+        middle = x + {"start": half, "middle": 0.0, "end": -half}[text.get("text-anchor")]
+        yield text.text, middle - half, middle + half, y
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_every_contact_has_its_values_and_no_text_lies_over_another(name):
+    rig = DRAWN[name]
+    last = rig.bodies[-1]
+    marks = [Mark(Station(last.name, share * last.length_m), f"effect at {share}") for share in (0.3, 0.4, 0.9)]
+    texts = list(boxes(drawing(rig, *marks)))
+    written = [text for text, *_ in texts]
+    assert {c.name for c in rig.contacts} | {b.name for b in rig.bodies} | {m.words for m in marks} <= set(written)
+    assert [written.count(word) for word in WORDS] == [len(rig.contacts)] * 2
+    for (one, left, right, y), (other, other_left, other_right, other_y) in combinations(texts, 2):
+        assert abs(y - other_y) > 12 or right < other_left + 2 or other_right < left + 2, (one, other)
+    assert all(left > -2 and right < WIDTH + 2 for _, left, right, _ in texts)
+
+
+def test_stops_stand_at_the_places_of_the_contacts():
+    rig = BarrelCradle().rig()
+    svg = drawing(rig)
+    cradle, barrel = ((float(b.get("x")), float(b.get("width"))) for b in svg.iter("rect"))
+    assert barrel[1] == pytest.approx(cradle[1], abs=0.1)  # both 1 m
+    assert barrel[0] - cradle[0] == pytest.approx(0.45 * cradle[1], abs=0.1)
+    forks = [float(re.match(r"M([-0-9.]+)", p.get("d"))[1]) for p in svg.iter("path") if p.get("class") == "found"]
+    assert max(forks) - min(forks) == pytest.approx(0.55 * cradle[1], abs=0.1)
+
+
+def test_names_cannot_break_the_drawing():
+    rig = Sdof().rig()
+    odd = replace(rig, contacts=(replace(rig.contacts[0], name="</text><b>&"),))
+    assert "</text><b>&" in [text.text for text in drawing(odd).iter("text")]
