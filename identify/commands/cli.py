@@ -109,6 +109,9 @@ def contact(
         typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
     ] = None,
     export: ExportOption = None,
+    details: Annotated[
+        bool, typer.Option("--details", help="Print NIFO by modal equation and the modes it finds, too.")
+    ] = False,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -140,7 +143,7 @@ def contact(
     if as_json:
         print_json(report)
     else:
-        print_report(report, literal_console())
+        print_report(report, literal_console(), details)
 
 
 def _identified(
@@ -237,8 +240,8 @@ def print_laws(report: LawReport, console: Console) -> None:
         console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}", soft_wrap=True)
 
 
-def print_report(report: ContactReport, console: Console) -> None:
-    """Print the findings, then tables of the contacts, and of NIFO by modal equation."""
+def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
+    """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
     print_findings(report.findings, console)
     table = Table(title=f"Contacts of {report.rig}, ± 95 %")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
@@ -255,11 +258,11 @@ def print_report(report: ContactReport, console: Console) -> None:
         console.print(f"{sentence}.", soft_wrap=True)
     for unanswered in report.unanswered:
         console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}")
-    if report.nifo:
-        console.print(_nifo_table(report))
     for note in report.notes:
         console.print(f"note: {note}", soft_wrap=True)
-    for mode in report.modes:
+    if details and report.nifo:
+        console.print(_nifo_table(report))
+    for mode in report.modes if details else ():
         console.print(
             f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
             + (f" ({mode.flag})" if mode.flag else "")

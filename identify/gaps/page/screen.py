@@ -1,4 +1,4 @@
-"""Diagnosis on the screen: sentence, table of causes, unmeasured force and next steps."""
+"""Diagnosis on the screen: sentence, causes, unmeasured force and next steps."""
 
 from rich.console import Group, RenderableType
 from rich.table import Table
@@ -6,7 +6,7 @@ from rich.text import Text
 
 from identify.gaps.decision_table import Verdict
 from identify.gaps.page.advice import next_steps
-from identify.gaps.results import Gap
+from identify.gaps.results import Cause, Gap
 from identify.gaps.wording import (
     WHEN,
     cause_name,
@@ -31,7 +31,7 @@ COLOURS: dict[Verdict, Colour] = {
     Verdict.UNEXPLAINED: "red",
 }
 MAX_CAUSES = 5
-"""Rows of causes in the table at most."""
+"""Causes shown one by one at most."""
 
 
 def colour(gap: Gap) -> Colour:
@@ -42,7 +42,7 @@ def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
     lines: list[RenderableType] = [
         Text.assemble((verdict(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
-        _cause_table(gap),
+        _cause_lines(gap),
     ]
     if gap.unknown:
         lines.append(
@@ -67,23 +67,26 @@ def _unknown_summary(unknown: UnmeasuredForce) -> str:
     )
 
 
-def _cause_table(gap: Gap) -> Table:
-    """Table of causes, no cause and something unmeasured, whose probabilities sum to one."""
-    table = Table("cause", "probability", "closes (95 %)", "leaves")
-    table.add_column("parameters ± 95 %", overflow="fold")
-    for cause in gap.causes[:MAX_CAUSES]:
-        parameter_lines = "\n".join(f"{name} {interval(value)}" for name, value in cause.parameters.items())
-        row = (
-            cause_name(cause),
-            probability(cause.probability),
-            removed_share_words(cause),
-            unexplained_words(cause.left),
-            parameter_lines,
-        )
-        table.add_row(*(Text(cell) for cell in row))
+def _cause_lines(gap: Gap) -> RenderableType:
+    """Causes, no cause and something unmeasured, whose probabilities sum to one, each with its numbers in lines."""
+    rows = [(cause.probability, _cause_text(cause)) for cause in gap.causes[:MAX_CAUSES]]
     if further := gap.causes[MAX_CAUSES:]:
-        table.add_row(f"{len(further)} further", probability(sum(c.probability for c in further)), "", "", "")
-    (nominal_words, nominal_probability), unmeasured = remaining_probabilities(gap)
-    table.add_row(nominal_words, probability(nominal_probability), "", Text(unexplained_words(gap.before)), "")
-    table.add_row(unmeasured[0], probability(unmeasured[1]), "", "", "")
-    return table
+        rows.append((sum(cause.probability for cause in further), f"{len(further)} further causes"))
+    (nominal_words, nominal_probability), (unmeasured_words, unmeasured_probability) = remaining_probabilities(gap)
+    rows.append((nominal_probability, f"{nominal_words}: leaves {unexplained_words(gap.before)}"))
+    rows.append((unmeasured_probability, unmeasured_words))
+    lines = Table.grid(padding=(0, 2))
+    lines.add_column(justify="right", no_wrap=True)
+    for share, words in rows:
+        lines.add_row(probability(share), Text(words))
+    return Group(Text("causes by probability (± 95 %):", style="bold"), lines)
+
+
+def _cause_text(cause: Cause) -> str:
+    """Name of a cause, what it closes and leaves, and its parameters, a line each."""
+    return "\n".join(
+        [
+            f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}",
+            *(f"  {name} {interval(value)}" for name, value in cause.parameters.items()),
+        ]
+    )

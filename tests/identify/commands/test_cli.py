@@ -60,7 +60,7 @@ def test_segments_are_pooled_and_shown_one_by_one(identify, recording, tmp_path)
 
 def test_tables_show_value_and_half_of_the_interval(identify, recording, tmp_path):
     words = ("--use", "displacement", "--tolerances", "exact", "--out", tmp_path)
-    status, out, err = identify("contact", recording, *words)
+    status, out, err = identify("contact", recording, *words, "--details")
     assert (status, err) == (0, "")
     estimate = msgspec.json.decode((tmp_path / "contact.json").read_bytes())["contacts"][0]["clearance_m"]
     row = next(line for line in out.splitlines() if "stop" in line)

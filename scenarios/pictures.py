@@ -1,0 +1,137 @@
+"""Pictures of the project's README: the motion in the contacts as an animation, and the first screens of both pages.
+
+python -m scenarios.pictures animation out/barrel_cradle.mcap --out scenarios/contact_motion.gif
+python -m scenarios.pictures screens demo --out scenarios
+"""
+
+import os
+import shutil
+import subprocess
+from io import BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
+
+from rig.commands.command_line import progress_bar, run
+from rig.errors import RigError
+from rig.files import write_bytes
+from rig.model.layout import left_ends
+from rig.recording import read, read_truth, truth_path
+from rig.viewer.deflection import Deflection, deflection
+
+app = typer.Typer(pretty_exceptions_enable=False)
+
+FRAMES, FRAME_S = 90, 0.08
+"""Number of frames, and time that each is shown, s."""
+WIDTH_IN, HEIGHT_IN, DPI = 8.0, 3.0, 90
+SCREEN_PX = 1280, 800
+COLOURS = {"open": "#8a8a8a", "closed": "#b3411b"}
+PLACES = 60
+"""Places along a body at which it is drawn."""
+
+
+@app.command()
+def animation(
+    recording: Annotated[Path, typer.Argument(help="Recording of a rig of beams, with its truth file beside it.")],
+    out: Annotated[Path, typer.Option(help="The .gif to write.")],
+    start: Annotated[float, typer.Option(help="First second that is shown.")] = 3.0,
+    seconds: Annotated[float, typer.Option(help="Seconds of the record that are shown.")] = 0.36,
+) -> None:
+    """Animate the bodies between their stops: displacements in mm, those of a contact in true scale."""
+    with progress_bar(f"drawing {out.name}") as progress:
+        file = read(recording)
+        motion = deflection(file, read_truth(truth_path(recording)))
+        first = round(start * file.rig.sample_rate_hz)
+        samples = first + np.linspace(0, seconds * file.rig.sample_rate_hz, FRAMES).astype(int)
+        if samples[-1] >= motion.displacement_m.shape[1]:
+            raise RigError(f"{recording}: is shorter than {start + seconds:g} s; start earlier")
+        largest_mm = 1e3 * float(np.abs(motion.displacement_m[:, samples]).max())
+        frames = []
+        for number, sample in enumerate(samples):
+            frames.append(_frame(motion, int(sample), sample / file.rig.sample_rate_hz, largest_mm))
+            progress((number + 1) / FRAMES)
+    swatches = [np.asarray(Image.new("RGB", (frames[0].width, 40), colour)) for colour in COLOURS.values()]
+    palette = Image.fromarray(np.vstack([*swatches, *(np.asarray(frame) for frame in frames[::9])])).quantize(32)
+    frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    content = BytesIO()
+    frames[0].save(
+        content, "GIF", save_all=True, append_images=frames[1:], duration=round(1e3 * FRAME_S), loop=0, optimize=True
+    )
+    write_bytes(content.getvalue(), out)
+    print(f"{out}: {FRAMES} frames, {len(content.getvalue()) / 1e3:.0f} kB")
+
+
+def _frame(motion: Deflection, sample: int, time_s: float, largest_mm: float) -> "Image.Image":
+    """Picture of one sample: the line of every body, and the two stops of every contact beside what they hold."""
+    rig, left_m = motion.rig, left_ends(motion.rig)
+    figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    for body, colour in zip(rig.bodies, ("#444444", "#1f5fa8"), strict=False):
+        x_m = np.linspace(0, body.length_m, PLACES)
+        w_mm = 1e3 * motion.of_body(body, x_m, np.array([sample]))[:, 0]
+        axes.plot(left_m[body.name] + x_m, w_mm, color=colour, lw=5, solid_capstyle="butt", label=body.name, zorder=3)
+    for contact, relative_m in zip(rig.contacts, motion.relative()[:, sample], strict=True):
+        law, carrier_mm = contact.law, 0.0
+        if contact.against is not None:
+            carrier_mm = 1e3 * float(motion.displacement_at(contact.against)[sample])
+        x = left_m[contact.at.body] + contact.at.position_m
+        stops_mm = carrier_mm + 1e3 * law.upper_clearance_m, carrier_mm - 1e3 * law.lower_clearance_m
+        is_closed = relative_m > law.upper_clearance_m, relative_m < -law.lower_clearance_m
+        _draw_stops(axes, x, carrier_mm, stops_mm, is_closed)
+    axes.set(
+        xlim=(-0.03, max(left_m[b.name] + b.length_m for b in rig.bodies) + 0.03),
+        ylim=(-1.3 * largest_mm, 1.3 * largest_mm),
+        xlabel="along the bodies, m",
+        ylabel="displacement, mm",
+        title=f"{rig.name} at {time_s:.3f} s: stops are grey while open, red while closed",
+    )
+    axes.legend(loc="upper right", ncols=2, frameon=False)
+    axes.spines[["top", "right"]].set_visible(False)
+    canvas.draw()
+    return Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def _draw_stops(
+    axes: Any, x: float, carrier_mm: float, stops_mm: tuple[float, float], is_closed: tuple[bool, bool]
+) -> None:
+    for stop_mm, closed in zip(stops_mm, is_closed, strict=True):
+        colour = COLOURS["closed" if closed else "open"]
+        axes.plot([x, x], [carrier_mm, stop_mm], color=colour, lw=1.2, zorder=2)
+        axes.plot([x - 0.03, x + 0.03], [stop_mm, stop_mm], color=colour, lw=6 if closed else 3, zorder=4)
+
+
+@app.command()
+def screens(
+    folder: Annotated[Path, typer.Argument(help="Folder that `rig demo` wrote.")],
+    out: Annotated[Path, typer.Option(help="Folder for contact_page.png and gap_page.png.")] = Path("scenarios"),
+) -> None:
+    """Take the first screens of contact.html and gap.html; needs Chromium."""
+    browser = os.environ.get("CHROMIUM") or shutil.which("chromium")
+    if browser is None:
+        raise RigError("there is no Chromium; install it, or say where it is by the variable CHROMIUM")
+    for name in ("contact", "gap"):
+        page = folder / name / f"{name}.html"
+        if not page.exists():
+            raise RigError(f"{page}: is not there; make it by `rig demo --out {folder}`")
+        with TemporaryDirectory() as place:
+            picture = Path(place) / "screen.png"
+            words = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=6000")
+            size = f"--window-size={SCREEN_PX[0]},{SCREEN_PX[1]}"
+            places = (f"--user-data-dir={place}", f"--screenshot={picture}", page.resolve().as_uri())
+            subprocess.run([browser, *words, size, *places], check=True, capture_output=True, timeout=180)
+            screen = Image.open(picture).convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
+            content = BytesIO()
+            screen.save(content, "PNG", optimize=True)
+        write_bytes(content.getvalue(), out / f"{name}_page.png")
+        print(f"{out / f'{name}_page.png'}: {len(content.getvalue()) / 1e3:.0f} kB")
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.pictures")
