@@ -152,7 +152,7 @@ def _outcomes_in_reach(
 ) -> Outcomes:
     """Outcomes of several contacts by one fit, or one refusal for all. A contact with a nominal clearance beyond the
     reach of the motion is left out as not reached if the record does not determine it."""
-    touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides
+    presumed_touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
         in_reach = np.any((nominal[:, :2] <= reach_ratio * reach) & sides, axis=1)
@@ -166,7 +166,7 @@ def _outcomes_in_reach(
             },
         )
         try:
-            estimates = _certain_estimates(nominal[in_reach], touched[in_reach], record)
+            estimates = _certain_estimates(nominal[in_reach], presumed_touched[in_reach], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
             refusals = unreached.joined(Outcomes.refused(reached, first_refusal))

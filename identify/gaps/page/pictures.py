@@ -27,15 +27,15 @@ _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 """Widths and heights of figures, inches. Display."""
 
 
-def pictures(gap: Gap, rig: Rig) -> dict[str, Picture]:
+def pictures(gap: Gap, corrected_rig: Rig) -> dict[str, Picture]:
     """Pictures by name, which begins with the section: next, large, why, unknown, where or far.
 
-    What the diagnosis lacks is left out; the rig gives the bodies that an unknown force is drawn on.
+    What the diagnosis lacks is left out; the corrected rig gives the bodies that an unknown force is drawn on.
     """
-    return {name: picture(draw, *size) for name, size, draw in _drawings(gap, rig)}
+    return {name: picture(draw, *size) for name, size, draw in _drawings(gap, corrected_rig)}
 
 
-def _drawings(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
+def _drawings(gap: Gap, corrected_rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
         height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
@@ -47,7 +47,7 @@ def _drawings(gap: Gap, rig: Rig) -> Iterator[tuple[str, tuple[float, float], Dr
         yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_probability, gap=gap)
         yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_closes, gap=gap)
     if gap.unknown:
-        for name, height, draw in drawings(gap.unknown, rig):
+        for name, height, draw in drawings(gap.unknown, corrected_rig):
             is_wide = name == "place"
             yield f"unknown_{name}", (_WIDE_IN if is_wide else _WIDTH_IN, height), draw
     for name, height, draw in _attribution_drawings(gap.attribution):

@@ -10,7 +10,7 @@ from rig.errors import RigError
 from rig.model.contact_laws import LAWS, DeadZone
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
-from rig.simulation.plants.compiled_laws import force_n, table_of
+from rig.simulation.plants.compiled_laws import force_n, law_records
 
 clearances = st.floats(0, 0.1)
 stiffnesses = st.floats(1, 1e7)
@@ -110,7 +110,7 @@ def test_derivatives_and_energy_belong_to_the_force(law):
 
 @pytest.mark.parametrize("law", EXAMPLES, ids=lambda law: type(law).__name__)
 def test_the_compiled_formula_is_the_same(law):
-    (row,) = table_of([law])
+    (row,) = law_records([law])
     rng = np.random.default_rng(5)
     for eta, rate, time_s in zip(rng.normal(0, 3e-3, 50), rng.normal(0, 0.1, 50), rng.uniform(0, 9, 50), strict=True):
         assert force_n(row, eta, rate, time_s) == pytest.approx(float(law.force_n(eta, rate, time_s)), rel=1e-12)
