@@ -98,7 +98,7 @@ def given(recording: Recording, modes_per_beam: int = 16) -> Given:
         acceleration_m_per_s2=values("acceleration"),
         station_bodies=tuple(place.body for place in places),
         contact_stations=selection,
-        force_station=places.index(rig.force_at),
+        force_station=places.index(rig.forces[0]),
     )
 
 

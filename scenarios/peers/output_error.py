@@ -86,8 +86,8 @@ def _windows(recording: Given, scales: Float[np.ndarray, "contacts 3"], window_s
     times_s = firsts[:, None] / OUTPUTS_HZ[contacts] + np.arange(length * every + 1) / STEPS_HZ[contacts]
     starts = np.zeros((2, firsts.size, model.omega.size))
     for body, modes in of_bodies.items():
-        stations = [i for i, name in enumerate(recording.station_bodies) if name == body]
-        lowest = modes[: len(stations)]
+        stations = np.flatnonzero(np.array(recording.station_bodies) == body)
+        lowest = modes[: stations.size]
         to_modes = np.linalg.pinv(model.sensor_rows[np.ix_(stations, lowest)])
         for order, signal in enumerate((recording.displacement_m, recording.velocity_m_per_s)):
             starts[order][:, lowest] = (to_modes @ signal[np.ix_(stations, firsts * every_sample)]).T

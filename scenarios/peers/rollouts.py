@@ -92,17 +92,29 @@ def _roll(states, force_n, laws, system, every, outputs):
             if n:
                 _advance(q, v, force_n[w, n - 1], force_n[w, n], contact_n, system)
             for j in range(contacts):
-                eta[j] = system.eta_by_force[j] * force_n[w, n] + np.dot(system.contact_rows[j], q)
-                rate[j] = np.dot(system.contact_rows[j], v)
+                eta[j] = system.eta_by_force[j] * force_n[w, n] + _product(system.contact_rows[j], q)
+                rate[j] = _product(system.contact_rows[j], v)
             for _ in range(SWEEPS):
                 _sweep(contact_n, eta, rate, laws, system, 1.0 if n else 0.0)
-            if n:
-                for j in range(contacts):
-                    q -= system.contact_rows[j] * system.respond[1, 0] * contact_n[j]
-                    v -= system.contact_rows[j] * system.respond[1, 1] * contact_n[j]
-            if n % every == 0:
-                outputs[w, n // every] = system.output_by_force * force_n[w, n]
-                outputs[w, n // every] += system.output_by_state @ states[w] + system.output_by_contact @ contact_n
+            for j in range(contacts if n else 0):
+                for i in range(modes):
+                    q[i] -= system.contact_rows[j, i] * system.respond[1, 0, i] * contact_n[j]
+                    v[i] -= system.contact_rows[j, i] * system.respond[1, 1, i] * contact_n[j]
+            for o in range(outputs.shape[2] if n % every == 0 else 0):
+                outputs[w, n // every, o] = (
+                    system.output_by_force[o] * force_n[w, n]
+                    + _product(system.output_by_state[o], states[w])
+                    + _product(system.output_by_contact[o], contact_n)
+                )
+
+
+@numba.njit(cache=True, fastmath=True)
+@no_type_check
+def _product(row, column):
+    total = 0.0
+    for i in range(row.size):
+        total += row[i] * column[i]
+    return total
 
 
 @numba.njit(cache=True, fastmath=True)

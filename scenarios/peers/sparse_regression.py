@@ -1,6 +1,6 @@
 """Sparse regression (pysindy): accelerations on a library of linear terms and of dead zones on a grid of clearances.
 
-The greedy selection (FROLS) picks dead zones from a coarse grid, then from a fine one around the clearance found. Two
+The greedy selection (FROLS) picks dead zones from a coarse grid, then from finer ones around the clearance found. Two
 neighbours of the grid together are a dead zone between them: stiffness is the sum of their coefficients, clearance
 their mean by these. Intervals are the spread over an ensemble of bootstraps, as `EnsembleOptimizer` makes it.
 """
@@ -14,7 +14,9 @@ from jaxtyping import Float
 from scenarios.peers.given import ContactAnswer, Given, dead_zone
 
 COARSE, FINE = 40, 9
-"""Clearances of the two grids."""
+"""Clearances of the first grid, over all displacements, and of the finer ones, around the clearance found before."""
+HALF_WIDTHS = (1 / 40, 1 / 160, 1 / 640)
+"""Half-widths of the finer grids, as shares of the largest displacement."""
 BOOTSTRAPS = 20
 COVERED = 1.96
 KEPT_HZ = 1024.0
@@ -42,14 +44,14 @@ def sparse_regression(recording: Given) -> tuple[ContactAnswer, ...]:
     reach_m = np.abs(eta_m).max(axis=0)
     library_inputs = (np.hstack([*modal[:2]]), force_n, eta_m)
     grids = [np.linspace(0.02, 0.98, COARSE) * reach for reach in reach_m]
-    (coarse,) = _coefficients(library_inputs, modal[2], grids, bootstraps=0)
-    clearance_m, _ = _joined(coarse, grids, shapes)
-    grids = [
-        np.linspace(middle - reach / COARSE, middle + reach / COARSE, FINE)
-        for middle, reach in zip(clearance_m, reach_m, strict=True)
-    ]
-    (fine,) = _coefficients(library_inputs, modal[2], grids, bootstraps=0)
-    clearance_m, stiffness_n_per_m = _joined(fine, grids, shapes)
+    for half_width in (*HALF_WIDTHS, None):
+        (coefficients,) = _coefficients(library_inputs, modal[2], grids, bootstraps=0)
+        clearance_m, stiffness_n_per_m = _joined(coefficients, grids, shapes)
+        if half_width:
+            grids = [
+                middle + half_width * reach * np.linspace(-1, 1, FINE)
+                for middle, reach in zip(clearance_m, reach_m, strict=True)
+            ]
     ensemble = [_joined(c, grids, shapes) for c in _coefficients(library_inputs, modal[2], grids, BOOTSTRAPS)]
     spread_m, spread_n_per_m = (np.std(values, axis=0, ddof=1) for values in zip(*ensemble, strict=True))
     return tuple(
