@@ -22,7 +22,7 @@ from rig.recording import Recording, read
 from rig.simulation.reference import BarrelCradle, Sdof
 from scenarios.compare import recorded
 from scenarios.peers.methods import METHODS
-from scenarios.peers.table import HEADINGS, Outcome, Trial, row
+from scenarios.peers.table import HEADINGS, PeerOutcome, PeerTrial, row
 
 SENSORS = "displacement+velocity+acceleration"
 RIGS: dict[str, Sdof | BarrelCradle] = {
@@ -57,7 +57,7 @@ def peers(
             if not chosen.installed:
                 print(f"{chosen.title} on {TITLES[rig]}: skipped; pip install 'rig-identify[peers]' installs it")
                 continue
-            outcomes = [outcome_of(Trial(name, rig, seed), out) for seed in range(1, seeds + 1)]
+            outcomes = [outcome_of(PeerTrial(name, rig, seed), out) for seed in range(1, seeds + 1)]
             rows.append(row(chosen.title, chosen.told, outcomes))
             print(" | ".join((TITLES[rig], *rows[-1][1:])), flush=True)
     text = io.StringIO()
@@ -67,12 +67,12 @@ def peers(
     Console().print(f"{out / 'peers.csv'}; {', '.join(m.versions for m in used)}", highlight=False)
 
 
-def outcome_of(trial: Trial, folder: Path) -> Outcome:
+def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
     """Outcome of a trial: the one kept in the folder, or computed and kept there."""
     chosen = METHODS[trial.method]
     path = folder / f"{trial.rig}_{trial.seed}_{trial.method}.json"
     if path.exists():
-        return msgspec.json.decode(path.read_bytes(), type=Outcome)
+        return msgspec.json.decode(path.read_bytes(), type=PeerOutcome)
     recording_path = folder / f"{trial.rig}_{trial.seed}.mcap"
     if not recording_path.exists():
         recorded(msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed), "modal", recording_path)
@@ -83,7 +83,7 @@ def outcome_of(trial: Trial, folder: Path) -> Outcome:
     return outcome
 
 
-def tried(trial: Trial, recording: Recording) -> Outcome:
+def tried(trial: PeerTrial, recording: Recording) -> PeerOutcome:
     """Outcome of a method on a recording, on one thread; seconds are those of the processor."""
     chosen = METHODS[trial.method]
     true = tuple((c.law.clearance_m, c.law.stiffness_n_per_m) for c in recording.rig.contacts)
@@ -92,9 +92,9 @@ def tried(trial: Trial, recording: Recording) -> Outcome:
         with threadpool_limits(1):
             answers = chosen.answers(recording)
     except Exception as error:  # a peer may raise anything, and the others go on
-        return Outcome(trial=trial, versions=chosen.versions, true=true, failure=f"{type(error).__name__}: {error}")
+        return PeerOutcome(trial=trial, versions=chosen.versions, true=true, failure=f"{type(error).__name__}: {error}")
     cpu_s = time.process_time() - begin_s
-    return Outcome(trial=trial, versions=chosen.versions, true=true, answers=answers, cpu_s=cpu_s)
+    return PeerOutcome(trial=trial, versions=chosen.versions, true=true, answers=answers, cpu_s=cpu_s)
 
 
 if __name__ == "__main__":

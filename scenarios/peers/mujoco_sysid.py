@@ -5,6 +5,7 @@ exactly. MuJoCo's own joint limits replace accelerations rather than add forces.
 its parameters: each window begins at the measured displacement and velocity.
 """
 
+from contextlib import redirect_stdout
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,8 @@ def _fitted(recording: Given, start: Any, window_s: float) -> tuple[Any, Float[n
             columns.append(((predicted_m - measured_m) / size_m).ravel())
         return [np.array(columns).T if values.ndim > 1 else columns[0]], None, None
 
-    fitted, optimum = sysid.optimize(start, residuals, optimizer="scipy", verbose=False, x_scale="jac")
+    with redirect_stdout(None):  # the toolbox passes on no wish for silence
+        fitted, optimum = sysid.optimize(start, residuals, optimizer="scipy", verbose=False, x_scale="jac")
     _, reach = sysid.calculate_intervals(residuals(fitted.as_vector(), fitted)[0], np.asarray(optimum.jac))
     return fitted, reach
 

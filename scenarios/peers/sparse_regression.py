@@ -19,7 +19,7 @@ HALF_WIDTHS = (1 / 40, 1 / 160, 1 / 640)
 """Half-widths of the finer grids, as shares of the largest displacement."""
 BOOTSTRAPS = 20
 COVERED = 1.96
-KEPT_HZ = 1024.0
+KEPT_HZ = 512.0
 """Samples a second that the regression takes; more of them only take longer."""
 
 

@@ -10,7 +10,7 @@ from scenarios.peers.given import ContactAnswer
 HEADINGS = ("rig", "method", "clearance error, %", "stiffness error, %", "intervals that cover", "CPU, s", "told")
 
 
-class Trial(msgspec.Struct, frozen=True):
+class PeerTrial(msgspec.Struct, frozen=True):
     """One method on one recording."""
 
     method: str
@@ -18,10 +18,10 @@ class Trial(msgspec.Struct, frozen=True):
     seed: int
 
 
-class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+class PeerOutcome(msgspec.Struct, frozen=True, kw_only=True):
     """Answers of a method to one recording beside the true values, or the reason why there are none."""
 
-    trial: Trial
+    trial: PeerTrial
     versions: str
     true: tuple[tuple[float, float], ...]
     """Clearance (m) and stiffness (N/m) of each contact."""
@@ -30,7 +30,7 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
     failure: str = ""
 
 
-def errors_percent(outcomes: Sequence[Outcome]) -> tuple[list[float], list[float]]:
+def errors_percent(outcomes: Sequence[PeerOutcome]) -> tuple[list[float], list[float]]:
     """Sizes of the errors of all clearances and of all stiffnesses, in per cent of the true values."""
     pairs = [pair for o in outcomes for pair in zip(o.answers, o.true, strict=False)]
     return (
@@ -39,7 +39,7 @@ def errors_percent(outcomes: Sequence[Outcome]) -> tuple[list[float], list[float
     )
 
 
-def covering(outcomes: Sequence[Outcome]) -> tuple[int, int]:
+def covering(outcomes: Sequence[PeerOutcome]) -> tuple[int, int]:
     """Number of intervals that hold the true value, and of all intervals."""
     inside = []
     for outcome in outcomes:
@@ -51,7 +51,7 @@ def covering(outcomes: Sequence[Outcome]) -> tuple[int, int]:
     return sum(inside), len(inside)
 
 
-def row(title: str, told: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def row(title: str, told: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ...]:
     """Row of one method on one rig: median and largest errors, intervals, mean seconds of the CPU."""
     answered = [o for o in outcomes if not o.failure]
     clearance, stiffness = errors_percent(answered)

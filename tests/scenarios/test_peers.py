@@ -10,15 +10,15 @@ from rig.simulation.reference import Sdof
 from scenarios.peers.given import ContactAnswer, given
 from scenarios.peers.methods import METHODS, Method, ours
 from scenarios.peers.output_error import output_error
-from scenarios.peers.table import Outcome, Trial, row
+from scenarios.peers.table import PeerOutcome, PeerTrial, row
 
 
-def outcome(seed: int, clearance_m: float | None, stiffness: float, reach_m: float | None = None) -> Outcome:
+def outcome(seed: int, clearance_m: float | None, stiffness: float, reach_m: float | None = None) -> PeerOutcome:
     answer = ContactAnswer(
         contact="stop", clearance_m=clearance_m, stiffness_n_per_m=stiffness, clearance_reach_m=reach_m
     )
-    trial = Trial("some", "sdof", seed)
-    return Outcome(trial=trial, versions="some 1.0", true=((1e-3, 1e4),), answers=(answer,), cpu_s=2.0 * seed)
+    trial = PeerTrial("some", "sdof", seed)
+    return PeerOutcome(trial=trial, versions="some 1.0", true=((1e-3, 1e4),), answers=(answer,), cpu_s=2.0 * seed)
 
 
 def test_row_holds_median_and_largest_errors_the_intervals_that_cover_and_the_mean_time() -> None:
