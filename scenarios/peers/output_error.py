@@ -13,7 +13,7 @@ from scenarios.peers.rollouts import Stepper, rolled_out, stepper
 
 WINDOWS_S = (1 / 16, 1 / 4)
 """Windows of the first pass, within which a wrong clearance still lets the motion be followed, and of the last."""
-STEPS_HZ = {1: 2048, 2: 4096}
+STEPS_HZ = {1: 4096, 2: 8192}
 """Steps a second of the rollouts, by the number of contacts."""
 OUTPUTS_HZ = {1: 512, 2: 1024}
 MODES_A_BEAM = 8

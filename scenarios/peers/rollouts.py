@@ -108,7 +108,7 @@ def _roll(states, force_n, laws, system, every, outputs):
                 )
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, inline="always")
 @no_type_check
 def _product(row, column):
     total = 0.0
@@ -117,7 +117,7 @@ def _product(row, column):
     return total
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, inline="always")
 @no_type_check
 def _advance(q, v, start_n, end_n, contact_n, system):
     """Step of all modes, without what the contact forces at its end do."""
@@ -133,7 +133,7 @@ def _advance(q, v, start_n, end_n, contact_n, system):
         v[i] += respond[0, 1, i] * at_start + respond[1, 1, i] * at_end
 
 
-@numba.njit(cache=True, fastmath=True)
+@numba.njit(cache=True, fastmath=True, inline="always")
 @no_type_check
 def _sweep(contact_n, eta, rate, laws, system, within):
     """Contact forces by their laws, each given the others; within is 0 at a window's start, else 1."""

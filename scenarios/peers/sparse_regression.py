@@ -15,8 +15,10 @@ from scenarios.peers.given import ContactAnswer, Given, dead_zone
 
 COARSE, FINE = 40, 9
 """Clearances of the first grid, over all displacements, and of the finer ones, around the clearance found before."""
-HALF_WIDTHS = (1 / 40, 1 / 160, 1 / 640)
+HALF_WIDTHS = (1 / 4, 1 / 10, 1 / 40, 1 / 40, 1 / 160, 1 / 640)
 """Half-widths of the finer grids, as shares of the largest displacement."""
+PICKS = 3
+"""Dead zones a contact that the greedy selection may take beside the linear terms."""
 BOOTSTRAPS = 20
 COVERED = 1.96
 KEPT_HZ = 512.0
@@ -49,7 +51,8 @@ def sparse_regression(recording: Given) -> tuple[ContactAnswer, ...]:
         clearance_m, stiffness_n_per_m = _joined(coefficients, grids, shapes)
         if half_width:
             grids = [
-                middle + half_width * reach * np.linspace(-1, 1, FINE)
+                np.clip(middle, half_width * reach, (0.95 - half_width) * reach)
+                + half_width * reach * np.linspace(-1, 1, FINE)
                 for middle, reach in zip(clearance_m, reach_m, strict=True)
             ]
     ensemble = [_joined(c, grids, shapes) for c in _coefficients(library_inputs, modal[2], grids, BOOTSTRAPS)]
@@ -88,7 +91,7 @@ def _coefficients(
     library = pysindy.GeneralizedLibrary(
         libraries, inputs_per_library=[linear, *([len(linear) + j] for j in range(len(grids_m)))]
     )
-    greedy = pysindy.FROLS(normalize_columns=True, alpha=1e-12, max_iter=len(linear) + 2 * len(grids_m))
+    greedy = pysindy.FROLS(normalize_columns=True, alpha=1e-12, max_iter=len(linear) + PICKS * len(grids_m))
     optimizer = pysindy.EnsembleOptimizer(greedy, bagging=True, n_models=bootstraps) if bootstraps else greedy
     model = pysindy.SINDy(optimizer=optimizer, feature_library=library)
     model.fit(velocity, t=1 / KEPT_HZ, x_dot=acceleration, u=controls)
