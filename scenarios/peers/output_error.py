@@ -39,10 +39,10 @@ class Windows:
     def residuals(
         self, laws: Float[np.ndarray, " parameters"], states: Float[np.ndarray, "windows states"]
     ) -> Float[np.ndarray, "windows residuals"]:
-        """Simulated less measured outputs; laws are shares of the scales."""
+        """Simulated less measured outputs over the size of these; laws are shares of the scales."""
         values = self.scales * laws.reshape(self.scales.shape)
         outputs = rolled_out(self.system, values, states, self.force_n, self.every)
-        return np.asarray((outputs - self.measured).reshape(len(states), -1))
+        return np.asarray((outputs - self.measured).reshape(len(states), -1) / np.std(self.measured))
 
 
 def output_error(recording: Given) -> tuple[ContactAnswer, ...]:
@@ -131,8 +131,8 @@ def _fitted(
         lambda x: windows.residuals(*unpacked(x)).ravel(),
         np.append(laws, np.zeros(count * states)),
         jac=jacobian,
-        x_scale="jac",
         tr_solver="lsmr",
+        tr_options={"atol": 1e-10, "btol": 1e-10},
         xtol=1e-6,
         ftol=1e-8,
         max_nfev=25,
