@@ -48,6 +48,7 @@ def peers(
     """
     if unknown := [name for name in method or () if name not in METHODS]:
         raise RigError(f"--method {unknown[0]}: there is no such method; give any of {', '.join(METHODS)}")
+    out.mkdir(parents=True, exist_ok=True)
     rows: list[tuple[str, ...]] = []
     for rig in RIGS:
         for name in method or METHODS:

@@ -62,8 +62,7 @@ METHODS = {
         "output error, multiple shooting",
         (),
         ("scipy",),
-        "linear model; start values off by 20 and 50 %; displacement and velocity without noise (beams: as the fitted "
-        "output; one mass: for initial states to start from)",
+        "linear model; start values off by 20 and 50 %; displacement and velocity without noise",
         lambda recording: output_error(given(recording)),
     ),
     "sparse_regression": Method(

@@ -63,7 +63,7 @@ def row(title: str, told: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ..
         _median_and_largest(clearance) if clearance else "told",
         _median_and_largest(stiffness),
         f"{covered} of {intervals}" if intervals else "none",
-        f"{np.mean([o.cpu_s for o in answered]):.2g}" if answered else "",
+        f"{float(f'{np.mean([o.cpu_s for o in answered]):.2g}'):g}" if answered else "",
         told,
     )
 
