@@ -56,7 +56,10 @@ def peers(
             if rig not in chosen.rigs:
                 continue
             if not chosen.installed:
-                print(f"{chosen.title} on {TITLES[rig]}: skipped; pip install 'rig-identify[peers]' installs it")
+                missing = ", ".join(chosen.packages)
+                print(
+                    f"{chosen.title} on {TITLES[rig]}: skipped; it needs {missing}: pip install 'rig-identify[peers]'"
+                )
                 continue
             outcomes = [outcome_of(PeerTrial(name, rig, seed), out) for seed in range(1, seeds + 1)]
             rows.append(row(chosen.title, chosen.told, outcomes))
