@@ -188,7 +188,7 @@ class GapResult:
         """All figures by their names."""
         from identify.gaps.page.pictures import pictures
 
-        return pictures(self.report, self.corrected)
+        return pictures(self.report)
 
     def figure(self, name: str) -> Picture:
         return _figure_named(self.figures, name)
