@@ -189,7 +189,7 @@ def _positions(figure: Any, bodies: Mapping[str, Mapping[float, float]]) -> None
         axes.margins(y=0.22)
         axes.set_title(_shortened(body), loc="left", fontsize=9)
     panels[-1].set_xlabel("distance from the left end, m")
-    figure.supylabel("share of the gap, %", fontsize=9)
+    panels[0].set_ylabel("share of the gap, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
