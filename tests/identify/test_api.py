@@ -95,6 +95,7 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
         identify.gap(rig.read(file), rig=rig.Sdof(sensors="velocity").rig())
 
 
+@pytest.mark.study
 def test_a_machine_is_consistent_with_its_recording(file, tmp_path):
     result = identify.gap(rig.read(file), matters=SOME)
     assert result.report.verdict == "consistent"

@@ -42,6 +42,7 @@ def test_first_steps_find_the_clearance(run):
     assert plt.gca().get_ylabel() == "displacement, m"
 
 
+@pytest.mark.study
 def test_own_data_give_what_their_own_simulator_has(run, tmp_path):
     names = run("own_data")
     found = names["stop_found"]
