@@ -57,7 +57,7 @@ class Channel:
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def to_pandas(self) -> Any:
-        """A pandas Series over the time in seconds; needs the package pandas."""
+        """Pandas Series over the time in seconds; needs the package pandas."""
         from pandas import Index, Series
 
         return Series(self.values, Index(self.time_s, name="time_s"), name=f"{self.name}, {self.unit}")
@@ -81,6 +81,13 @@ class Recording:
         if name not in channels:
             raise RigError(f"the recording has no channel {name!r}; it has {', '.join(channels)}")
         return channels[name]
+
+    def to_pandas(self) -> Any:
+        """Pandas DataFrame of all channels over the time in seconds, a column "NAME, UNIT" each; needs pandas."""
+        from pandas import concat
+
+        names = [name for signals in self.signals.values() for name in signals.channels.names]
+        return concat([self[name].to_pandas() for name in names], axis=1)
 
     def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
         """Samples of a sensor of the rig."""
