@@ -53,7 +53,7 @@ def executed(notebook: Notebook) -> Notebook:
         import nbformat
         from nbclient import NotebookClient
     with TemporaryDirectory() as folder:
-        node = nbformat.from_dict(notebook)
+        node = nbformat.reads(json.dumps(notebook), nbformat.NO_CONVERT)
         NotebookClient(node, timeout=None, resources={"metadata": {"path": folder}}).execute()
     result: Notebook = json.loads(nbformat.writes(node))
     for cell in result["cells"]:
