@@ -57,11 +57,15 @@ def identified_contact(contact: ContactEstimate) -> IdentifiedContact:
         clearance=_with_unit(contact.clearance_m, "m"),
         stiffness=_with_unit(contact.stiffness_n_per_m, "N/m"),
         damping=_with_unit(contact.damping_n_s_per_m, "N s/m"),
-        lower_clearance=contact.lower_clearance_m and _with_unit(contact.lower_clearance_m, "m"),
-        upper_clearance=contact.upper_clearance_m and _with_unit(contact.upper_clearance_m, "m"),
+        lower_clearance=_side(contact.lower_clearance_m),
+        upper_clearance=_side(contact.upper_clearance_m),
         law=contact.law,
     )
 
 
 def _with_unit(estimate: Estimate, unit: str) -> EstimatedQuantity:
     return EstimatedQuantity(estimate.value, estimate.standard_error, unit)
+
+
+def _side(clearance_m: Estimate | None) -> EstimatedQuantity | None:
+    return None if clearance_m is None else _with_unit(clearance_m, "m")
