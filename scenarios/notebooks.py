@@ -22,7 +22,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 FOLDER = Path(__file__).parent
 SOURCES = "sources_sha256"
 """Key of a notebook's metadata: the hash of the cells from which its outputs come."""
-COLOURS, WIDTH_PX = 32, 640
+COLOURS, WIDTH_PX = 128, 640
 """Colours and largest width of a stored figure: some 20 kB."""
 PLOT, HTML = "image/png", "text/html"
 Notebook = dict[str, Any]
@@ -70,13 +70,13 @@ def executed(notebook: Notebook) -> Notebook:
 
 
 def smaller(plot: str) -> str:
-    """PNG in base64 with few colours, and at most `WIDTH_PX` wide."""
+    """PNG in base64 with few colours, which keep thin lines as they are, and at most `WIDTH_PX` wide."""
     from PIL import Image
 
     image = Image.open(BytesIO(b64decode(plot))).convert("RGB")
     image.thumbnail((WIDTH_PX, image.height))
     file = BytesIO()
-    image.quantize(COLOURS).save(file, "png", optimize=True)
+    image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(file, "png", optimize=True)
     return b64encode(file.getvalue()).decode()
 
 
