@@ -39,6 +39,8 @@ exclude_patterns = ["out*", "build", ".git", ".venv", ".*_cache"]
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.viewcode"]
 default_role = "code"
 html_theme = "furo"
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 html_show_sphinx = html_show_copyright = html_copy_source = False
 myst_heading_anchors = 4
 nb_execution_mode = "off"
