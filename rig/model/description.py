@@ -74,19 +74,33 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """
 
     name: str
+    """Name of the machine."""
     bodies: tuple[Body, ...]
+    """Beams, masses and structures given by their modes."""
     contacts: tuple[Contact, ...]
+    """Contacts between two bodies, or a body and the ground."""
     force_at: Station | tuple[Station, ...]
+    """Place of the measured force, or of each of several that act at once."""
     sensors: tuple[Sensor, ...]
+    """Sensors with place, quantity and noise."""
     sample_rate_hz: float
+    """Rate of every channel, Hz."""
     masses: tuple[PointMass, ...] = ()
+    """Attached point masses."""
     springs: tuple[PointSpring, ...] = ()
+    """Springs from a body to the base."""
     clamps: tuple[Clamp, ...] = ()
+    """Compliance of the clamps of beams."""
     loads: tuple[StaticLoad, ...] = ()
+    """Constant forces."""
     base_motion: BaseMotion | None = None
+    """Unmeasured motion of the base that carries the bodies."""
     force_sensor: ForceSensor = ForceSensor()
+    """Errors of the force sensor; they hold for every force."""
     dampers: tuple[PointDamper, ...] = ()
+    """Dampers from a body to the base."""
     tones: tuple[Tone, ...] = ()
+    """Unmeasured harmonic forces."""
     tolerances: Tolerances | None = None
     """Standard deviations of the description, where its author states them."""
     schema_version: int = SCHEMA_VERSION
@@ -144,6 +158,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return force_names(len(self.forces))
 
     def body(self, name: str) -> Body:
+        """Body of that name; raises RigError if there is none."""
         for body in self.bodies:
             if body.name == name:
                 return body
@@ -171,6 +186,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return tuple(b for b in self.bodies if isinstance(b, Beam))
 
     def contact(self, name: str) -> Contact:
+        """Contact of that name."""
         return next(c for c in self.contacts if c.name == name)
 
     def _check_forces(self) -> None:
