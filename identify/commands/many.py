@@ -3,7 +3,6 @@
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeVar
 
 import msgspec
 import typer
@@ -20,7 +19,11 @@ from rig.recording import recordings_in
 SETTINGS, KEPT = "settings.json", "tasks"
 REFUSED, FAILED = "refused", "failed"
 """Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
-Settings = TypeVar("Settings", bound=msgspec.Struct)
+WORDS = frozenset(
+    ("recording", "rig", "contact", "verdict", "law", "sentence", "named", "effects", "places")
+    + ("inclusion_probabilities", "code", "reason", "findings")
+)
+"""Columns of text, empty where there is none."""
 
 
 class RecordingTask(msgspec.Struct, frozen=True):
@@ -126,11 +129,15 @@ def answer_all(
 
 def finish(answers: Sequence[TableRows], columns: Sequence[str], out: Path, name: str, as_json: bool) -> None:
     """Write the table and print where it is, or print its rows as JSON; exit with 1 if recordings were refused."""
-    rows: list[Row] = [row for answer in answers for row in answer.rows]
+    rows: list[Row] = [
+        {column: row.get(column, "" if column in WORDS else None) for column in columns}
+        for answer in answers
+        for row in answer.rows
+    ]
     note = save_rows(rows, columns, out, name)
     refused = sum(answer.is_refused for answer in answers)
     if as_json:
-        print_json([{column: row.get(column) for column in columns} for row in rows])
+        print_json(rows)
     else:
         say(f"{out / name}.csv{'' if note else ' and .parquet'}: {len(rows)} rows of {len(answers)} recordings")
         if note:
