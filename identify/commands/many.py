@@ -20,8 +20,7 @@ SETTINGS, KEPT = "settings.json", "tasks"
 REFUSED, FAILED = "refused", "failed"
 """Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
 WORDS = frozenset(
-    ("recording", "rig", "contact", "verdict", "law", "sentence", "named", "effects", "places")
-    + ("inclusion_probabilities", "code", "reason", "findings")
+    "recording rig contact verdict law sentence named effects places inclusion_probabilities code reason findings".split()
 )
 """Columns of text, empty where there is none."""
 
