@@ -20,7 +20,21 @@ SETTINGS, KEPT = "settings.json", "tasks"
 REFUSED, FAILED = "refused", "failed"
 """Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
 WORDS = frozenset(
-    "recording rig contact verdict law sentence named effects places inclusion_probabilities code reason findings".split()
+    {
+        "recording",
+        "rig",
+        "contact",
+        "verdict",
+        "law",
+        "sentence",
+        "named",
+        "effects",
+        "places",
+        "inclusion_probabilities",
+        "code",
+        "reason",
+        "findings",
+    }
 )
 """Columns of text, empty where there is none."""
 
