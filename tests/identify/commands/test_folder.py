@@ -155,7 +155,7 @@ def test_recordings_are_diagnosed_one_by_one_with_one_null_reference(identify, s
     recording."""
     runs, out = tmp_path / "runs", tmp_path / "results"
     runs.mkdir()
-    shutil.copy(simulate(Sdof(duration_s=20.0, step_s=2.0**-12), runs / "run1.mcap"), runs / "run2.mcap")
+    shutil.copy(simulate(Sdof(duration_s=30.0, step_s=2.0**-12), runs / "run1.mcap"), runs / "run2.mcap")
     (runs / "broken.mcap").write_text("nothing")
     status, _, err = identify("gap", runs, "--out", out)
     assert status == 1
