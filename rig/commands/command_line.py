@@ -20,6 +20,8 @@ from rig.errors import RigError, is_plain, one_line
 from rig.files import check_target, part_of
 
 INTERRUPTED = 130
+SPEED_PERIOD_S = 3600.0
+"""Time over which the speed is averaged that tells the time left: steps may last minutes."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
 
@@ -116,7 +118,13 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+    with Progress(
+        *columns,
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+        speed_estimate_period=SPEED_PERIOD_S,
+    ) as bar:
         task = bar.add_task(one_line(description), total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
 
