@@ -30,8 +30,8 @@ def recover(
 
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
-    check_ending(out, (".mcap",), "a recording")
     refuse_existing(out, force, bad)
+    check_ending(out, (".mcap",), "a recording")
     with working(f"recovering {bad.name}"):
         losses = recover_recording(bad, out)
     if as_json:
@@ -70,8 +70,8 @@ def import_(
         return
     if out is None or write_map is not None or rig is not None:
         raise typer.BadParameter("give --out with --map, and neither --write-map nor --rig", param_hint="--map")
-    check_ending(out, (".mcap",), "a recording")
     refuse_existing(out, force, source, map_)
+    check_ending(out, (".mcap",), "a recording")
     with working(f"importing {source.name}"):
         steps = import_file(source, map_, out)
     if as_json:
@@ -85,8 +85,8 @@ def import_(
 def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
     """Print the map proposed for a file, or write it and print what was seen."""
     if write_map is not None:
-        check_ending(write_map, (".toml",), "a map")
         refuse_existing(write_map, force, source)
+        check_ending(write_map, (".toml",), "a map")
     folder = (write_map or source).parent
     rig_path = rig_path or next((p for p in (folder / RIG_NAME, source.parent / RIG_NAME) if p.exists()), None)
     rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, folder)).as_posix()
@@ -124,8 +124,8 @@ def export_(
     """
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
-    check_ending(out, ENDINGS[format_], f"a file of the format {format_}")
     refuse_existing(out, force, file)
+    check_ending(out, ENDINGS[format_], f"a file of the format {format_}")
     written = [out]
     if map_ is not None:
         check_ending(map_, (".toml",), "a map")
@@ -150,8 +150,8 @@ def draw(
 
     check_source(file)
     target = out or file.with_suffix(".svg")
-    check_ending(target, (".svg",), "a drawing")
     refuse_existing(target, force, file)
+    check_ending(target, (".svg",), "a drawing")
     draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
     print(f"{target}: written; a browser shows it")
 
@@ -171,7 +171,7 @@ def fmu(
     if not 0 < step < np.inf:
         raise typer.BadParameter(f"{step} is not a finite number above zero", param_hint="--step")
     check_source(file)
-    check_ending(out, (".fmu",), "an FMU")
     refuse_existing(out, force, file)
+    check_ending(out, (".fmu",), "an FMU")
     export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
     print(f"{out}: written; its force is the value at the end of the next step")

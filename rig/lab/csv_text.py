@@ -236,8 +236,9 @@ def cells_of(line: str, delimiter: str) -> list[str]:
     """Cells of a line, quotes taken off; raises UnreadableError if it is longer than MAX_LINE_LENGTH."""
     if len(line) > MAX_LINE_LENGTH:
         raise UnreadableError(f"a line has more than {MAX_LINE_LENGTH} characters")
+    line = line.rstrip("\r\n")
     if '"' not in line:
-        return line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter)
+        return line.split() if delimiter == " " else line.split(delimiter) if line else []
     if delimiter != " ":
         return next(csv.reader([line], delimiter=delimiter), [])
     return next(csv.reader([" ".join(line.split())], delimiter=" "), [])
