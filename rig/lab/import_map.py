@@ -158,13 +158,17 @@ def _check_filled(path: Path, values: dict[str, Any]) -> None:
         entries.setdefault(entry, []).append(key)
     if entries:
         listed = "; ".join(
-            f"{' and '.join(keys)} of {entry}" if entry else ", ".join(keys) for entry, keys in entries.items()
+            f"{_enumerated(keys)} of {entry}" if entry else _enumerated(keys) for entry, keys in entries.items()
         )
         count = sum(map(len, entries.values()))
         raise RigError(
             f"{path}: {count} {'value is' if count == 1 else 'values are'} left to fill in, marked {PLACEHOLDER!r}: "
-            f"{listed}; a column that is not needed may be deleted"
+            f"{listed}; a sensor that is not needed may be deleted"
         )
+
+
+def _enumerated(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def _placeholders(values: dict[str, Any]) -> Iterator[tuple[str, str]]:

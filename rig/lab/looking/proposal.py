@@ -155,8 +155,9 @@ def _sensor_lines(roles: Sequence[Role], keys: dict[int, str | int], rig: Rig | 
     known = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
     sensors = [role for role in roles if role.quantity != "force"]
     if rig is not None and any(role.name not in known for role in sensors):
-        places = ", ".join(f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
-        yield f"# bodies: {places}; a sensor of the rig by its name there needs no place: {', '.join(known)}"
+        places = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
+        named = f"; sensors of rig.json need no place if they are named as there: {', '.join(known)}" if known else ""
+        yield f"# bodies: {places}{named}"
     for role in sensors:
         name = json.dumps(role.name, ensure_ascii=False)
         fields = _unit_keys(role)

@@ -22,25 +22,20 @@ from tests.running import exit_status
 
 RIG = Sdof().rig()
 FORCE_LINE = 'force = {{ column = {}, unit = "N"{} }}'
-VOLTS = {
-    ', scale = "?"': ", scale = 10.0",
-    'unit = "?"': 'unit = "m/s^2"',
-    'quantity = "?"': 'quantity = "acceleration"',
-}
-PLAIN = {'unit = "?"': 'unit = "m/s^2"', 'quantity = "?"': 'quantity = "acceleration"'}
+UNKNOWN = {'unit = "?"': 'unit = "m/s^2"', 'quantity = "?"': 'quantity = "acceleration"'}
+VOLTS = UNKNOWN | {'scale = "?"': "scale = 10.0"}
 OWNER = {
-    "writematrix": ({"force": FORCE_LINE.format(2, ""), '"channel_2"': None}, PLAIN),
-    "writetable": ({}, PLAIN),
-    "savetxt": ({"force": FORCE_LINE.format('"F"', "")}, PLAIN),
+    "writematrix": ({"force": FORCE_LINE.format(2, ""), '"channel_2"': None}, UNKNOWN),
+    "writetable": ({}, UNKNOWN),
+    "savetxt": ({"force": FORCE_LINE.format('"F"', "")}, UNKNOWN),
     "tektronix": ({"force": FORCE_LINE.format('"CH1"', ", scale = 100.0"), '"CH1"': None}, VOLTS),
     "keysight": ({"force": FORCE_LINE.format(2, ", scale = 100.0"), '"channel_2"': None}, VOLTS),
-    "rigol": ({"force": FORCE_LINE.format('"CH1"', ", scale = 100.0"), '"CH1"': None}, PLAIN | {"acceleration": "X"}),
+    "rigol": (
+        {"force": FORCE_LINE.format('"CH1"', ", scale = 100.0"), '"CH1"': None},
+        UNKNOWN | {'unit = "?"': 'unit = "m/s^2", scale = 10.0'},
+    ),
 }
 """What only the owner knows: lines in place of those that begin so (None: deleted), and texts in place of others."""
-OWNER["rigol"] = (
-    OWNER["rigol"][0],
-    {'unit = "?"': 'unit = "m/s^2", scale = 10.0', 'quantity = "?"': PLAIN['quantity = "?"']},
-)
 DATED = {
     "labview": "2024-03-01T14:05:06.789000",
     "milliseconds": "2024-03-14T14:05:06",
@@ -128,6 +123,12 @@ def test_without_a_place_to_write_it_the_map_is_printed(folder, capsys):
     assert json.loads(capsys.readouterr().out)["left"] == 0
     assert exit_status("rig", "import", folder / "run.csv", "--out", folder / "other.mcap") == 2
     assert exit_status("rig", "import", folder / "run.csv", "--write-map", folder / "run.json") == 1
+
+
+def test_the_map_in_the_readme_is_the_one_proposed(tmp_path):
+    (tmp_path / "run7.csv").write_bytes(LOGGERS["excel_german"][1]())
+    readme = (Path(__file__).parents[4] / "rig" / "lab" / "README.md").read_text(encoding="utf-8")
+    assert f"```\n{look_at(tmp_path / 'run7.csv', None).text}```\n" in readme
 
 
 def test_of_several_bodies_the_owner_gives_the_place_and_known_names_need_none(tmp_path):
