@@ -1,6 +1,7 @@
 """Files as loggers write them: the map proposed for each imports the measurement that was written."""
 
 import json
+import os
 from pathlib import Path
 
 import h5py
@@ -221,18 +222,17 @@ def test_other_formats_are_looked_at_too(folder, form):
         assert recording.provenance["recorded"].startswith("2024-03-01T14:05:06")
 
 
-MEASURED = Path(__file__).parents[5] / "shared" / "realdata"
-
-
-@pytest.mark.skipif(not MEASURED.exists(), reason="the measured data are not part of the project")
 @pytest.mark.parametrize(
-    ("name", "seen"),
+    ("folder_variable", "name", "seen"),
     [
-        ("silverbox/SNLS80mV.csv", "131072 samples of 2 channels; the file states neither time nor sampling rate"),
-        ("silverbox/Schroeder80mV.csv", "left out: column 1 'Ovld2' (it has numbers in 1 of 131072 lines)"),
-        ("f16/F16Data_FullMSine_Level1.mat", "73728 samples of 5 channels; 400 Hz by 'Fs'"),
-        ("emps/DATA_EMPS.mat", "24841 samples of 3 channels; 1000 Hz by column 't'"),
+        ("SILVERBOX", "SNLS80mV.csv", "131072 samples of 2 channels; the file states neither time nor sampling rate"),
+        ("SILVERBOX", "Schroeder80mV.csv", "left out: column 1 'Ovld2' (it has numbers in 1 of 131072 lines)"),
+        ("F16", "F16Data_FullMSine_Level1.mat", "73728 samples of 5 channels; 400 Hz by 'Fs'"),
+        ("EMPS", "DATA_EMPS.mat", "24841 samples of 3 channels; 1000 Hz by column 't'"),
     ],
 )
-def test_measured_files_are_seen_as_they_are(name, seen):
-    assert seen in look_at(MEASURED / name, None).text
+def test_measured_files_are_seen_as_they_are(folder_variable, name, seen):
+    path = Path(os.environ.get(folder_variable, folder_variable.lower())) / name
+    if not path.exists():
+        pytest.skip(f"no {name}: let the environment variable {folder_variable} name its folder")
+    assert seen in look_at(path, None).text
