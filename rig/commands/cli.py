@@ -21,6 +21,7 @@ from rig.commands.command_line import (
     Json,
     StoppedError,
     Version,
+    check_ending,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -123,6 +124,7 @@ def record(
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
+    check_ending(out, (".mcap",), "a recording")
     refuse_existing(truth_path(out), force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
@@ -252,6 +254,7 @@ def view(
     target = out or file.with_suffix(".rrd")
     truth_file = truth or truth_path(file)
     refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
+    check_ending(target, (".rrd",), "a view")
     recording = read(file)
     truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
     identified = NOTHING_IDENTIFIED

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -135,6 +135,15 @@ def working(description: str) -> Iterator[None]:
     console = Console(stderr=True)
     with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
         yield
+
+
+def check_ending(path: Path, endings: Sequence[str], content: str) -> None:
+    """Raise RigError unless the name of a file to be written ends as files of its content do."""
+    if path.suffix.lower() not in endings:
+        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        raise RigError(
+            f"{path}: {ending}, and {content} in {' or '.join(endings)}; name it {path.with_suffix(endings[0]).name}"
+        )
 
 
 def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:

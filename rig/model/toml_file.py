@@ -2,8 +2,9 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -18,8 +19,13 @@ DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 """A dotted key of more than MAX_DEPTH parts, whose parsing takes quadratic time and memory."""
 
 
-def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
-    """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key."""
+def read_toml(
+    path: Path, kind: type[T], called: str, described_in: str, check: Callable[[dict[str, Any]], None] = lambda _: None
+) -> T:
+    """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key.
+
+    `check` sees the values first, and may raise a RigError of its own.
+    """
     wrong = f"{path}: is no {called}"
     try:
         content = contents(path)
@@ -28,7 +34,9 @@ def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
         text = content.decode()
         if DEEP_KEY.search(text):
             raise RigError(f"{wrong}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
-        return msgspec.convert(tomllib.loads(text), kind)
+        values = tomllib.loads(text)
+        check(values)
+        return msgspec.convert(values, kind)
     except RigError:
         raise
     except UnicodeDecodeError as error:

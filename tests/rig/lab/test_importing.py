@@ -360,3 +360,23 @@ def test_the_commands(folder, capsys):
     status, out, err = rig(*words, "--force")
     assert (status, out) == (1, "")
     assert err == f"rig: {folder / 'lab.csv'}: cannot be opened (No such file or directory); check the name\n"
+
+
+def test_endings_that_do_not_fit_are_refused(folder, capsys):
+    imported(folder, mapped(), text=csv_text())
+    path, kept = folder / "r.mcap", sorted(folder.iterdir())
+    for words, name in (
+        (("import", folder / "lab.csv", "--map", folder / "map.toml", "--out", folder / "x.mat"), "x.mcap"),
+        (("import", folder / "lab.csv", "--write-map", folder / "x.csv"), "x.toml"),
+        (("export", path, "--format", "csv", "--out", folder / "x.mat"), "x.csv"),
+        (("export", path, "--format", "mat", "--out", folder / "x"), "x.mat"),
+        (("export", path, "--format", "csv", "--out", folder / "x.csv", "--map", folder / "x.json"), "x.toml"),
+        (("recover", path, "--out", folder / "x.csv"), "x.mcap"),
+        (("record", "sdof", "--out", folder / "x.csv"), "x.mcap"),
+        (("draw", path, "--out", folder / "x.png"), "x.svg"),
+        (("view", path, "--out", folder / "x.html"), "x.rrd"),
+        (("fmu", path, "--out", folder / "x.zip"), "x.fmu"),
+    ):
+        assert exit_status("rig", *words) == 1
+        assert f"; name it {name}\n" in capsys.readouterr().err
+    assert sorted(folder.iterdir()) == kept
