@@ -271,7 +271,7 @@ def _mark_stops(
         if stop is not None:
             for position_m in (-stop.lower_m, stop.upper_m):
                 line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))
-        for side in (-1, 1) if name in marks else ():
+        for side in result.rig.contact(name).law.sides if name in marks else ():
             line(1e3 * side * marks[name][0], color="k", ls=":", lw=1.2, label=next(mark_labels, None))
 
 

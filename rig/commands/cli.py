@@ -34,7 +34,10 @@ from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.extras import needs_extra
 from rig.files import check_source
-from rig.model.description import Station, read_rig
+from rig.lab.importing import Map
+from rig.model.contact_laws import walls_m
+from rig.model.description import Station, read_rig, to_json
+from rig.model.schema import rig_schema, schema_of
 from rig.recording import Recording, Signals, read, read_truth, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
@@ -190,7 +193,7 @@ def info(file: File, as_json: Json = False) -> None:
     contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
     for contact in rig.contacts:
         law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
-        sides = f"-{1e3 * law.lower_clearance_m:g}, +{1e3 * law.upper_clearance_m:g}"
+        sides = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
         contacts.add_row(contact.name, _place(contact.at), against, sides, f"{law.stiffness_n_per_m:g}")
     channels = [_channel_table(group, signals) for group, signals in recording.signals.items()]
     for table in (bodies, contacts, *channels):
@@ -279,6 +282,21 @@ app.add_typer(init, name="init")
 
 
 @app.command()
+def schema(
+    of_map: Annotated[bool, typer.Option("--map", help="That of the import map, a TOML file, instead.")] = False,
+) -> None:
+    """Print the JSON Schema of rig.json, by which editors complete and check it.
+
+    Name it in rig.json by a first line "$schema": "rig.schema.json", in map.toml (Taplo, Even Better TOML) by
+    #:schema map.schema.json
+
+    Example: rig schema > rig.schema.json
+    """
+    chosen = schema_of(Map, "import map") if of_map else rig_schema()
+    print(json.dumps(chosen, indent=2))
+
+
+@app.command()
 def doctor() -> None:
     """Say what is installed, and whether another package or program has taken the name rig or identify."""
     raise typer.Exit(installation())
@@ -286,7 +304,7 @@ def doctor() -> None:
 
 def _summary(recording: Recording) -> dict[str, Any]:
     return {
-        "rig": msgspec.to_builtins(recording.rig),
+        "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
         "sample_rate_hz": recording.rig.sample_rate_hz,
         "channels": [

@@ -13,6 +13,7 @@ import typer
 
 from rig.commands.command_line import Force, Json, refuse_existing, working
 from rig.lab.starting import KINDS, MAP_NAME, Start, StartWithStops, write_start
+from rig.model.decoding import explained
 from rig.recording import RIG_NAME
 
 Kind = type[Start]
@@ -120,7 +121,10 @@ def _value(kind: Kind, name: str, text: str) -> Any:
     try:
         return msgspec.convert(raw, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
     except msgspec.ValidationError as error:
-        raise typer.BadParameter(f"{text!r} does not fit: {error}", param_hint=f"--{name.replace('_', '-')}") from error
+        reason = explained(error, raw, hint)
+        raise typer.BadParameter(
+            f"{text!r} does not fit: {reason}", param_hint=f"--{name.replace('_', '-')}"
+        ) from error
 
 
 for _name, _kind in KINDS.items():

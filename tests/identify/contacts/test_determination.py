@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from identify.contacts import identify_contact
 from identify.contacts.refusals import RefusalCode
+from identify.contacts.results import identified_rig
 from rig.model.description import Contact, Rig
 from rig.recording import read
 from tests.campaigns.topologies import Topology, chain, progressive_stop, recorded
@@ -39,11 +40,29 @@ def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_pat
     assert result.surface.histogram == ()
 
 
-def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path):
+@pytest.mark.parametrize(("quantity", "is_told"), [("displacement", True), ("acceleration", False)])
+def test_one_stop_is_told_where_the_zero_of_its_displacement_is_known(tmp_path, quantity, is_told):
+    """Else half the total play would be told, of a play that is not there."""
+    rig = chain(1, quantity, ground=True)
+    (stop,) = rig.contacts
+    rig = replace(rig, contacts=(replace(stop, law=replace(stop.law, lower_clearance_m=np.inf)),))
+    result = report(tmp_path, rig, rig, 4.0)
+    if not is_told:
+        assert codes(result) == {stop.name: RefusalCode.ONE_STOP_TOUCHED}
+        return
+    (contact,) = result.contacts
+    assert contact.lower_clearance_m is None
+    assert is_within(contact.clearance_m, stop.law.upper_clearance_m, 0.01)
+    assert is_within(contact.stiffness_n_per_m, stop.law.stiffness_n_per_m, 0.02)
+    assert identified_rig(rig, result).contacts[0].law.lower_clearance_m == np.inf
+
+
+@pytest.mark.parametrize("absent_m", [1.0, np.inf])
+def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path, absent_m):
     """Between two masses: one stop above, and one below that is counted the other way round."""
     rig = chain(2, "displacement", ground=False)
     (above,) = rig.contacts
-    law = replace(above.law, lower_clearance_m=1.0)
+    law = replace(above.law, lower_clearance_m=absent_m)
     below = Contact(
         name="below",
         at=above.against,
