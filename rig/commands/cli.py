@@ -14,7 +14,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, fmu, import_, recover
+from rig.commands.cli_files import draw, export_, fmu, import_, recover, schema
 from rig.commands.cli_init import init
 from rig.commands.command_line import (
     Force,
@@ -34,10 +34,8 @@ from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.extras import needs_extra
 from rig.files import check_source
-from rig.lab.importing import Map
 from rig.model.contact_laws import walls_m
 from rig.model.description import Station, read_rig, to_json
-from rig.model.schema import rig_schema, schema_of
 from rig.recording import Recording, Signals, read, read_truth, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
@@ -144,12 +142,23 @@ def record(
             raise
         raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
-        print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level(machine)}))
     else:
         forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+        if isinstance(machine, OwnRig):
+            say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
+            for warning in machine.warnings:
+                say(f"warning: {warning}")
         print(f"{truth_path(out)}: what only a simulator knows")
+
+
+def _level(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+    """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
+    if not isinstance(machine, OwnRig):
+        return {}
+    return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
 
 
 def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
@@ -278,22 +287,8 @@ app.command("import")(import_)
 app.command("export")(export_)
 app.command()(draw)
 app.command()(fmu)
+app.command()(schema)
 app.add_typer(init, name="init")
-
-
-@app.command()
-def schema(
-    of_map: Annotated[bool, typer.Option("--map", help="That of the import map, a TOML file, instead.")] = False,
-) -> None:
-    """Print the JSON Schema of rig.json, by which editors complete and check it.
-
-    Name it in rig.json by a first line "$schema": "rig.schema.json", in map.toml (Taplo, Even Better TOML) by
-    #:schema map.schema.json
-
-    Example: rig schema > rig.schema.json
-    """
-    chosen = schema_of(Map, "import map") if of_map else rig_schema()
-    print(json.dumps(chosen, indent=2))
 
 
 @app.command()

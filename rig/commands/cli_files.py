@@ -11,8 +11,9 @@ import typer
 from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, say, working
 from rig.files import check_source
 from rig.lab.exporting import WRITERS, export
-from rig.lab.importing import import_file
+from rig.lab.importing import Map, import_file
 from rig.model.description import read_rig
+from rig.model.schema import rig_schema, schema_of
 from rig.recording import read
 from rig.recording.recovery import recover as recover_recording
 
@@ -122,3 +123,17 @@ def fmu(
     refuse_existing(out, force, file)
     export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
     print(f"{out}: written; its force is the value at the end of the next step")
+
+
+def schema(
+    of_map: Annotated[bool, typer.Option("--map", help="That of the import map, a TOML file, instead.")] = False,
+) -> None:
+    """Print the JSON Schema of rig.json, by which editors complete and check it.
+
+    Name it in rig.json by a first line "$schema": "rig.schema.json", in map.toml (Taplo, Even Better TOML) by
+    #:schema map.schema.json
+
+    Example: rig schema > rig.schema.json
+    """
+    chosen = schema_of(Map, "import map") if of_map else rig_schema()
+    print(json.dumps(chosen, indent=2))

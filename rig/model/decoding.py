@@ -46,7 +46,7 @@ def converted(decoded: Any, kind: type[T], source: str) -> T:
         raise RigError(f"{source}: {explained(error, decoded, kind)}") from error
 
 
-def explained(error: msgspec.ValidationError, decoded: Any, kind: type) -> str:
+def explained(error: msgspec.ValidationError, decoded: Any, kind: Any) -> str:
     """Sentence on why decoded values do not fit a type: the place, the fault, what is allowed, the nearest name."""
     matched = _PLACE.fullmatch(str(error))
     text, path = matched.groups() if matched else (str(error), "")

@@ -38,7 +38,7 @@ def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
     except RecursionError as error:
         raise RigError(f"{wrong}: its values are nested too deep; see {described_in}") from error
     except msgspec.ValidationError as error:
-        raise RigError(f"{wrong} ({explained(error, decoded, kind)}); see {described_in}") from error
+        raise RigError(f"{wrong} ({explained(error, decoded, kind)})") from error
     except tomllib.TOMLDecodeError as error:
         raise RigError(f"{wrong} ({error}); see {described_in}") from error
     except ValueError as error:

@@ -272,7 +272,7 @@ def stamps(**changes):
         (mapped(), csv_text(names="t,F,x,F"), "2 columns are named 'F'; give the number"),
         (mapped(sensors={X: {"column": "x", "unit": "mm"}}), csv_text(), f"sensor {A!r} is missing"),
         (mapped(sensors={"y": {"column": "x"}}), csv_text(), "sensor 'y' is no sensor of the rig"),
-        (mapped(force=None), csv_text(), "map.toml: is no map (Object missing required field `force`"),
+        (mapped(force=None), csv_text(), "map.toml: is no map (it lacks 'force'; it needs force, sensors"),
         (mapped(speed=1), csv_text(), "map.toml: is no map (it has no field 'speed'; it has rig, force, sensors"),
         (mapped(rig="none.json"), csv_text(), "none.json: cannot be opened"),
         (mapped(sample_rate_hz=512.0), csv_text(), "time and sample_rate_hz are both given"),
