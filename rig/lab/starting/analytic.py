@@ -26,7 +26,8 @@ class MassRig(StartWithStops, frozen=True, kw_only=True):
             damping_ratio=self.damping_ratio,
         )
         mass = Station("mass")
-        return self._rig((body,), [(mass, None)], mass, [mass]), self.notes()
+        rig = self._rig((body,), [(mass, None)], mass, [mass])
+        return rig, self.notes(rig)
 
 
 class UniformBeams(StartWithStops, frozen=True, kw_only=True):
@@ -66,9 +67,8 @@ class CantileverRig(UniformBeams, frozen=True, kw_only=True):
         force_m = self.length_m if self.force_m is None else self.force_m
         stations_m = self.stations_m or spread([*contacts_m, force_m], self.length_m, avoided_m=(0.0,))
         meetings = [(Station("beam", x), None) for x in contacts_m]
-        return self._rig(
-            (beam,), meetings, Station("beam", force_m), [Station("beam", x) for x in stations_m]
-        ), self.notes()
+        rig = self._rig((beam,), meetings, Station("beam", force_m), [Station("beam", x) for x in stations_m])
+        return rig, self.notes(rig)
 
 
 class BeamsRig(UniformBeams, frozen=True, kw_only=True):
@@ -124,7 +124,7 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
             Station("barrel", force_m),
             [Station(name, x) for name, positions in sensed.items() for x in positions],
         )
-        return rig, self.notes()
+        return rig, self.notes(rig)
 
     def _beam(self, name: str, end_condition: Literal["clamped-free", "free-free"]) -> Beam:
         return Beam(

@@ -39,7 +39,8 @@ class TwoMassesRig(StartWithStops, frozen=True, kw_only=True):
             for name, mass_kg, hz in zip(("first", "second"), self.masses_kg, self.frequencies_hz, strict=True)
         )
         stations = Station("first"), Station("second")
-        return self._rig((first, second), [stations], stations[0], stations), self.notes()
+        rig = self._rig((first, second), [stations], stations[0], stations)
+        return rig, self.notes(rig)
 
 
 class ChainRig(StartWithStops, frozen=True, kw_only=True):
@@ -77,8 +78,8 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
         meetings = [(places[first - 1], places[second - 1] if second else None) for first, second in self._pairs(count)]
         force_at = places[self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1]
         frequencies = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
-        notes = (f"natural frequencies, without contacts: {frequencies} Hz", *self.notes())
-        return self._rig((body,), meetings, force_at, places), notes
+        rig = self._rig((body,), meetings, force_at, places)
+        return rig, (f"natural frequencies, without contacts: {frequencies} Hz", *self.notes(rig))
 
     def _pairs(self, count: int) -> Iterator[tuple[int, int]]:
         for text in self.contacts or (f"{count}-{count - 1}",):
