@@ -27,7 +27,7 @@ class MassRig(StartWithStops, frozen=True, kw_only=True):
         )
         mass = Station("mass")
         rig = self._rig((body,), [(mass, None)], mass, [mass])
-        return rig, self.notes(rig)
+        return rig, self.notes()
 
 
 class UniformBeams(StartWithStops, frozen=True, kw_only=True):
@@ -68,7 +68,7 @@ class CantileverRig(UniformBeams, frozen=True, kw_only=True):
         stations_m = self.stations_m or spread([*contacts_m, force_m], self.length_m, avoided_m=(0.0,))
         meetings = [(Station("beam", x), None) for x in contacts_m]
         rig = self._rig((beam,), meetings, Station("beam", force_m), [Station("beam", x) for x in stations_m])
-        return rig, self.notes(rig)
+        return rig, self.notes()
 
 
 class BeamsRig(UniformBeams, frozen=True, kw_only=True):
@@ -124,7 +124,7 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
             Station("barrel", force_m),
             [Station(name, x) for name, positions in sensed.items() for x in positions],
         )
-        return rig, self.notes(rig)
+        return rig, self.notes()
 
     def _beam(self, name: str, end_condition: Literal["clamped-free", "free-free"]) -> Beam:
         return Beam(

@@ -40,7 +40,7 @@ class TwoMassesRig(StartWithStops, frozen=True, kw_only=True):
         )
         stations = Station("first"), Station("second")
         rig = self._rig((first, second), [stations], stations[0], stations)
-        return rig, self.notes(rig)
+        return rig, self.notes()
 
 
 class ChainRig(StartWithStops, frozen=True, kw_only=True):
@@ -79,7 +79,7 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
         force_at = places[self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1]
         frequencies = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
         rig = self._rig((body,), meetings, force_at, places)
-        return rig, (f"natural frequencies, without contacts: {frequencies} Hz", *self.notes(rig))
+        return rig, (f"natural frequencies, without contacts: {frequencies} Hz", *self.notes())
 
     def _pairs(self, count: int) -> Iterator[tuple[int, int]]:
         for text in self.contacts or (f"{count}-{count - 1}",):

@@ -65,7 +65,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
     def described(self) -> tuple[Rig, tuple[str, ...]]:
         body, notes, tolerances = self.structure()
         rig = msgspec.structs.replace(self._rig_of(body), tolerances=tolerances)
-        return rig, (*notes, *_weight(body), *self.notes(rig))
+        return rig, (*notes, *_weight(body), *self.notes())
 
     def structure(self) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
         """Body from its file, notes on it, and its tolerances if the file determines them.

@@ -40,9 +40,8 @@ def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_pat
     assert result.surface.histogram == ()
 
 
-@pytest.mark.parametrize("quantity", ["displacement", "acceleration"])
-def test_one_stop_alone_is_told_of_a_mass_on_a_spring(tmp_path, quantity):
-    rig = chain(1, quantity, ground=True)
+def test_one_stop_alone_is_told_of_a_mass_on_a_spring(tmp_path):
+    rig = chain(1, "displacement", ground=True)
     (stop,) = rig.contacts
     rig = replace(rig, contacts=(replace(stop, law=replace(stop.law, lower_clearance_m=np.inf)),))
     result = report(tmp_path, rig, rig, 4.0)

@@ -162,8 +162,7 @@ def test_one_stop_alone_and_what_it_needs():
     rig, notes = start.described()
     assert rig.contacts[0].law.sides == (1,)
     assert "--quantity acceleration,displacement" in notes[0]
-    held = TwoMassesRig(masses_kg=(1.0, 2.0), frequencies_hz=(6.0, 9.0), stops="upper", **CONTACT)
-    assert held.described()[1] == ()
+    assert msgspec.structs.replace(start, quantity=("acceleration", "displacement")).notes() == ()
     assert [b.damping_ratio for b in rig.bodies] == [0.01, 0.0]
     beam = CantileverRig(length_m=0.5, width_m=0.03, thickness_m=0.005, **CONTACT).rig()
     assert beam.contacts[0].law.sides == (-1, 1)
