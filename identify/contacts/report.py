@@ -6,6 +6,7 @@ from html import escape
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from identify.contacts.assumptions import assumptions, recommendations, variance_shares
 from identify.contacts.identification import Identification
@@ -179,12 +180,13 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
     ):
         if estimate is not None:
-            difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if reference_value else ""
+            is_comparable = reference_value and np.isfinite(reference_value)
+            difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if is_comparable else ""
             yield (
                 contact.name if name == "clearance" else "",
                 f"{name}, {unit}",
                 _interval(estimate, "1", scale),
-                number(scale * reference_value),
+                number(scale * reference_value) if np.isfinite(reference_value) else "no stop",
                 difference,
             )
 

@@ -12,10 +12,12 @@ import typer
 from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
 from rig.files import check_source, write_bytes
 from rig.lab.exporting import ENDINGS, WRITERS, export
+from rig.lab.import_map import Map
 from rig.lab.importing import import_file
 from rig.lab.looking import look_at
 from rig.lab.tables import READERS
 from rig.model.description import read_rig
+from rig.model.schema import rig_schema, schema_of
 from rig.recording import RIG_NAME, read
 from rig.recording.recovery import recover as recover_recording
 
@@ -175,3 +177,17 @@ def fmu(
     check_ending(out, (".fmu",), "an FMU")
     export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
     print(f"{out}: written; its force is the value at the end of the next step")
+
+
+def schema(
+    of_map: Annotated[bool, typer.Option("--map", help="That of the import map, a TOML file, instead.")] = False,
+) -> None:
+    """Print the JSON Schema of rig.json, by which editors complete and check it.
+
+    Name it in rig.json by a first line "$schema": "rig.schema.json", in map.toml (Taplo, Even Better TOML) by
+    #:schema map.schema.json
+
+    Example: rig schema > rig.schema.json
+    """
+    chosen = schema_of(Map, "import map") if of_map else rig_schema()
+    print(json.dumps(chosen, indent=2))

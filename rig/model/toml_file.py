@@ -11,6 +11,7 @@ import msgspec
 from rig.errors import RigError
 from rig.files import contents
 from rig.limits import MAX_DEPTH
+from rig.model.decoding import explained
 
 T = TypeVar("T")
 MAX_TOML_BYTES = 1_000_000
@@ -34,16 +35,18 @@ def read_toml(
         text = content.decode()
         if DEEP_KEY.search(text):
             raise RigError(f"{wrong}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
-        values = tomllib.loads(text)
-        check(values)
-        return msgspec.convert(values, kind)
+        decoded = tomllib.loads(text)
+        check(decoded)
+        return msgspec.convert(decoded, kind)
     except RigError:
         raise
     except UnicodeDecodeError as error:
         raise RigError(f"{wrong}: it is not text in UTF-8; save it so") from error
     except RecursionError as error:
         raise RigError(f"{wrong}: its values are nested too deep; see {described_in}") from error
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+    except msgspec.ValidationError as error:
+        raise RigError(f"{wrong} ({explained(error, decoded, kind)})") from error
+    except tomllib.TOMLDecodeError as error:
         raise RigError(f"{wrong} ({error}); see {described_in}") from error
     except ValueError as error:
         raise RigError(f"{wrong}: it has a number of too many digits; see {described_in}") from error

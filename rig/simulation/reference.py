@@ -7,6 +7,7 @@ import msgspec
 from rig.errors import RigError, meant
 from rig.model.beam import Beam
 from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.decoding import explained
 from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES, QuantityName
@@ -204,7 +205,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
     try:
         return msgspec.convert(settings, kind, strict=False)
     except msgspec.ValidationError as error:
-        raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
+        raise RigError(f"{scenario}: {explained(error, settings, kind)}; see `rig record --help`") from error
 
 
 def _quantities(sensors: str) -> list[QuantityName]:

@@ -11,7 +11,7 @@ import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import maximum_filter1d
 
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Contact
 from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
@@ -74,7 +74,7 @@ class ContactMotion:
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm."""
         law, largest = self.contact.law, float(np.abs(self.relative_m).max())
-        return 1.2e3 * max(law.lower_clearance_m, law.upper_clearance_m, largest) or 1.0
+        return 1.2e3 * max([largest, *(abs(wall_m) for wall_m, _ in walls_m(law))]) or 1.0
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
@@ -151,8 +151,8 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
 
 
 def _levels(law: ContactLaw) -> list[tuple[float, int]]:
-    """Levels of the upper and the lower wall in the view, mm (y points downwards), with the outward direction."""
-    return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
+    """Levels of the walls, upper first, in the view, mm (y points downwards), with the outward direction."""
+    return [(-1e3 * wall_m, -side) for wall_m, side in walls_m(law)]
 
 
 def _send_levels(
@@ -184,7 +184,7 @@ def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
     legend = [(contact_motion.contact.name, LINES[0])]
     for label, law in (("walls", contact_motion.contact.law), *contact_motion.overlaid.items()):
         colour = LAW_COLOURS.get(label, CLOSED)
-        limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
+        limits = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
         names = [f"{contact_motion.wall_source if label == 'walls' else label} {limit:+.5g} mm" for limit in limits]
         send_lines(stream, f"{path}/{label}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
         legend += [(label, colour) for label in names]

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
@@ -16,6 +16,8 @@ FRAME_RATES_HZ = (60.0, 600.0)
 MAX_FRAMES = 60_000
 """Largest number of frames; records of more than a thousand seconds have fewer than 60 per second."""
 NODES = 61
+JAWS = {1: [0, 1], -1: [3, 2]}
+"""Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,7 @@ class Stage:
         return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
-        """Fork with the two stops of a contact, fixed to the opposite body or to the ground."""
+        """Fork with the stops of a contact, fixed to the opposite body or to the ground."""
         tip, half = self.point(contact.at), self._half(self.rig.body(contact.at.body))
         jaws = np.repeat(tip[:, None], 4, axis=1)
         if contact.against is None:
@@ -99,9 +101,12 @@ class Stage:
         else:
             jaws[:, 1:3, 1] = self.depth(contact.against.body)
             carrier = self.point(contact.against)[:, 2]
-        upper = carrier + (self.magnification * law.upper_clearance_m + half)
-        lower = carrier - (self.magnification * law.lower_clearance_m + half)
-        jaws[..., 2] = np.stack([upper, upper, lower, lower], axis=1)
+        jaws[..., 2] = carrier[:, None]
+        for wall_m, side in walls_m(law):
+            jaws[:, JAWS[side], 2] += self.magnification * wall_m + side * half
+        for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
+            tip_corner, carrier_corner = JAWS[side]
+            jaws[:, tip_corner] = jaws[:, carrier_corner]
         return jaws
 
     def _half(self, body: Body) -> float:
