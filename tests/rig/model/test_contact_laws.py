@@ -96,7 +96,7 @@ def test_a_stop_that_is_not_there_gives_no_force_and_the_other_one_its_own(kind,
     is_beyond_the_stop = eta < -clearance if is_lower else eta > clearance
     expected = float(both.force_n(eta, rate)) if is_beyond_the_stop else 0.0
     assert float(law.force_n(eta, rate)) == expected
-    assert force_n(table_of([law])[0], eta, rate, 0.0) == pytest.approx(expected, rel=1e-9)
+    assert force_n(law_records([law])[0], eta, rate, 0.0) == pytest.approx(expected, rel=1e-9)
     assert law.clearance_m == clearance
     assert [side for _, side in walls_m(law)] == [-1 if is_lower else 1]
 
