@@ -7,14 +7,14 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from rig.commands.command_line import File, Force, progress_bar, refuse_existing, working
+from rig.commands.command_line import Force, progress_bar, refuse_existing, working
 from rig.extras import needs_extra
 from rig.files import check_source
 from rig.recording import read, read_truth, truth_path
 
 
 def view(
-    file: File,
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
     truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
     contact: Annotated[

@@ -28,6 +28,8 @@ WINDOW_S = 0.5
 """Time that plots show before and after the cursor, s."""
 GHOSTS = "model/prediction"
 """Entities of the predicted rigs."""
+MAX_SIDE_BY_SIDE = 2
+"""Plots of force over displacement that have room for their labels side by side; more stand behind tabs."""
 TRAIL_S = 0.1
 """Time that a close-up shows before the cursor, s."""
 
@@ -91,7 +93,7 @@ def _key() -> rrb.Spatial2DView:
 def _model(layout: Layout, name: str = "", left_out: str = GHOSTS) -> rrb.Spatial3DView:
     """View of the moving rig; `left_out` are entities that another tab shows."""
     x, extent_m = layout.centre_m, layout.extent_m
-    away, above = (1.05, 0.12) if layout.masses_alone else (0.74, 0.16)
+    away, above = (0.8 if len(layout.rig.bodies) > 1 else 1.05, 0.12) if layout.masses_alone else (0.72, 0.16)
     return rrb.Spatial3DView(
         origin="/model",
         contents=["+ $origin/**", f"- /{left_out}/**"],
@@ -111,8 +113,8 @@ def _prediction(layout: Layout, station: str) -> rrb.Vertical:
         _plot(layout, f"{PREDICTION}/displacement", f"{station}: displacement, mm{_caveat(layout)}"),
         _plot(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
     )
-    model = rrb.Vertical(_model(layout, name, "model/gap"), words, row_shares=[5, 1])
-    motion = rrb.Horizontal(model, rrb.Vertical(*plots), column_shares=[1, 1])
+    model = rrb.Vertical(_model(layout, name, "model/gap"), words, row_shares=[4, 1])
+    motion = rrb.Horizontal(model, rrb.Vertical(*plots), column_shares=[3, 2])
     return rrb.Vertical(_key(), motion, row_shares=[1, 14], name="Prediction")
 
 
@@ -130,7 +132,7 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     """View of force over relative displacement until the cursor, with the displacement's histogram behind a tab."""
     histogram = rrb.BarChartView(
         origin=entity("histogram", contact.name),
-        name=f"{contact.name}: histogram, % of the time over mm",
+        name=f"{contact.name}: % of the time over mm",
         plot_legend=rrb.PlotLegend(visible=False),
     )
     if layout.contact_force is None:
@@ -138,7 +140,7 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     until_now = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
-    name = f"{contact.name}: {layout.contact_force} force over relative displacement"
+    name = f"{contact.name}: {layout.contact_force} force"
     force = axes_view(entity("phase", contact.name), name, time_ranges=[until_now])
     return rrb.Tabs(force, histogram, active_tab=0, name=contact.name)
 
@@ -166,7 +168,9 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
     if source is not None:
         force = [_plot(layout, "contact_force", f"{source.capitalize()} contact force, N", note)]
     phases = [_phase(layout, contact) for contact in layout.rig.contacts]
-    laws = [rrb.Grid(*phases, name="Force over displacement" if force else "Histograms")] if phases else []
+    name = "Force over displacement" if force else "Histograms"
+    many = len(phases) > MAX_SIDE_BY_SIDE
+    laws = [rrb.Tabs(*phases, name=name) if many else rrb.Horizontal(*phases, name=name)] if phases else []
     time = rrb.encodings.TimelineColumn(TIMELINE)
     text = rrb.encodings.TextLogColumn("Body")
     events = rrb.TextLogView(

@@ -28,7 +28,7 @@ FAR = 5.0
 """Clearance over the other one and the largest motion beyond which a stop is out of reach and of view."""
 NEAR_S = 0.005
 """Time before and after a contact within which every sample is drawn, s."""
-CHANGES = (("closes", "circle", "●"), ("opens", "cross", "×"))
+CHANGES = (("closes", "circle", "●"), ("opens", "diamond", "◆"))
 """Marks of the first closed and of the first free sample; both bound the time in contact and have its colour."""
 SIDES = {-1: "upper", 1: "lower"}
 COLUMNS = (1.85, -1.85, 0.55)
@@ -43,8 +43,8 @@ class ContactMotion:
     """Motion of a contact over the record. Its law is drawn as walls and defines closure; wall_source is the law's.
 
     overlaid are laws drawn over it, by source; force_n is the contact force where it is known. The samples may be a
-    part of the record: identified motion begins later and ends at until_s; is_identified is true of it. frames are drawn; the time series hold every
-    `stride`-th sample, and all near a contact.
+    part of the record: identified motion, for which is_identified is true, begins later and ends at until_s. frames
+    are drawn; the time series hold every `stride`-th sample, and all near a contact.
     """
 
     contact: Contact

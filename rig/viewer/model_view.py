@@ -49,8 +49,9 @@ def _send_body(stream: rr.RecordingStream, scene: Stage, body: Body, colour: Col
     style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75)))
     if (support := scene.support(body)) is not None:
         style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
-    name = rr.Points3D([scene.label(body)], colors=[colour], radii=[0.0], labels=[body.name], show_labels=True)
-    style(stream, f"{path}/name", name)
+    words = rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name], show_labels=True)
+    style(stream, f"{path}/name", words)
+    send(stream, f"{path}/name", scene.time_s, rr.Points3D, positions=scene.label(body))
 
 
 def _send_contact(stream: rr.RecordingStream, scene: Stage, contact_motion: ContactMotion) -> None:

@@ -1,8 +1,8 @@
 """Colours of the viewer and of the drawing of a rig: one meaning each, told apart with any colour vision.
 
-The hues are those of Okabe and Ito (Color Universal Design, 2008), for the dark theme of the viewer and for white paper.
-Several things of one meaning in a plot are shades of its colour. Greys mean nothing: they are frames, rest positions and
-what carries the rig.
+The hues are those of Okabe and Ito (Color Universal Design, 2008), for the dark theme of the viewer and for white
+paper. Several things of one meaning in a plot are shades of its colour. Greys mean nothing: they are frames, rest
+positions and what carries the rig.
 """
 
 from dataclasses import dataclass
@@ -22,13 +22,13 @@ class Meaning:
 
 
 MEANINGS = {
-    "machine": Meaning("the machine: measured, or true in a simulation", (240, 240, 240), (34, 34, 34)),
+    "machine": Meaning("measured, or true in a simulation", (240, 240, 240), (34, 34, 34)),
     "believed": Meaning("believed: rig.json", (230, 159, 0), (190, 120, 0)),
     "found": Meaning("found: identified or corrected", (86, 180, 233)),
     "closed": Meaning("contact closed", (213, 94, 0)),
     "force": Meaning("force", (204, 121, 167), (170, 68, 125)),
-    "gap": Meaning("gap: where and when the machine differs", (240, 228, 66)),
-    "sensor": Meaning("sensor channel", (0, 158, 115), (0, 120, 88)),
+    "gap": Meaning("where and when the gap acts", (240, 228, 66)),
+    "sensor": Meaning("sensor channels", (0, 158, 115), (0, 120, 88)),
 }
 """Colours by name of their meaning, in the order of the key."""
 MACHINE, BELIEVED, FOUND, CLOSED, FORCE, GAP, SENSOR = (meaning.on_dark for meaning in MEANINGS.values())
@@ -40,7 +40,7 @@ STEEL, FAINT, GRID = (140, 145, 155), (85, 90, 100), (50, 54, 62)
 """Greys on a dark screen: frames, letters and supports; rest positions; grids."""
 SOURCES: dict[str, Colour] = {"true": MACHINE, "identified": FOUND, "believed": BELIEVED}
 """Colours of contact laws by their source."""
-LIGHTEST, DARKEST = 0.6, 0.6
+LIGHTEST, DARKEST = 0.6, 0.7
 """Share of white in the lightest shade of a colour, and brightness of its darkest one."""
 
 

@@ -94,18 +94,18 @@ class Stage:
         """Half the width, depth and height of the block of a mass."""
         return self._half(body) * np.array([1.0, 0.6, 1.0])
 
-    def label(self, body: Body) -> Float[np.ndarray, " 3"]:
-        """Position of a body's name: below the reach of a mass, beyond the left or, alternately, right end of a beam.
+    def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
+        """Position of a body's name: on the block of a mass, beyond the left or, alternately, right end of a beam.
 
-        Names at one end stand one below the other.
+        Names at one end stand one below the other and do not move.
         """
         number = [b.name for b in self.rig.bodies].index(body.name)
         if not body.length_m:
-            below = -self._half(body) - (LARGEST_DEFLECTION + 0.02) * self.extent_m
-            return np.array([self.left_m[body.name], self.depth(body.name), below])
+            return self.centre(body) - np.array([0, 0, 0.5 * self._half(body)])
         beyond = body.length_m + 0.07 * self.extent_m if number % 2 else -0.07 * self.extent_m
         below = -0.07 * self.extent_m * (number // 2)
-        return np.array([self.left_m[body.name] + beyond, self.depth(body.name), below])
+        place = np.array([self.left_m[body.name] + beyond, self.depth(body.name), below])
+        return np.broadcast_to(place, (self.frames.size, 3))
 
     def force_origin(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving point at which the arrow of a force begins: on the station, or on top of a mass."""
@@ -141,7 +141,8 @@ class Stage:
         tip, half = self.tip(contact), self._half(self.rig.body(contact.at.body))
         jaws = np.repeat(tip[:, None], 4, axis=1)
         if contact.against is None:
-            jaws[..., 0] += (half + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            open_side = -1.0 if self.left_m[contact.at.body] > self.centre_m else 1.0  # towards the other masses
+            jaws[..., 0] += open_side * (half + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
             carrier = np.zeros(self.frames.size)
         else:
             carrier = self.point(contact.against)[:, 2]
