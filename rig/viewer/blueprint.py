@@ -90,8 +90,8 @@ def _key() -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=bounds)
 
 
-def _model(layout: Layout, name: str = "", left_out: str = GHOSTS) -> rrb.Spatial3DView:
-    """View of the moving rig; `left_out` are entities that another tab shows."""
+def _model(layout: Layout, name: str = "", left_out: str = GHOSTS, farther: float = 1.0) -> rrb.Spatial3DView:
+    """View of the moving rig, from `farther` where it is narrow; `left_out` are entities that another tab shows."""
     x, extent_m = layout.centre_m, layout.extent_m
     away, above = (0.8 if len(layout.rig.bodies) > 1 else 1.05, 0.12) if layout.masses_alone else (0.72, 0.16)
     return rrb.Spatial3DView(
@@ -99,7 +99,9 @@ def _model(layout: Layout, name: str = "", left_out: str = GHOSTS) -> rrb.Spatia
         contents=["+ $origin/**", f"- /{left_out}/**"],
         name=name or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_caveat(layout)}",
         eye_controls=rrb.EyeControls3D(
-            position=(x, -away * extent_m, above * extent_m), look_target=(x, -0.05 * extent_m, 0), eye_up=(0, 0, 1)
+            position=(x, -farther * away * extent_m, farther * above * extent_m),
+            look_target=(x, -0.05 * extent_m, 0),
+            eye_up=(0, 0, 1),
         ),
         line_grid=rrb.LineGrid3D(visible=False),
     )
@@ -113,7 +115,7 @@ def _prediction(layout: Layout, station: str) -> rrb.Vertical:
         _plot(layout, f"{PREDICTION}/displacement", f"{station}: displacement, mm{_caveat(layout)}"),
         _plot(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
     )
-    model = rrb.Vertical(_model(layout, name, "model/gap"), words, row_shares=[4, 1])
+    model = rrb.Vertical(_model(layout, name, "model/gap", 1.2), words, row_shares=[4, 1])
     motion = rrb.Horizontal(model, rrb.Vertical(*plots), column_shares=[3, 2])
     return rrb.Vertical(_key(), motion, row_shares=[1, 14], name="Prediction")
 

@@ -123,11 +123,14 @@ class Stage:
         return self.masses_alone and contact.against is not None
 
     def tip(self, contact: Contact) -> Float[np.ndarray, "frames 3"]:
-        """Moving point that strikes the stops: the station, or the end of a mass's tongue towards the other.
+        """Moving point that strikes the stops: the station, the nearer edge of a mass, or the end of its tongue.
 
         Several contacts of two masses share the gap between them.
         """
         tip = self.point(contact.at)
+        if contact.against is None:
+            _, depth, half = self.half_sizes(self.rig.body(contact.at.body))
+            tip += np.stack([0 * tip[:, 2], np.full(len(tip), -depth), half * np.sign(tip[:, 2])], axis=1)
         if contact.against is not None and self.masses_alone:
             ends = {contact.at.body, contact.against.body}
             shared = [c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == ends]
