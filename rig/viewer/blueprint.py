@@ -69,7 +69,8 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     ]
     model = _model(layout)
     left_column = rrb.Vertical(model, rrb.Horizontal(*close_ups), row_shares=[5, 3]) if close_ups else model
-    motion = rrb.Horizontal(left_column, rrb.Vertical(*_plots(layout)), column_shares=[3, 2])
+    shares = [1.0] * len(close_ups) + [max(1.0, len(close_ups) / MAX_SIDE_BY_SIDE)]
+    motion = rrb.Horizontal(left_column, rrb.Vertical(*_plots(layout), row_shares=shares), column_shares=[3, 2])
     tabs = [rrb.Vertical(_key(), motion, row_shares=[1, 14], name="Motion")]
     if layout.predicted_at is not None:
         tabs.append(_prediction(layout, layout.predicted_at))
@@ -93,7 +94,7 @@ def _key() -> rrb.Spatial2DView:
 def _model(layout: Layout, name: str = "", left_out: str = GHOSTS, farther: float = 1.0) -> rrb.Spatial3DView:
     """View of the moving rig, from `farther` where it is narrow; `left_out` are entities that another tab shows."""
     x, extent_m = layout.centre_m, layout.extent_m
-    away, above = (0.8 if len(layout.rig.bodies) > 1 else 1.05, 0.12) if layout.masses_alone else (0.72, 0.16)
+    away, above = (0.8 if len(layout.rig.bodies) > 1 else 0.9, 0.12) if layout.masses_alone else (0.72, 0.16)
     return rrb.Spatial3DView(
         origin="/model",
         contents=["+ $origin/**", f"- /{left_out}/**"],
