@@ -4,12 +4,13 @@
 
     found = identify.contact("barrel.mcap", use="acceleration")
     print(found)
+    print(found["contact_1"].clearance.interval)
     found.save("results")
 
 `check` says what is wrong with a recording, `contact` finds clearance, stiffness and damping of every contact, `law`
 the contact law as a formula, `gap` how the machine differs from its description, `compare` what changed between
-recordings. Each takes recordings or the names of their files, and returns a result with `to_dict()` and `table()`, all
-but `check` also with `figure(name)` and `save(folder)`.
+recordings. Each takes recordings or the names of their files, and returns a result that prints as a short table (in a
+notebook too) and has `to_dict()` and `table()`; all but `check` also have `figure(name)` and `save(folder)`.
 """
 
 from importlib import import_module
@@ -18,14 +19,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from identify.api import check, compare, contact, gap, law
+    from identify.contacts.identified_contact import EstimatedQuantity, IdentifiedContact
     from identify.pages.style import Picture
     from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 
 _MODULES = {
     "CheckResult": "identify.results",
     "ContactResult": "identify.results",
+    "EstimatedQuantity": "identify.contacts.identified_contact",
     "GapResult": "identify.results",
     "HistoryResult": "identify.results",
+    "IdentifiedContact": "identify.contacts.identified_contact",
     "LawResult": "identify.results",
     "Picture": "identify.pages.style",
     "check": "identify.api",
@@ -38,8 +42,10 @@ _MODULES = {
 __all__ = [
     "CheckResult",
     "ContactResult",
+    "EstimatedQuantity",
     "GapResult",
     "HistoryResult",
+    "IdentifiedContact",
     "LawResult",
     "Picture",
     "check",

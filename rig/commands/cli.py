@@ -13,7 +13,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, fmu, import_, recover
+from rig.commands.cli_files import draw, export_, fmu, import_, recover, schema
 from rig.commands.cli_init import init
 from rig.commands.cli_view import view
 from rig.commands.command_line import (
@@ -21,6 +21,7 @@ from rig.commands.command_line import (
     Json,
     StoppedError,
     Version,
+    check_ending,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -32,7 +33,8 @@ from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
-from rig.model.description import Station, read_rig
+from rig.model.contact_laws import walls_m
+from rig.model.description import Station, read_rig, to_json
 from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
@@ -121,6 +123,7 @@ def record(
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
+    check_ending(out, (".mcap",), "a recording")
     refuse_existing(truth_path(out), force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
@@ -139,12 +142,23 @@ def record(
             raise
         raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
-        print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level(machine)}))
     else:
         forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+        if isinstance(machine, OwnRig):
+            say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
+            for warning in machine.warnings:
+                say(f"warning: {warning}")
         print(f"{truth_path(out)}: what only a simulator knows")
+
+
+def _level(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+    """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
+    if not isinstance(machine, OwnRig):
+        return {}
+    return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
 
 
 def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
@@ -188,7 +202,7 @@ def info(file: File, as_json: Json = False) -> None:
     contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
     for contact in rig.contacts:
         law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
-        sides = f"-{1e3 * law.lower_clearance_m:g}, +{1e3 * law.upper_clearance_m:g}"
+        sides = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
         contacts.add_row(contact.name, _place(contact.at), against, sides, f"{law.stiffness_n_per_m:g}")
     channels = [_channel_table(group, signals) for group, signals in recording.signals.items()]
     for table in (bodies, contacts, *channels):
@@ -219,6 +233,7 @@ app.command("import")(import_)
 app.command("export")(export_)
 app.command()(draw)
 app.command()(fmu)
+app.command()(schema)
 app.add_typer(init, name="init")
 
 
@@ -230,7 +245,7 @@ def doctor() -> None:
 
 def _summary(recording: Recording) -> dict[str, Any]:
     return {
-        "rig": msgspec.to_builtins(recording.rig),
+        "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
         "sample_rate_hz": recording.rig.sample_rate_hz,
         "channels": [

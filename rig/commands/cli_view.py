@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from rig.commands.command_line import Force, progress_bar, refuse_existing, working
+from rig.commands.command_line import Force, check_ending, progress_bar, refuse_existing, working
 from rig.extras import needs_extra
 from rig.files import check_source
 from rig.recording import read, read_truth, truth_path
@@ -62,6 +62,7 @@ def view(
     target = out or file.with_suffix(".rrd")
     truth_file = truth or truth_path(file)
     refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
+    check_ending(target, (".rrd",), "a view")
     recording = read(file)
     truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
     identified = NOTHING_IDENTIFIED

@@ -11,7 +11,7 @@ import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import maximum_filter1d
 
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Contact
 from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
@@ -66,8 +66,9 @@ class ContactMotion:
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
         law, largest = self.contact.law, float(np.abs(self.relative_m).max())
-        lower, upper = sorted((law.lower_clearance_m, law.upper_clearance_m))
-        return 1.2e3 * max(lower, upper if upper <= FAR * max(lower, largest) else lower, largest) or 1.0
+        walls = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+        in_reach = [wall_m for wall_m in walls if wall_m <= FAR * max(walls[0], largest)]
+        return 1.2e3 * max([largest, *in_reach]) or 1.0
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
@@ -144,8 +145,8 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
 
 
 def _levels(law: ContactLaw) -> list[tuple[float, int]]:
-    """Levels of the upper and the lower wall in the view, mm (y points downwards), with the outward direction."""
-    return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
+    """Levels of the walls, upper first, in the view, mm (y points downwards), with the outward direction."""
+    return [(-1e3 * wall_m, -side) for wall_m, side in walls_m(law)]
 
 
 def _send_levels(
@@ -177,7 +178,7 @@ def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
     legend = [(contact_motion.contact.name, contact_motion.colour)]
     for label, law in (("walls", contact_motion.contact.law), *contact_motion.overlaid.items()):
         colour = SOURCES[contact_motion.wall_source if label == "walls" else label]
-        limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
+        limits = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
         names = [f"{contact_motion.wall_source if label == 'walls' else label} {limit:+.5g} mm" for limit in limits]
         send_lines(stream, f"{path}/{label}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
         legend += [(label, colour) for label in names]

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.model.contact_laws import walls_m
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
@@ -137,9 +138,12 @@ def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     """Draw the two stops of a contact and their carrier: another body, or the ground."""
     x, name = plan.x(contact.at, contact), contact.at.body
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
-    for y, ground_up in ((upper, True), (lower, False)):
+    sides = contact.law.sides or (-1, 1)
+    for y, side in ((upper, 1), (lower, -1)):
+        if side not in sides:
+            continue
         if contact.against is None:
-            drawing.ground(x, y, upwards=ground_up)
+            drawing.ground(x, y, upwards=side > 0)
         else:
             drawing.line((x - 16, y), (x + 16, y), colour=BELIEVED_INK, width=3.0)
     if contact.against is not None:
@@ -157,8 +161,9 @@ def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
 def _clearances(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     x, name, law = plan.x(contact.at, contact), contact.at.body, contact.law
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
-    drawing.text(x + 20, upper + 4, f"+{1e3 * law.upper_clearance_m:g} mm", BELIEVED_INK, size=11)
-    drawing.text(x + 20, lower + 4, f"\u2212{1e3 * law.lower_clearance_m:g} mm", BELIEVED_INK, size=11)
+    for wall_m, side in walls_m(law):
+        sign, y = ("+", upper) if side > 0 else ("\u2212", lower)
+        drawing.text(x + 20, y + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
     y = lower + 22
     for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
         drawing.text(x + 8, y, words, BELIEVED_INK, size=11)

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float, Int
 
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
@@ -20,6 +20,8 @@ LARGEST_DEFLECTION = 0.25
 """Largest deflection by default, as a share of the extent."""
 MASS_PITCH_M = 0.6
 """Distance between the middles of masses that stand side by side, m."""
+JAWS = {1: [0, 1], -1: [3, 2]}
+"""Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +142,7 @@ class Stage:
         return tip
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
-        """Fork with the two stops of a contact, fixed to the opposite body or to the ground."""
+        """Fork with the stops of a contact, fixed to the opposite body or to the ground."""
         tip, half = self.tip(contact), self._half(self.rig.body(contact.at.body))
         jaws = np.repeat(tip[:, None], 4, axis=1)
         if contact.against is None:
@@ -155,9 +157,12 @@ class Stage:
                 jaws[:, [0, 3], 0] -= 0.1 * across_m
             else:
                 jaws[:, 1:3, 1] = self.depth(contact.against.body)
-        upper = carrier + (self.magnification * law.upper_clearance_m + half)
-        lower = carrier - (self.magnification * law.lower_clearance_m + half)
-        jaws[..., 2] = np.stack([upper, upper, lower, lower], axis=1)
+        jaws[..., 2] = carrier[:, None]
+        for wall_m, side in walls_m(law):
+            jaws[:, JAWS[side], 2] += self.magnification * wall_m + side * half
+        for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
+            tip_corner, carrier_corner = JAWS[side]
+            jaws[:, tip_corner] = jaws[:, carrier_corner]
         return jaws
 
     def _between(self, at: str, against: str) -> tuple[float, float]:

@@ -119,3 +119,14 @@ def test_things_on_a_mass_stand_apart(tmp_path):
 def test_a_folder_that_is_not_there_is_said(tmp_path):
     with pytest.raises(RigError, match="cannot be written"):
         draw(Sdof().rig(), tmp_path / "none" / "rig.svg")
+
+
+@pytest.mark.parametrize(("field", "said"), [("lower_clearance_m", "+"), ("upper_clearance_m", "\u2212")])
+def test_a_stop_that_is_not_there_is_not_drawn(tmp_path, field, said):
+    rig = Sdof().rig()
+    (contact,) = rig.contacts
+    one_sided = replace(rig, contacts=(replace(contact, law=replace(contact.law, **{field: np.inf})),))
+    root = drawn(one_sided, tmp_path)
+    assert [text[0] for text, _, _ in texts(root) if text.endswith(" mm")] == [said]
+    assert len(list(root.iter())) < len(list(drawn(rig, tmp_path).iter()))
+    assert "inf" not in ET.tostring(root, encoding="unicode")
