@@ -1,7 +1,6 @@
 """The command `rig`."""
 
 import json
-import os
 from collections.abc import Mapping
 from functools import reduce
 from inspect import getdoc
@@ -16,6 +15,7 @@ from rich.table import Table
 
 from rig.commands.cli_files import draw, export_, fmu, import_, recover, schema
 from rig.commands.cli_init import init
+from rig.commands.cli_view import view
 from rig.commands.command_line import (
     Force,
     Json,
@@ -33,11 +33,9 @@ from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
-from rig.extras import needs_extra
-from rig.files import check_source
 from rig.model.contact_laws import walls_m
 from rig.model.description import Station, read_rig, to_json
-from rig.recording import Recording, Signals, read, read_truth, truth_path
+from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
@@ -228,62 +226,7 @@ def check(file: File, as_json: Json = False) -> None:
         say(f"{file}: sound, {channels} channels of {recording.samples} samples")
 
 
-@app.command()
-def view(
-    file: File,
-    out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
-    truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
-    contact: Annotated[
-        Path | None,
-        typer.Option(
-            help="A contact.json of `identify contact`, or its folder: its walls; where there is no truth file, with "
-            "`--export csv` or `parquet` also its relative displacements and separated forces."
-        ),
-    ] = None,
-    gap: Annotated[
-        Path | None,
-        typer.Option(
-            help="A gap.json of `identify gap`, or its folder: where and when the gap acts, with the verdict."
-        ),
-    ] = None,
-    magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this computer; Ctrl-C ends it.")] = False,
-    force: Force = False,
-) -> None:
-    """Write a recording for the rerun viewer, and open it where there is a display.
-
-    Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
-    """
-    with needs_extra("view", "rig view (rerun)"):
-        from rig.viewer.gap import read_gap
-        from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
-        from rig.viewer.viewing import open_viewer, write_rrd
-        from rig.viewer.web import serve
-
-    if magnification is not None and not 0 < magnification < np.inf:
-        raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
-    check_source(file)
-    target = out or file.with_suffix(".rrd")
-    truth_file = truth or truth_path(file)
-    refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
-    check_ending(target, (".rrd",), "a view")
-    recording = read(file)
-    truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
-    identified = NOTHING_IDENTIFIED
-    if contact is not None:
-        identified = read_identified(contact, recording.rig, recording.duration_s)
-    diagnosed = None if gap is None else read_gap(gap, recording.rig, recording.duration_s)
-    with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(
-            recording, truth_recording, target, magnification, identified=identified, gap=diagnosed, progress=progress
-        )
-    print(f"{target}: written", flush=True)
-    if web:
-        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
-    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        open_viewer(target)
-
-
+app.command()(view)
 app.command()(demo)
 app.command()(recover)
 app.command("import")(import_)

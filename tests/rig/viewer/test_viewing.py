@@ -181,7 +181,7 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
     largest = np.abs(truth.signals["displacement"].values).max()
     leading = scene.magnification / 10.0 ** np.floor(np.log10(scene.magnification))
     assert round(leading, 9) in {1, 2, 5}
-    assert scene.extent_m / 3 / 2.5 < scene.magnification * largest <= scene.extent_m / 3
+    assert scene.extent_m / 4 / 2.5 < scene.magnification * largest <= scene.extent_m / 4
 
 
 def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
