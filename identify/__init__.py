@@ -8,8 +8,9 @@
 
 `check` says what is wrong with a recording, `contact` finds clearance, stiffness and damping of every contact, `law`
 the contact law as a formula, `gap` how the machine differs from its description, `compare` what changed between
-recordings. Each takes recordings or the names of their files, and returns a result with `to_dict()` and `table()`, all
-but `check` also with `figure(name)` and `save(folder)`.
+recordings, `plan` what a test will tell before it is run. Each takes recordings or the names of their files (`plan` a
+rig), and returns a result with `to_dict()` and `table()`, all but `check` also with `save(folder)`, and all but `check`
+and `plan` with `figure(name)`.
 """
 
 from importlib import import_module
@@ -17,9 +18,9 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from identify.api import check, compare, contact, gap, law
+    from identify.api import check, compare, contact, gap, law, plan
     from identify.pages.style import Picture
-    from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
+    from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult, PlanResult
 
 _MODULES = {
     "CheckResult": "identify.results",
@@ -27,12 +28,14 @@ _MODULES = {
     "GapResult": "identify.results",
     "HistoryResult": "identify.results",
     "LawResult": "identify.results",
+    "PlanResult": "identify.results",
     "Picture": "identify.pages.style",
     "check": "identify.api",
     "compare": "identify.api",
     "contact": "identify.api",
     "gap": "identify.api",
     "law": "identify.api",
+    "plan": "identify.api",
 }
 """Where each name is, loaded when it is first asked for (PEP 562)."""
 __all__ = [
@@ -42,11 +45,13 @@ __all__ = [
     "HistoryResult",
     "LawResult",
     "Picture",
+    "PlanResult",
     "check",
     "compare",
     "contact",
     "gap",
     "law",
+    "plan",
 ]
 __version__ = version("rig-identify")
 

@@ -18,6 +18,9 @@ from identify.laws import Laws
 from identify.laws.results import LawReport
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval
+from identify.plan import page as plan_page
+from identify.plan.expectation import QUANTITIES
+from identify.plan.results import Plan
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
@@ -241,6 +244,39 @@ class HistoryResult:
 
     def __str__(self) -> str:
         return history_page.sentence(self.report)
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """Plan of a test. `report` has the contents of plan.json, `rig` is the rig that was planned with."""
+
+    report: Plan
+    rig: Rig = field(repr=False)
+    sources: tuple[Path, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Dictionary as in plan.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[Row]:
+        """Row of each contact: believed values, and half their expected 95 % intervals."""
+        rows: list[Row] = []
+        for contact in self.report.contacts:
+            row: Row = {"contact": contact.name}
+            for name, quantity in zip(QUANTITIES, contact.quantities, strict=True):
+                row[name], row[f"{name}_within"] = quantity.value, COVERED * quantity.standard_error
+            rows.append(row)
+        return rows
+
+    def save(self, folder: str | Path) -> None:
+        """Write plan.html, a self-contained page, and plan.json."""
+        out = Path(folder)
+        make_folder(out)
+        plan_page.write_page(self.report, self.rig, out / "plan.html", self.sources)
+        write_json(self.report, out / "plan.json")
+
+    def __str__(self) -> str:
+        return plan_page.sentence(self.report)
 
 
 def _finding_fields(finding: Finding) -> dict[str, Any]:

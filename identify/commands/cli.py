@@ -14,6 +14,7 @@ from identify.checks import Finding
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
+from identify.commands.plan import plan
 from identify.contacts.figures import curves
 from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Estimate, Segments, identified_rig
@@ -47,6 +48,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_e
 app.command()(gap)
 app.command()(compare)
 app.command()(history)
+app.command()(plan)
 
 
 @app.callback()
