@@ -37,7 +37,8 @@ MISS_ERRORS = 3.5
 """Standard errors by which an estimate may miss the value that was simulated before it is noted."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
-"""Recording of the actual rig (second) in the channels of the nominal one (first) under forces, with noise by a seed."""
+"""Recording of the actual rig (second) in the channels of the nominal one (first) under forces; the seed is of the
+noise."""
 
 
 class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):

@@ -33,13 +33,10 @@ def sentence(plan: Plan) -> str:
     """Sentence on what the test determines, and on the best change."""
     names = [contact.name for contact in plan.contacts]
     widest = widest_share(plan)
-    missing = [contact.name for contact in plan.undetermined]
     parts = []
     if names:
         parts.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
-    if missing:
-        reasons = "; ".join(f"{c.name}: {c.reason}" for c in plan.undetermined)
-        parts.append(f"{', '.join(missing)} will not be told ({reasons})")
+    parts += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
     if plan.advice:
         parts.append(f"what helps most: {change_sentence(plan.advice[0])}")
     elif plan.changes:
