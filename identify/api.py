@@ -17,8 +17,8 @@ from identify.gaps.results import Matters
 from identify.history import history_of
 from identify.history.observations import observations
 from identify.laws import identify_law
-from identify.plan.planned_test import planned_test
-from identify.plan.planning import MOST_CHANGES, planned
+from identify.planning.planned_test import planned_test
+from identify.planning.ranking import MOST_CHANGES, planned
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult, PlanResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -179,7 +179,7 @@ def plan(
     workers: int = 1,
     progress: Progress = lambda _: None,
 ) -> PlanResult:
-    """Plan of a test: expected intervals of every contact, and what would shorten them (`identify.plan` says how).
+    """Plan of a test: expected intervals of every contact, and what would shorten them (`identify.planning` says how).
 
     The source is a rig, a rig.json, or a recording, which then gives duration, force and band, too. Several workers are
     processes: a script that asks for them needs `if __name__ == "__main__"`.

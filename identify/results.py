@@ -18,9 +18,9 @@ from identify.laws import Laws
 from identify.laws.results import LawReport
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval
-from identify.plan import page as plan_page
-from identify.plan.expectation import QUANTITIES
-from identify.plan.results import Plan
+from identify.planning import page as plan_page
+from identify.planning.expectation import QUANTITIES
+from identify.planning.results import Plan
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw

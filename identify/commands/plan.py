@@ -11,8 +11,8 @@ from rich.table import Table
 
 from identify.api import plan as planned
 from identify.commands.options import TolerancesOption, print_json
-from identify.plan import page
-from identify.plan.planning import MOST_CHANGES
+from identify.planning import page
+from identify.planning.ranking import MOST_CHANGES
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
 
 SHOWN_CHANGES = 8

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from identify.plan.results import Plan
+from identify.planning.results import Plan
 from rig.model.description import to_json
 from rig.simulation.reference import Sdof
 from tests.running import exit_status

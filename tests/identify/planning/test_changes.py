@@ -3,8 +3,8 @@
 import pytest
 from msgspec.structs import replace
 
-from identify.plan.changes import changes_of
-from identify.plan.planned_test import planned_test
+from identify.planning.changes import changes_of
+from identify.planning.planned_test import planned_test
 from rig.model.description import contact_stations
 from rig.model.sensing import sensors_of
 from rig.model.tolerances import EXACT, LABORATORY, ModeTolerance, SensorTolerance

@@ -27,6 +27,8 @@ HIGHEST_TO_SAMPLE_RATE = 0.25
 """Highest end of the band over the sampling rate: cubic interpolation of the force is right up to there."""
 POWER_SHARES = (0.01, 0.99)
 """Shares of a measured force's power that lie below the two ends of its band."""
+FORCE_STREAM = 3
+"""Last number of the force's seed: apart from that of the sensors' noise."""
 
 
 class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,7 +111,10 @@ def drawn_forces_n(test: PlannedTest, seed: int) -> Float[np.ndarray, "forces sa
     forces_n = np.zeros((len(test.force_rms_n), samples))
     rise = np.sin(np.pi / 2 * np.clip(np.arange(excited) / rate_hz / RISE_S, 0, 1)) ** 2
     for number_of_force, rms_n in enumerate(test.force_rms_n):
-        lines = np.random.default_rng([seed, number_of_force]).standard_normal((2, frequency_hz.size)) * in_band
+        lines = (
+            np.random.default_rng([seed, number_of_force, FORCE_STREAM]).standard_normal((2, frequency_hz.size))
+            * in_band
+        )
         noise = np.fft.irfft(lines[0] + 1j * lines[1], excited) * rise
         forces_n[number_of_force, quiet:] = rms_n * noise / np.sqrt(np.mean(noise**2))
     return forces_n

@@ -2,8 +2,8 @@
 
 import msgspec
 
-from identify.plan.changes import ChangeKind
-from identify.plan.expectation import ExpectedContact, Undetermined
+from identify.planning.changes import ChangeKind
+from identify.planning.expectation import ExpectedContact, Undetermined
 from rig.limits import SCHEMA_VERSION
 
 ADDS_NOTHING_FACTOR = 1.05

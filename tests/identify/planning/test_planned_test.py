@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.plan.planned_test import QUIET_S, drawn_forces_n, planned_test
+from identify.planning.planned_test import QUIET_S, drawn_forces_n, planned_test
 from rig.errors import RigError
 from rig.model.description import Station
 from rig.model.tolerances import EXACT, LABORATORY

@@ -6,9 +6,9 @@ from msgspec.structs import replace
 
 import identify
 from identify.contacts import identify_contact
-from identify.plan.expectation import QUANTITIES
-from identify.plan.planned_test import planned_test
-from identify.plan.planning import planned
+from identify.planning.expectation import QUANTITIES
+from identify.planning.planned_test import planned_test
+from identify.planning.ranking import planned
 from rig.errors import RigError
 from rig.model.tolerances import EXACT
 from rig.recording import read
@@ -29,7 +29,7 @@ def test_a_stiffness_is_as_uncertain_as_the_scale_of_the_forces(scaled):
     sigma^-2 = sigma_m^-2 + sigma_F^-2. Half the mass's tolerance leaves sqrt((1 + 1) / (4 + 1)) of it."""
     (stop,) = scaled.contacts
     share = stop.stiffness_n_per_m.standard_error / stop.stiffness_n_per_m.value
-    assert share == pytest.approx(0.02 / np.sqrt(2), rel=0.3)  # widened by a pull of the mass
+    assert 0.95 < share / (0.02 / np.sqrt(2)) < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
     assert stop.stiffness_n_per_m.limited_by == "tolerances"
     (known_mass,) = (change for change in scaled.changes if "mass" in change.words and change.kind == "tolerance")
     assert known_mass.widest_factor == pytest.approx(np.sqrt(2 / 5), rel=0.1)
@@ -112,7 +112,7 @@ def test_fresh_recordings_have_the_planned_standard_errors(settings, simulate, t
     """By other seeds, another drawing of the force and another step. Damping, whose error is scatter alone, scatters
     more."""
     ratios = fresh_ratios(settings, simulate, tmp_path)
-    middle = np.exp(np.mean(np.log(ratios), axis=0))
+    middle = np.median(ratios, axis=0)
     assert np.all((middle[:, :2] > 0.7) & (middle[:, :2] < 1.4))
     assert np.all((middle[:, 2] > 0.5) & (middle[:, 2] < 2.0))
     in_range = (ratios[..., :2] > 0.7) & (ratios[..., :2] < 1.4)

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from identify.pages.wording import number
-from identify.plan.planned_test import HIGHEST_TO_SAMPLE_RATE, LONGEST_S, PlannedTest
+from identify.planning.planned_test import HIGHEST_TO_SAMPLE_RATE, LONGEST_S, PlannedTest
 from rig.model.description import Body, Rig, Sensor, Station, contact_stations
 from rig.model.sensing import named_sensor, sensors_of
 from rig.model.tolerances import ModeTolerance, SensorTolerance, Tolerances

@@ -7,7 +7,7 @@ Notes for maintainers
    is, and divides the rest (scatter and slow motion) by the ratio of the lengths.
 3. `identify contact` widens its intervals by the pulls of body and force parameters, which chance moves from record to
    record. The factor is kept apart: it counts in what is expected, and not where tests are compared.
-4. The geometric mean over several drawn forces is expected; their spread says how far a single test may lie from it.
+4. The median over several drawn forces is expected; their spread says how far a single test may lie from it.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ from identify.contacts.law_fit import FORMS
 from identify.contacts.law_form import DAMPING, LAW, STIFFNESS
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
 from identify.contacts.separation import check_described, separate
-from identify.plan.planned_test import PlannedTest, drawn_forces_n
+from identify.planning.planned_test import PlannedTest, drawn_forces_n
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 from rig.recording import Recording
@@ -227,7 +227,7 @@ def _expected_quantity(draws: Sequence[ErrorParts]) -> ExpectedQuantity:
     middle = sorted(draws, key=lambda parts: parts.stated_error)[len(draws) // 2]
     return ExpectedQuantity(
         value=draws[0].value,
-        standard_error=float(np.exp(np.mean(logarithms))),
+        standard_error=float(np.exp(np.median(logarithms))),
         spread_factor=float(np.exp(np.std(logarithms, ddof=1))) if len(draws) > 1 else 1.0,
         limited_by=middle.source,
     )

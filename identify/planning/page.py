@@ -7,8 +7,8 @@ from pathlib import Path
 from identify.pages import page
 from identify.pages.machine import machine
 from identify.pages.wording import COVERED, interval, number, percent
-from identify.plan.expectation import ExpectedQuantity
-from identify.plan.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, Plan, TriedChange
+from identify.planning.expectation import ExpectedQuantity
+from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, Plan, TriedChange
 from rig.model.description import Rig
 
 WORDS = {

@@ -3,8 +3,9 @@
 Notes for maintainers
 1. A change is compared with the unchanged test under the same seeds, on records of at most
    `MOST_TRIED_SAMPLES`: where the motion stays as it is (tolerances, noise, sensors), chance cancels.
-2. Where it does not (force, band, place, duration), one record's interval may be short by chance: the best changes get
-   further simulations before they are ranked.
+2. Where it does not (force, band, place, duration), one record's interval may be short by chance: all changes are tried
+   under the force whose intervals are usual among several, and the best ones under the others, too.
+3. Medians are taken: a part of one record may tell so little that its interval is several times as long.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,8 +18,8 @@ import numpy as np
 from identify.contacts.separation import check_described
 from identify.gaps.decision.prepare import simulator_named
 from identify.pages.wording import COVERED
-from identify.plan.changes import Change, changes_of
-from identify.plan.expectation import (
+from identify.planning.changes import Change, changes_of
+from identify.planning.expectation import (
     MISS_ERRORS,
     QUANTITIES,
     ExpectedContact,
@@ -28,13 +29,14 @@ from identify.plan.expectation import (
     largest_miss,
     simulated_test,
 )
-from identify.plan.planned_test import PlannedTest
-from identify.plan.results import IntervalFactor, Plan, PlannedForce, TriedChange
+from identify.planning.planned_test import PlannedTest
+from identify.planning.results import IntervalFactor, Plan, PlannedForce, TriedChange
 
 LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
-SIMULATIONS = 3
-"""Number of simulated records for the expected intervals, and for the best changes."""
+SEEDS = (1, 2, 3)
+SIMULATIONS = len(SEEDS)
+"""Number of simulated records for the expected intervals, and for the best changes; odd, as medians are taken."""
 FINALISTS = 4
 """Number of changes that get further simulations. Effort."""
 MOST_CHANGES = 40
@@ -63,24 +65,18 @@ def planned(
     simulator_named(simulator)
     all_changes = list(changes_of(test))
     changes = all_changes[:most_changes]
-    seeds = range(1, SIMULATIONS + 1)
-    runs: list[Run] = [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in seeds]
-    tried = _tried_runs(test, test, simulator, seeds) if changes else []
-    runs += tried + [run for change in changes for run in _tried_runs(test, change.test, simulator, seeds[:1])]
-    finalist_runs = min(FINALISTS, len(changes)) * (SIMULATIONS - 1)
+    finalist_count = min(FINALISTS, sum(change.kind != "leave out sensor" for change in changes))
+    run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1)
     with _mapped(workers) as mapped:
-        outcomes = mapped(runs, lambda done: progress(done / (len(runs) + finalist_runs)))
-        expected, outcomes = outcomes[:SIMULATIONS], outcomes[SIMULATIONS:]
-        unchanged, first_outcomes = outcomes[: len(tried)], outcomes[len(tried) :]
-        results = [
-            _compared(change, unchanged[:1], [outcome]) for change, outcome in zip(changes, first_outcomes, strict=True)
-        ]
-        finalists = _finalists(results)
-        more_runs = [run for index in finalists for run in _tried_runs(test, changes[index].test, simulator, seeds[1:])]
-        more = mapped(more_runs, lambda done: progress((len(runs) + done) / (len(runs) + max(finalist_runs, 1))))
-    for position, index in enumerate(finalists):
-        further = more[position * (SIMULATIONS - 1) : (position + 1) * (SIMULATIONS - 1)]
-        results[index] = _compared(changes[index], unchanged, [first_outcomes[index], *further])
+        expected = mapped(
+            [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], lambda done: progress(done / run_count)
+        )
+        results = _tried(
+            test,
+            changes,
+            simulator,
+            lambda runs, done: mapped(runs, lambda n: progress((SIMULATIONS + done + n) / run_count)),
+        )
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
     return Plan(
@@ -97,12 +93,36 @@ def planned(
     )
 
 
-def _tried_runs(test: PlannedTest, changed: PlannedTest, simulator: str, seeds: Sequence[int]) -> list[Run]:
-    """Runs of a changed test for as long as those of the unchanged one; of one that lasts longer, longer in
+def _tried(
+    test: PlannedTest,
+    changes: Sequence[Change],
+    simulator: str,
+    mapped: Callable[[Sequence[Run], int], list[SimulatedTest]],
+) -> list[TriedChange]:
+    """Changes against the unchanged test, in their order. `mapped` takes runs, and how many were done before them."""
+    if not changes:
+        return []
+    unchanged = mapped([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
+    order = sorted(range(SIMULATIONS), key=lambda index: _widest(unchanged[index]))
+    usual, *others = (order[SIMULATIONS // 2], *(index for index in order if index != order[SIMULATIONS // 2]))
+    first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual]) for change in changes]
+    outcomes = [[outcome] for outcome in mapped(first_runs, SIMULATIONS)]
+    reference = [unchanged[usual], *(unchanged[index] for index in others)]
+    results = [_compared(change, reference[:1], of_change) for change, of_change in zip(changes, outcomes, strict=True)]
+    finalists = _finalists(results)
+    runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in others]
+    further = iter(mapped(runs, SIMULATIONS + len(changes)))
+    for k in finalists:
+        outcomes[k] += [next(further) for _ in others]
+        results[k] = _compared(changes[k], reference, outcomes[k])
+    return results
+
+
+def _tried_run(test: PlannedTest, changed: PlannedTest, simulator: str, seed: int) -> Run:
+    """Run of a changed test for as long as that of the unchanged one; of one that lasts longer, longer in
     proportion."""
     longest_s = min(test.duration_s, LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES / test.rig.sample_rate_hz)
-    longest_s *= changed.duration_s / test.duration_s
-    return [(changed, simulator, seed, longest_s) for seed in seeds]
+    return changed, simulator, seed, longest_s * changed.duration_s / test.duration_s
 
 
 def _run(run: Run) -> SimulatedTest:
@@ -156,25 +176,18 @@ def _shares(outcome: SimulatedTest) -> Shares:
 
 
 def _compared(change: Change, unchanged: Sequence[SimulatedTest], changed: Sequence[SimulatedTest]) -> TriedChange:
-    """Change against the unchanged test under the same seeds: geometric means over these."""
-    before, after = ([_shares(outcome) for outcome in outcomes] for outcomes in (unchanged, changed))
+    """Change against the unchanged test under the same seeds: medians over these."""
+    pairs = [(_shares(before), _shares(after)) for before, after in zip(unchanged, changed, strict=True)]
     determined_before, determined_after = (_determined(outcomes) for outcomes in (unchanged, changed))
-    both = set.intersection(*(set(shares) for shares in (*before, *after)))
-    logarithms = {
-        key: float(np.mean([np.log(a[key] / b[key]) for a, b in zip(after, before, strict=True)])) for key in both
-    }
-    widest_before, widest_after = (
-        np.exp(
-            np.mean([np.log(_widest(shares, outcome)) for shares, outcome in zip(all_shares, outcomes, strict=True)])
-        )
-        for all_shares, outcomes in ((before, unchanged), (after, changed))
-    )
+    both = set.intersection(*(set(before) & set(after) for before, after in pairs))
+    logarithms = {key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in both}
+    widest = np.array([[_widest(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
     largest = max(logarithms, key=lambda key: (abs(logarithms[key]), key), default=None)
     return TriedChange(
         kind=change.kind,
         words=change.words,
-        widest_share=float(widest_after),
-        widest_factor=float(widest_after / widest_before),
+        widest_share=float(np.median(widest[1])),
+        widest_factor=float(np.median(widest[1] / widest[0])),
         largest=None
         if largest is None
         else IntervalFactor(contact=largest[0], quantity=largest[1], factor=float(np.exp(logarithms[largest]))),
@@ -191,9 +204,9 @@ def _determined(outcomes: Sequence[SimulatedTest]) -> set[str]:
     return {name for name in names if sum(name in outcome.errors for outcome in outcomes) >= len(outcomes) / 2}
 
 
-def _widest(shares: Shares, outcome: SimulatedTest) -> float:
+def _widest(outcome: SimulatedTest) -> float:
     """Widest share; 1 if a contact is not determined."""
-    return max([*shares.values(), *(1.0 for _ in outcome.refused)], default=1.0)
+    return max([*_shares(outcome).values(), *(1.0 for _ in outcome.refused)], default=1.0)
 
 
 def _rank(change: TriedChange) -> tuple[int, float]:

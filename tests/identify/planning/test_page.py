@@ -2,9 +2,9 @@
 
 import pytest
 
-from identify.plan import page
-from identify.plan.expectation import ExpectedContact, ExpectedQuantity, Undetermined
-from identify.plan.results import IntervalFactor, Plan, PlannedForce, TriedChange
+from identify.planning import page
+from identify.planning.expectation import ExpectedContact, ExpectedQuantity, Undetermined
+from identify.planning.results import IntervalFactor, Plan, PlannedForce, TriedChange
 from rig.simulation.reference import BarrelCradle
 
 
