@@ -20,7 +20,7 @@ from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval
 from identify.planning import page as plan_page
 from identify.planning.expectation import QUANTITIES
-from identify.planning.results import Plan
+from identify.planning.results import PlanReport
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
@@ -250,7 +250,7 @@ class HistoryResult:
 class PlanResult:
     """Plan of a test. `report` has the contents of plan.json, `rig` is the rig that was planned with."""
 
-    report: Plan
+    report: PlanReport
     rig: Rig = field(repr=False)
     sources: tuple[Path, ...] = ()
 

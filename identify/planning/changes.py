@@ -38,7 +38,7 @@ TOLERANCE_WORDS = {
 Override = TypeVar("Override", SensorTolerance, ModeTolerance)
 
 
-class Change(msgspec.Struct, frozen=True):
+class PlannedChange(msgspec.Struct, frozen=True):
     """Changed test, the kind of the change, and what to do in words."""
 
     kind: ChangeKind
@@ -46,13 +46,13 @@ class Change(msgspec.Struct, frozen=True):
     test: PlannedTest
 
 
-def changes_of(test: PlannedTest) -> Iterator[Change]:
+def changes_of(test: PlannedTest) -> Iterator[PlannedChange]:
     """Yield the changes to try, the usual ones first; the sensors to leave out last."""
     yield from _displacement_sensors(test)
     yield from _accelerometers(test)
     yield from _levels(test)
     if 2 * test.duration_s <= LONGEST_S:
-        yield Change("duration", f"record {2 * test.duration_s:g} s", test.with_duration(2 * test.duration_s))
+        yield PlannedChange("duration", f"record {2 * test.duration_s:g} s", test.with_duration(2 * test.duration_s))
     yield from _noise(test)
     yield from _tolerances(test)
     yield from _bands(test)
@@ -71,7 +71,7 @@ def _added(rig: Rig, station: Station, quantity: Literal["displacement", "accele
     return sensor if sensor.name not in taken else replace(sensor, name=f"{sensor.name}_added")
 
 
-def _displacement_sensors(test: PlannedTest) -> Iterator[Change]:
+def _displacement_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
     """Displacement sensors on both sides of each contact, and of all contacts."""
     measured = {sensor.station for sensor in sensors_of(test.rig, "displacement")}
     added_for_all: dict[Station, Sensor] = {}
@@ -103,11 +103,11 @@ def _place_text(station: Station) -> str:
     return f"{station.position_m:g} m of {station.body}"
 
 
-def _addition(test: PlannedTest, words: str, sensors: tuple[Sensor, ...]) -> Change:
-    return Change("add sensor", f"add {words}", _with_sensors(test, test.rig.sensors + sensors))
+def _addition(test: PlannedTest, words: str, sensors: tuple[Sensor, ...]) -> PlannedChange:
+    return PlannedChange("add sensor", f"add {words}", _with_sensors(test, test.rig.sensors + sensors))
 
 
-def _accelerometers(test: PlannedTest) -> Iterator[Change]:
+def _accelerometers(test: PlannedTest) -> Iterator[PlannedChange]:
     """An accelerometer at each side of a contact that has none, and in the widest interval without a sensor of each
     body."""
     rig, accelerometers = test.rig, sensors_of(test.rig, "acceleration")
@@ -132,26 +132,26 @@ def _widest_middle(rig: Rig, body: Body) -> Station | None:
     return Station(body.name, float(round((edges_m[widest] + edges_m[widest + 1]) / 2, 4)))
 
 
-def _levels(test: PlannedTest) -> Iterator[Change]:
+def _levels(test: PlannedTest) -> Iterator[PlannedChange]:
     for factor in FORCE_FACTORS:
         changed = replace(test, force_rms_n=tuple(factor * rms_n for rms_n in test.force_rms_n))
-        yield Change("force", f"excite with {changed.level} ({factor:g} times)", changed)
+        yield PlannedChange("force", f"excite with {changed.level} ({factor:g} times)", changed)
 
 
-def _noise(test: PlannedTest) -> Iterator[Change]:
+def _noise(test: PlannedTest) -> Iterator[PlannedChange]:
     for quantity in dict.fromkeys(sensor.quantity for sensor in test.rig.sensors if sensor.noise_density):
         quieter = tuple(
             replace(sensor, noise_density=sensor.noise_density / 2) if sensor.quantity == quantity else sensor
             for sensor in test.rig.sensors
         )
-        yield Change("noise", f"take {quantity} sensors of half the noise", _with_sensors(test, quieter))
+        yield PlannedChange("noise", f"take {quantity} sensors of half the noise", _with_sensors(test, quieter))
 
 
-def _tolerances(test: PlannedTest) -> Iterator[Change]:
+def _tolerances(test: PlannedTest) -> Iterator[PlannedChange]:
     for field, words in TOLERANCE_WORDS.items():
         if halved := _halved(test.tolerances, field):
             value = number(getattr(halved, field), 2)
-            yield Change(
+            yield PlannedChange(
                 "tolerance", f"know {words} twice as well ({field} = {value})", replace(test, tolerances=halved)
             )
 
@@ -174,27 +174,27 @@ def _halved_override(override: Override, field: str) -> Override:
     return override if value is None else replace(override, **{field: value / 2})
 
 
-def _bands(test: PlannedTest) -> Iterator[Change]:
+def _bands(test: PlannedTest) -> Iterator[PlannedChange]:
     low_hz, high_hz = test.band_hz
     for factor in BAND_FACTORS:
         changed_hz = factor * high_hz
         if low_hz < changed_hz <= HIGHEST_TO_SAMPLE_RATE * test.rig.sample_rate_hz:
             words = f"excite from {low_hz:.3g} to {changed_hz:.3g} Hz with the same {test.level}"
-            yield Change("band", words, replace(test, band_hz=(low_hz, changed_hz)))
+            yield PlannedChange("band", words, replace(test, band_hz=(low_hz, changed_hz)))
 
 
-def _places(test: PlannedTest) -> Iterator[Change]:
+def _places(test: PlannedTest) -> Iterator[PlannedChange]:
     """The only force at other stations with sensors, evenly chosen."""
     if len(test.rig.forces) > 1:
         return
     stations = list(dict.fromkeys(s.station for s in test.rig.sensors if s.station != test.rig.forces[0]))
     for index in np.unique(np.linspace(0, len(stations) - 1, MOST_PLACES).round().astype(int)) if stations else ():
         rig = replace(test.rig, force_at=stations[index])
-        yield Change("place", f"excite at {_place_text(stations[index])}", replace(test, rig=rig))
+        yield PlannedChange("place", f"excite at {_place_text(stations[index])}", replace(test, rig=rig))
 
 
-def _without_sensors(test: PlannedTest) -> Iterator[Change]:
+def _without_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
     sensors = test.rig.sensors
     for sensor in sensors if len(sensors) > 1 else ():
         others = tuple(other for other in sensors if other != sensor)
-        yield Change("leave out sensor", sensor.name, _with_sensors(test, others))
+        yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, others))

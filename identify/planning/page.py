@@ -8,7 +8,7 @@ from identify.pages import page
 from identify.pages.machine import machine
 from identify.pages.wording import COVERED, interval, number, percent
 from identify.planning.expectation import ExpectedQuantity
-from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, Plan, TriedChange
+from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, PlanReport, TriedChange
 from rig.model.description import Rig
 
 WORDS = {
@@ -29,7 +29,7 @@ CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
 SENSOR_HEAD = ("without", "widest interval", "times", "changes most")
 
 
-def sentence(plan: Plan) -> str:
+def sentence(plan: PlanReport) -> str:
     """Sentence on what the test determines, and on the best change."""
     names = [contact.name for contact in plan.contacts]
     widest = widest_share(plan)
@@ -51,13 +51,13 @@ def change_sentence(change: TriedChange) -> str:
     return f"{change.words}, which makes the widest interval {number(change.widest_factor, 2)} times as long"
 
 
-def widest_share(plan: Plan) -> float:
+def widest_share(plan: PlanReport) -> float:
     """Widest expected 95 % interval of a clearance or stiffness over its value."""
     quantities = [q for c in plan.contacts for q in (c.clearance_m, c.stiffness_n_per_m) if q.value]
     return max((COVERED * q.standard_error / q.value for q in quantities), default=1.0)
 
 
-def contact_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     """Row of each contact: its name and expected 95 % intervals."""
     for contact in plan.contacts:
         quantities = zip(WORDS.values(), contact.quantities, strict=True)
@@ -81,7 +81,7 @@ def _factor(largest: IntervalFactor) -> str:
     return f"{largest.contact}: {WORDS[largest.quantity][0]} times {number(largest.factor, 2)}"
 
 
-def idle_sentence(plan: Plan) -> str:
+def idle_sentence(plan: PlanReport) -> str:
     """Sentence on the sensors that add nothing; empty if there are none or none was left out."""
     if not plan.idle_sensors:
         return ""
@@ -91,7 +91,7 @@ def idle_sentence(plan: Plan) -> str:
     )
 
 
-def test_sentence(plan: Plan) -> str:
+def test_sentence(plan: PlanReport) -> str:
     """Sentence on the test that is planned."""
     low_hz, high_hz = plan.force.band_hz
     levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
@@ -99,7 +99,7 @@ def test_sentence(plan: Plan) -> str:
     return f"{plan.duration_s:g} s of {kind} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
-def _limit_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     for contact in plan.contacts:
         for (name, unit, scale), quantity in zip(WORDS.values(), contact.quantities, strict=True):
             yield (
@@ -110,7 +110,7 @@ def _limit_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
             )
 
 
-def write_page(plan: Plan, rig: Rig, path: Path, sources: Sequence[Path] = ()) -> None:
+def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] = ()) -> None:
     """Write plan.html."""
     lines: dict[str, Sequence[str]] = {
         contact.name: (_interval(contact.clearance_m, 1e3, "mm"), _interval(contact.stiffness_n_per_m, 1.0, "N/m"))
@@ -134,7 +134,7 @@ def write_page(plan: Plan, rig: Rig, path: Path, sources: Sequence[Path] = ()) -
     )
 
 
-def _sections(plan: Plan) -> list[tuple[str, str]]:
+def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     note = (
         f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times with "
         f"other forces for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
@@ -159,7 +159,7 @@ def _sections(plan: Plan) -> list[tuple[str, str]]:
     return sections
 
 
-def _folded(plan: Plan) -> list[tuple[str, str]]:
+def _folded(plan: PlanReport) -> list[tuple[str, str]]:
     if not plan.contacts:
         return []
     text = (

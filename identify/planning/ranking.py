@@ -18,7 +18,7 @@ import numpy as np
 from identify.contacts.separation import check_described
 from identify.gaps.decision.prepare import simulator_named
 from identify.pages.wording import COVERED
-from identify.planning.changes import Change, changes_of
+from identify.planning.changes import PlannedChange, changes_of
 from identify.planning.expectation import (
     MISS_ERRORS,
     QUANTITIES,
@@ -30,7 +30,7 @@ from identify.planning.expectation import (
     simulated_test,
 )
 from identify.planning.planned_test import PlannedTest
-from identify.planning.results import IntervalFactor, Plan, PlannedForce, TriedChange
+from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
 
 LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
@@ -56,7 +56,7 @@ def planned(
     most_changes: int = MOST_CHANGES,
     workers: int = 1,
     progress: Callable[[float], None] = lambda _: None,
-) -> Plan:
+) -> PlanReport:
     """Plan of a test by the named simulator.
 
     Raises RigError if the rig has no contacts or nothing that the identification knows, or if it cannot be simulated.
@@ -79,7 +79,7 @@ def planned(
         )
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
-    return Plan(
+    return PlanReport(
         rig=test.rig.name,
         duration_s=test.duration_s,
         force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz),
@@ -95,7 +95,7 @@ def planned(
 
 def _tried(
     test: PlannedTest,
-    changes: Sequence[Change],
+    changes: Sequence[PlannedChange],
     simulator: str,
     mapped: Callable[[Sequence[Run], int], list[SimulatedTest]],
 ) -> list[TriedChange]:
@@ -175,7 +175,9 @@ def _shares(outcome: SimulatedTest) -> Shares:
     }
 
 
-def _compared(change: Change, unchanged: Sequence[SimulatedTest], changed: Sequence[SimulatedTest]) -> TriedChange:
+def _compared(
+    change: PlannedChange, unchanged: Sequence[SimulatedTest], changed: Sequence[SimulatedTest]
+) -> TriedChange:
     """Change against the unchanged test under the same seeds: medians over these."""
     pairs = [(_shares(before), _shares(after)) for before, after in zip(unchanged, changed, strict=True)]
     determined_before, determined_after = (_determined(outcomes) for outcomes in (unchanged, changed))

@@ -58,7 +58,7 @@ class TriedChange(msgspec.Struct, frozen=True, kw_only=True):
         return self.kind == "leave out sensor" and not self.lost and self.largest_growth <= ADDS_NOTHING_FACTOR
 
 
-class Plan(msgspec.Struct, frozen=True, kw_only=True):
+class PlanReport(msgspec.Struct, frozen=True, kw_only=True):
     """Plan of a test. Changes are ranked: those that make most contacts determined, then those that shrink the widest
     interval most."""
 

@@ -3,7 +3,7 @@
 import msgspec
 import pytest
 
-from identify.planning.results import Plan
+from identify.planning.results import PlanReport
 from rig.model.description import to_json
 from rig.simulation.reference import Sdof
 from tests.running import exit_status
@@ -24,8 +24,8 @@ def test_json_on_standard_output_is_the_plan_and_the_file(rig_json, tmp_path, ca
     assert exit_status("identify", "plan", rig_json, *WORDS, *words) == 0
     printed, errors = capfd.readouterr()
     assert errors == ""
-    plan = msgspec.json.decode(printed, type=Plan)
-    assert msgspec.json.decode((out / "plan.json").read_bytes(), type=Plan) == plan
+    plan = msgspec.json.decode(printed, type=PlanReport)
+    assert msgspec.json.decode((out / "plan.json").read_bytes(), type=PlanReport) == plan
     assert (plan.duration_s, plan.force.rms_n, plan.force.band_hz) == (20.0, (0.7,), (0.5, 15.0))
     assert [contact.name for contact in plan.contacts] == ["stop"]
     assert not plan.changes

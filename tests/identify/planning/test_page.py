@@ -4,7 +4,7 @@ import pytest
 
 from identify.planning import page
 from identify.planning.expectation import ExpectedContact, ExpectedQuantity, Undetermined
-from identify.planning.results import IntervalFactor, Plan, PlannedForce, TriedChange
+from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
 from rig.simulation.reference import BarrelCradle
 
 
@@ -21,7 +21,7 @@ def change(kind, words, factor, **fields):
 
 @pytest.fixture
 def plan():
-    return Plan(
+    return PlanReport(
         rig="barrel_cradle",
         duration_s=30.0,
         force=PlannedForce(rms_n=(14.0,), band_hz=(0.5, 100.0)),
