@@ -17,9 +17,10 @@ from identify.gaps.results import Matters
 from identify.history import history_of
 from identify.history.observations import observations
 from identify.laws import identify_law
+from identify.planning.plan_result import PlanResult
 from identify.planning.planned_test import planned_test
 from identify.planning.ranking import MOST_CHANGES, planned
-from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult, PlanResult
+from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError

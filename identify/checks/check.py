@@ -191,21 +191,21 @@ def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
 def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
     name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
-    force, forces = channel.forces_n, channel.force_names
+    forces_n, force_names = channel.forces_n, channel.force_names
     checks: list[Callable[[], Finding | None]] = [
-        lambda: waveforms.dead(name, samples, forces),
+        lambda: waveforms.dead(name, samples, force_names),
         lambda: waveforms.clipped(name, samples),
         lambda: waveforms.quantised(name, samples),
-        lambda: waveforms.held(name, samples, force, forces),
+        lambda: waveforms.held(name, samples, forces_n, force_names),
     ]
     if not channel.is_force:
         checks += [
-            lambda: waveforms.hum(name, rate_hz, samples, force),
-            lambda: waveforms.noise(name, rate_hz, samples, force, forces),
+            lambda: waveforms.hum(name, rate_hz, samples, forces_n),
+            lambda: waveforms.noise(name, rate_hz, samples, forces_n, force_names),
         ]
     if channel.group == "acceleration":
         checks += [lambda: waveforms.drift(name, rate_hz, samples), lambda: waveforms.offset(name, samples)]
-    elif not channel.is_force and (quiet := quiet_samples(force, rate_hz)):
+    elif not channel.is_force and (quiet := quiet_samples(forces_n, rate_hz)):
         checks.append(lambda: waveforms.offset(name, samples[:quiet], float(samples.std())))
     return next((fault for check in checks if (fault := check()) is not None), None)
 

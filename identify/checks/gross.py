@@ -216,22 +216,22 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Tr
 
 
 def _multiple_channel_faults(
-    rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra
+    rig: Rig, check: LinearCheck, usable_indices: list[int], full_spectra: FullSpectra
 ) -> GrossFaults | None:
-    """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
-    trusted, excluded = list(usable), list[int]()
-    while len(trusted) > len(rig.contacts) + 3 and len(excluded) < len(usable) / 2:
+    """Channels excluded_indices one after the other, the worst first, while three more than the contacts remain."""
+    trusted_indices, excluded_indices = list(usable_indices), list[int]()
+    while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
         trials = []
-        for channel in trusted:
-            remaining = [i for i in trusted if i != channel]
+        for channel in trusted_indices:
+            remaining = [i for i in trusted_indices if i != channel]
             trials.append((check.misfit(check.spectra, remaining), channel))
         misfit, worst = min(trials)
-        trusted, excluded = [i for i in trusted if i != worst], [*excluded, worst]
+        trusted_indices, excluded_indices = [i for i in trusted_indices if i != worst], [*excluded_indices, worst]
         if misfit < SOUND_MISFIT:
-            check = check.with_spectra(check.spectra, trusted)
-            prediction = check.prediction(trusted)
+            check = check.with_spectra(check.spectra, trusted_indices)
+            prediction = check.prediction(trusted_indices)
             findings = list[Finding]()
-            for channel in sorted(excluded):
-                findings += _channel_findings(rig, check, prediction, channel, trusted, full_spectra)
-            return GrossFaults(merge_by_cause(findings, rig), trusted, True)
+            for channel in sorted(excluded_indices):
+                findings += _channel_findings(rig, check, prediction, channel, trusted_indices, full_spectra)
+            return GrossFaults(merge_by_cause(findings, rig), trusted_indices, True)
     return None

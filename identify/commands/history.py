@@ -55,8 +55,8 @@ def _compare_and_print(
 ) -> None:
     sensors = checked_use(use)
     if out is not None:
-        for name in ("history.html", "history.csv", "history.json"):
-            refuse_existing(out / name, force, *sources, new_folder=True)
+        for file_name in ("history.html", "history.csv", "history.json"):
+            refuse_existing(out / file_name, force, *sources, new_folder=True)
     with progress_bar(f"comparing {len(sources)} recordings") as progress:
         result = compared(sources, use=sensors, tolerances=tolerances, progress=progress)
     if out is not None:
@@ -64,7 +64,7 @@ def _compare_and_print(
     if as_json:
         print_json(result.to_dict())
         return
-    say(str(result))
+    say(result.sentence)
     table = Table("", "mean", "first to last, ± 95 %", "p, trend", "p, differences", box=SIMPLE_HEAD)
     for row in rows(result.report):
         table.add_row(*row)

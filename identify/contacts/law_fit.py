@@ -221,16 +221,21 @@ def is_preferred(simple: LawFit, alternative: LawFit) -> bool:
 
 def evidence(simple: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
-    before, after = (np.fft.rfft(fit.weights * fit.state.residual) for fit in (simple, alternative))
-    edges = np.geomspace(LOWEST_LINE, before.size, BANDS + 1).astype(int)
+    spectrum_before, spectrum_after = (np.fft.rfft(fit.weights * fit.state.residual) for fit in (simple, alternative))
+    edges = np.geomspace(LOWEST_LINE, spectrum_before.size, BANDS + 1).astype(int)
     band_starts = np.unique(np.r_[0, edges[1:-1]])
-    count = np.diff(np.r_[band_starts, before.size])
-    squares_before, squares_after = (np.add.reduceat(np.abs(lines) ** 2, band_starts) for lines in (before, after))
+    count = np.diff(np.r_[band_starts, spectrum_before.size])
+    squares_before, squares_after = (
+        np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in (spectrum_before, spectrum_after)
+    )
     if not np.all((squares_before > 0) & (squares_after > 0)):
         return 0.0, 0.0
-    likelihood_gain = samples * float(count @ np.log(squares_before / squares_after)) / before.size
+    likelihood_gain = samples * float(count @ np.log(squares_before / squares_after)) / spectrum_before.size
     usual_amplitude = np.repeat(np.sqrt(squares_before / count), count)
-    squares = [np.fft.irfft(lines / usual_amplitude, simple.weights.size) ** 2 for lines in (before, after)]
+    squares = [
+        np.fft.irfft(spectrum / usual_amplitude, simple.weights.size) ** 2
+        for spectrum in (spectrum_before, spectrum_after)
+    ]
     part_gains = np.array([segment.sum() for segment in np.array_split(squares[0] - squares[1], PARTS)])
     scatter = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
     return likelihood_gain, float(part_gains.mean()) / scatter if scatter > 0 else 0.0

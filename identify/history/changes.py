@@ -82,8 +82,10 @@ def history_of(observations: Sequence[Observation]) -> History:
     """
     reports = [o.report for o in observations if o.report is not None]
     if len(reports) < 2:
-        reasons = "".join(f"; {o.reason}" for o in observations if o.reason)
-        raise RigError(f"{len(reports)} of {len(observations)} recordings can be compared; give two or more{reasons}")
+        reason_text = "".join(f"; {o.reason}" for o in observations if o.reason)
+        raise RigError(
+            f"{len(reports)} of {len(observations)} recordings can be compared; give two or more{reason_text}"
+        )
     rig = reports[0].rig
     for report in reports[1:]:
         if report.rig != rig:

@@ -22,7 +22,7 @@ from identify.contacts.acceptance import accept
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
-from identify.contacts.law_form import DAMPING, LAW, STIFFNESS
+from identify.contacts.law_form import DAMPING, STIFFNESS, law_numbers
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
 from identify.contacts.separation import check_described, separate
 from identify.planning.planned_test import PlannedTest, drawn_forces_n
@@ -184,7 +184,7 @@ def _refused(refusal: Refusal) -> RefusedContact:
 def _error_parts(
     law: ContactLaw, estimate: JointEstimate, stated: JointEstimate, length_ratio: float
 ) -> tuple[ErrorParts, ...]:
-    simulated = LAW.vector({name: getattr(law, name) for name in LAW.names})
+    simulated = law_numbers(law)
     parts = []
     for gradient in (estimate.clearance, STIFFNESS, DAMPING):
         total, tolerances, slow_motion, misfit = (

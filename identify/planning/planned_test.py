@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from identify.pages.wording import number
 from rig.errors import RigError
 from rig.model.description import Rig
-from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling_n
+from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -95,7 +95,7 @@ def planned_test(
         rig=rig,
         tolerances=tolerances or rig.tolerances or LABORATORY,
         duration_s=DURATION_S if duration_s is None else duration_s,
-        force_rms_n=levels_n or (rattling_n(rig, *band_hz),) * len(rig.forces),
+        force_rms_n=levels_n or (rattling(rig, *band_hz).rms_n,) * len(rig.forces),
         band_hz=band_hz,
     )
 

@@ -1,17 +1,24 @@
 """Excitation of a user's rig from its rig.json, for `rig record FILE.json`."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
 
-from rig.errors import RigError
+from rig.errors import RigError, meant
+from rig.model.decoding import explained
 from rig.model.description import Rig
-from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling_n
+from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, Level, rattling
 from rig.simulation.excitation import Excitation, excitation_of
 
 MIN_STEP_RATE_HZ = 2.0**14
 """Least rate of a plant's steps, Hz; the rate is the next multiple of the sampling rate."""
+SHAKER_N = 2000.0
+"""Force, N rms, of a large shaker in a laboratory: modal shakers that push through a stinger give some 50 to 500 N,
+air-cooled vibrators 1 to 3 kN; more needs a test house."""
+SHAKEN = ("gaussian", "burst", "sweep", "multisine", "stepped_sine")
+"""Excitations that a shaker gives; a blow's peak is not so limited."""
 
 
 class Drive(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -45,25 +52,48 @@ class OwnRig:
     def rig(self) -> Rig:
         return self.machine
 
+    @property
+    def high_hz(self) -> float:
+        return self.drive.high_hz or BAND_TO_SAMPLE_RATE * self.machine.sample_rate_hz
+
     def force(self) -> Excitation:
-        drive, rate = self.drive, self.machine.sample_rate_hz
-        high_hz = drive.high_hz or BAND_TO_SAMPLE_RATE * rate
-        unit_free = excitation_of(drive.excitation, rms_n=0.0, low_hz=drive.low_hz, high_hz=high_hz, seed=drive.seed)
-        rms_n = rattling_n(self.machine, drive.low_hz, high_hz) if drive.rms_n is None else drive.rms_n
-        return msgspec.structs.replace(unit_free, rms_n=rms_n)
+        drive = self.drive
+        unit_free = excitation_of(
+            drive.excitation, rms_n=0.0, low_hz=drive.low_hz, high_hz=self.high_hz, seed=drive.seed
+        )
+        return msgspec.structs.replace(unit_free, rms_n=self.level.rms_n)
+
+    @cached_property
+    def level(self) -> Level:
+        """Level of the force, chosen unless it is given."""
+        if self.drive.rms_n is not None:
+            return Level(self.drive.rms_n, "as set")
+        return rattling(self.machine, self.drive.low_hz, self.high_hz)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Sentence on a force that is beyond a shaker; none otherwise."""
+        rms_n = self.level.rms_n
+        if rms_n <= SHAKER_N or self.drive.excitation not in SHAKEN:
+            return ()
+        return (
+            f"{rms_n:g} N rms is more than a large laboratory shaker gives (about {SHAKER_N:g} N rms); check the "
+            "description's clearances and masses, or give --set rms_n=N",
+        )
 
 
 def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
     """User's rig with settings given as text; raises RigError for an unknown setting or an invalid value."""
     if unknown := sorted(set(settings) - set(Drive.__struct_fields__)):
+        names = Drive.__struct_fields__
         raise RigError(
-            f"no setting {unknown[0]!r} for a rig of one's own, only {', '.join(Drive.__struct_fields__)}; change the "
-            "rest in its file"
+            f"no setting {unknown[0]!r}{meant(unknown[0], names)} for a rig of one's own, only {', '.join(names)}; "
+            "change the rest in its file"
         )
     try:
         return OwnRig(rig, msgspec.convert(settings, Drive, strict=False))
     except msgspec.ValidationError as error:
-        raise RigError(f"{error}; see `rig record --help` for the settings") from error
+        raise RigError(f"{explained(error, settings, Drive)}; see `rig record --help` for the settings") from error
 
 
 def plant_for(rig: Rig) -> str:

@@ -128,7 +128,7 @@ def _contact_state_shares(linearization: Linearization, total: Float[np.ndarray,
             if names
             else np.ones(total.size, bool)
         )
-        label = " and ".join(n for n, is_closed in zip(names, state, strict=True) if is_closed)
+        label = " and ".join(name for name, is_closed in zip(names, state, strict=True) if is_closed)
         squares[f"{label} closed" if label else "open"] = float(total[in_state].sum())
     return _normalized(squares)
 

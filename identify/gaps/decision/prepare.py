@@ -127,7 +127,7 @@ def prepare(
     rig_tolerances = tolerances or ordered[0].rig.tolerances or LABORATORY
     ordered, channel_faults = without_faulty_channels(*ordered)
     observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered)
-    simulators = [
+    simulate_functions = [
         simulator.simulate
         if observation.record.forced
         else free_decay_simulator(observation.recording, simulator.simulate)
@@ -144,12 +144,14 @@ def prepare(
         def report(share: float, number: int = number) -> None:
             progress((number + share) / len(first_indices))
 
-        recording, simulate = observations[index].recording, simulators[index]
+        recording, simulate = observations[index].recording, simulate_functions[index]
         references_by_key[key] = null_reference_of(
             recording, rig_tolerances, simulate, simulator.name, report, null_reference_path, predict=simulator.predict
         )
     references = tuple(references_by_key[key] for key in keys)
-    return Prepared(observations, validating, channel_faults, simulators[validating], simulator.predict, references)
+    return Prepared(
+        observations, validating, channel_faults, simulate_functions[validating], simulator.predict, references
+    )
 
 
 def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedRecording:

@@ -39,7 +39,7 @@ COLUMNS = np.dtype(
 changed formula makes another type, for which numba compiles anew."""
 
 
-def table_of(laws: Sequence[ContactLaw]) -> Any:
+def law_records(laws: Sequence[ContactLaw]) -> Any:
     """Table with a row of coefficients per law, of any kind."""
     table = np.zeros(len(laws), COLUMNS)
     for row, law in zip(table, laws, strict=True):

@@ -213,34 +213,34 @@ def applied_inputs(
 
 def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
     """Arrays of a model for `stepping.advance`; raises RigError if a contact is too stiff for the step."""
-    from rig.simulation.plants.compiled_laws import table_of
+    from rig.simulation.plants.compiled_laws import law_records
     from rig.simulation.plants.stepping import gauss_points
 
     propagate, response = _propagator(model.omega, model.zeta, step_s)
-    input_response, contact_response = (
+    state_by_input, state_by_contact_force = (
         (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
     )
-    reach, relief = _reach(model, contact_response, step_s)
+    reach, relief = _reach(model, state_by_contact_force, step_s)
     return (
         propagate,
-        input_response,
+        state_by_input,
         model.across,
-        contact_response,
+        state_by_contact_force,
         reach,
         relief,
-        table_of(model.laws),
+        law_records(model.laws),
         gauss_points(step_s),
     )
 
 
 def _reach(
-    model: Model, contact_response: Float[np.ndarray, "3 contacts states"], step_s: float
+    model: Model, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
     """Response of every eta and eta' to each end force and each bend within a step, and the relief 1 / (1 + self gain).
 
     Raises RigError if the loop gain of a contact force exceeds one half.
     """
-    end_responses = contact_response[1:].reshape(2, len(model.across), 2, model.omega.size)
+    end_responses = state_by_contact_force[1:].reshape(2, len(model.across), 2, model.omega.size)
     reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, end_responses))
     stiffness, slope = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
     loop = np.abs(reach[0, 0]) @ stiffness + np.abs(reach[0, 1]) @ slope
@@ -255,15 +255,15 @@ def _reach(
 def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
     """Bends of the inputs: mean over each step of a smooth curve less that of the straight line, -F'' h^2 / 12.
 
-    F'' is the mean of the second differences at both ends of the step, or that of one end if the other is a corner,
-    where the second difference exceeds both its neighbours fourfold.
+    F'' is the mean of the second_n differences at both ends of the step, or that of one end if the other is a corner,
+    where the second_n difference exceeds both its neighbours fourfold.
     """
     bends = np.zeros(inputs.shape)
     with np.errstate(invalid="ignore"):  # a force that is not finite
-        second = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
-        size = np.abs(second)
-        corner = size[:, 1:-1] > 4 * np.maximum(size[:, :-2], size[:, 2:])
-        at_start, at_end = second[:, 1:-2], second[:, 2:-1]
+        second_n = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
+        second_size_n = np.abs(second_n)
+        corner = second_size_n[:, 1:-1] > 4 * np.maximum(second_size_n[:, :-2], second_size_n[:, 2:])
+        at_start, at_end = second_n[:, 1:-2], second_n[:, 2:-1]
         bends[:, 1:-2] = -(np.where(corner[:, :-1], at_end, at_start) + np.where(corner[:, 1:], at_start, at_end)) / 24
     return bends
 

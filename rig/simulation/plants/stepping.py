@@ -63,7 +63,7 @@ def _bend(law, j, previous, current, time_s, step_s, gauss):
 
 @_compiled
 @no_type_check
-def _modes_alone(states, n, inputs, bends, propagate, input_response, contact_response, contact_state):
+def _modes_alone(states, n, inputs, bends, propagate, state_by_input, state_by_contact_force, contact_state):
     """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
     mode_count = propagate.shape[2]
     for i in range(mode_count):
@@ -74,12 +74,12 @@ def _modes_alone(states, n, inputs, bends, propagate, input_response, contact_re
         at_start, at_end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
         for i in range(2 * mode_count):
             states[n + 1, i] += (
-                input_response[0, k, i] * at_start + input_response[1, k, i] * at_end + input_response[2, k, i] * bend
+                state_by_input[0, k, i] * at_start + state_by_input[1, k, i] * at_end + state_by_input[2, k, i] * bend
             )
     for j in range(contact_state.shape[1]):
         if contact_state[FORCE, j] != 0.0:
             for i in range(2 * mode_count):
-                states[n + 1, i] += contact_response[0, j, i] * contact_state[FORCE, j]
+                states[n + 1, i] += state_by_contact_force[0, j, i] * contact_state[FORCE, j]
 
 
 @_compiled
@@ -126,9 +126,9 @@ def advance(
     inputs,
     input_bends,
     propagate,
-    input_response,
+    state_by_input,
     across,
-    contact_response,
+    state_by_contact_force,
     reach,
     relief,
     laws,
@@ -139,17 +139,17 @@ def advance(
     """Fill states (samples + 1, q and q' of every mode) from row 0 on; forces, contact_bends (contacts, samples).
 
     contact_state (4, contacts) belongs to the first row and is updated to the last. inputs and input_bends
-    (inputs, samples + 1) are the known forces. propagate (2, 2, modes) advances a mode; input_response and
-    contact_response (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and at
-    the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every eta
-    and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
+    (inputs, samples + 1) are the known forces. propagate (2, 2, modes) advances a mode; state_by_input and
+    state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
+    at the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every
+    eta and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
     """
     mode_count, contact_count = across.shape[1], across.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
     touches = np.empty(contact_count, dtype=np.bool_)
     for n in range(forces.shape[1]):
         time_s = (first + n) * step_s
-        _modes_alone(states, n, inputs, input_bends, propagate, input_response, contact_response, contact_state)
+        _modes_alone(states, n, inputs, input_bends, propagate, state_by_input, state_by_contact_force, contact_state)
         touching = False
         for j in range(contact_count):
             e, r = 0.0, 0.0
@@ -165,7 +165,8 @@ def advance(
             for j in range(contact_count):
                 for i in range(2 * mode_count):
                     states[n + 1, i] += (
-                        contact_response[1, j, i] * current[FORCE, j] + contact_response[2, j, i] * current[BEND, j]
+                        state_by_contact_force[1, j, i] * current[FORCE, j]
+                        + state_by_contact_force[2, j, i] * current[BEND, j]
                     )
         for j in range(contact_count):
             forces[j, n], contact_bends[j, n] = current[FORCE, j], current[BEND, j]

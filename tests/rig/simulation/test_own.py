@@ -1,10 +1,20 @@
-"""Settings of a recording of a rig of one's own."""
+"""Settings and force of a recording of a rig of one's own."""
 
 import pytest
 
 from rig.errors import RigError
 from rig.simulation.own import own_rig, plant_for
 from rig.simulation.reference import Sdof
+
+
+@pytest.mark.parametrize(
+    ("settings", "is_beyond"),
+    [({"rms_n": "1999"}, False), ({"rms_n": "2500"}, True), ({"rms_n": "2500", "excitation": "hammer"}, False)],
+)
+def test_a_force_beyond_a_large_shaker_is_warned_of(settings, is_beyond):
+    warnings = own_rig(Sdof().rig(), settings).warnings
+    assert bool(warnings) == is_beyond
+    assert all("2500 N rms is more than a large laboratory shaker gives" in w for w in warnings)
 
 
 def test_settings_follow_from_the_rig_unless_they_are_given():
