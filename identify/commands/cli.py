@@ -13,6 +13,7 @@ from identify.commands.contact import contact, print_findings
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
+from identify.commands.plan import plan
 from identify.laws.report import curves as law_curves
 from identify.laws.results import LawReport
 from identify.pages.tables import save_tables
@@ -34,6 +35,7 @@ app.command()(contact)
 app.command()(gap)
 app.command()(compare)
 app.command()(history)
+app.command()(plan)
 
 
 @app.callback()
