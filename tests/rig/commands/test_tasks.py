@@ -76,7 +76,8 @@ def test_a_task_that_always_kills_its_process_takes_no_other_with_it(tmp_path):
 
 def test_an_interruption_ends_the_processes_and_keeps_what_is_done(tmp_path):
     """The first tasks are quick, the last would sleep for ten minutes; then the command goes on with these."""
-    program = "from rig.commands.tasks import outcomes_of_tasks, run_tasks; from pathlib import Path; import sys; "
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # ignored in the background
+    program += "from rig.commands.tasks import outcomes_of_tasks, run_tasks; from pathlib import Path; import sys; "
     program += f"sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_tasks as t; "
     program += f"run_tasks(t.sleeping, [t.Square(n) for n in (0, 0, 1, 600, 700)], t.Squared, Path({str(tmp_path)!r}))"
     with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True) as process:
