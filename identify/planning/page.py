@@ -74,7 +74,8 @@ def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
         notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
         if change.largest and abs(change.largest.factor - 1) > 0.01:
             notes.append(_factor(change.largest))
-        yield change.words, f"± {percent(change.widest_share)}", number(change.widest_factor, 2), "; ".join(notes)
+        share = f"± {number(100 * change.widest_share, 2)} %"
+        yield change.words, share, number(change.widest_factor, 3), "; ".join(notes)
 
 
 def _factor(largest: IntervalFactor) -> str:

@@ -62,7 +62,7 @@ def test_the_sentence_says_what_will_be_told_and_what_helps(plan):
 def test_rows_have_values_and_half_intervals_in_the_units_of_the_heading(plan):
     assert list(page.contact_rows(plan)) == [("contact_1", "5.0000 ± 0.0098", "100000 ± 980", "0.00 ± 0.20")]
     first, _ = page.change_rows(plan.changes)
-    assert first[1:3] == ("± 0.8 %", "0.80")
+    assert first[1:3] == ("± 0.80 %", "0.800")
     assert "tells contact_2" in first[3]
 
 
