@@ -1,0 +1,101 @@
+"""Head to head: this project and what a reader would otherwise use, on identical recordings.
+
+python -m scenarios.peers --out out/peers
+"""
+
+import csv
+import io
+import time
+from importlib import import_module
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from threadpoolctl import threadpool_limits
+
+from rig.commands.command_line import run
+from rig.errors import RigError
+from rig.files import write_bytes
+from rig.recording import Recording, read
+from rig.simulation.reference import BarrelCradle, Sdof
+from scenarios.compare import recorded
+from scenarios.peers.methods import METHODS
+from scenarios.peers.table import HEADINGS, PeerOutcome, PeerTrial, row
+
+SENSORS = "displacement+velocity+acceleration"
+RIGS: dict[str, Sdof | BarrelCradle] = {
+    "sdof": Sdof(noise_density=1e-3, sensors=SENSORS, duration_s=40.0),
+    "barrel_cradle": BarrelCradle(noise_density=1e-3, sensors=SENSORS, duration_s=20.0, step_s=2.0**-16),
+}
+"""Accelerometers of a good laboratory, and beside them displacements and velocities without noise, which peers need."""
+TITLES = {"sdof": "one mass", "barrel_cradle": "two beams"}
+app = typer.Typer(pretty_exceptions_enable=False)
+
+
+@app.command()
+def peers(
+    out: Annotated[Path, typer.Option(help="Folder for the recordings, the results and the table.")] = Path(
+        "out/peers"
+    ),
+    seeds: Annotated[int, typer.Option(help="Recordings of each rig: seeds 1, 2, ...", min=1)] = 3,
+    method: Annotated[list[str] | None, typer.Option(help=f"Of {', '.join(METHODS)}; all by default.")] = None,
+) -> None:
+    """Identifies the recordings by every method that is installed, one after another, and prints the table.
+
+    Results are kept in the folder, and not computed again.
+    """
+    if unknown := [name for name in method or () if name not in METHODS]:
+        raise RigError(f"--method {unknown[0]}: there is no such method; give any of {', '.join(METHODS)}")
+    rows: list[tuple[str, ...]] = []
+    for rig in RIGS:
+        for name in method or METHODS:
+            chosen = METHODS[name]
+            if rig not in chosen.rigs:
+                continue
+            if not chosen.installed:
+                print(f"{chosen.title} on {TITLES[rig]}: skipped; pip install 'rig-identify[peers]' installs it")
+                continue
+            outcomes = [outcome_of(PeerTrial(name, rig, seed), out) for seed in range(1, seeds + 1)]
+            rows.append(row(chosen.title, chosen.told, outcomes))
+            print(" | ".join((TITLES[rig], *rows[-1][1:])), flush=True)
+    text = io.StringIO()
+    csv.writer(text).writerows([HEADINGS, *rows])
+    write_bytes(text.getvalue().encode(), out / "peers.csv")
+    used = [METHODS[name] for name in method or METHODS if METHODS[name].installed]
+    Console().print(f"{out / 'peers.csv'}; {', '.join(m.versions for m in used)}", highlight=False)
+
+
+def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
+    """Outcome of a trial: the one kept in the folder, or computed and kept there."""
+    chosen = METHODS[trial.method]
+    path = folder / f"{trial.rig}_{trial.seed}_{trial.method}.json"
+    if path.exists():
+        return msgspec.json.decode(path.read_bytes(), type=PeerOutcome)
+    recording_path = folder / f"{trial.rig}_{trial.seed}.mcap"
+    if not recording_path.exists():
+        recorded(msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed), "modal", recording_path)
+    for module in chosen.modules:
+        import_module(module)  # not among the seconds that are measured
+    outcome = tried(trial, read(recording_path))
+    write_bytes(msgspec.json.encode(outcome), path)
+    return outcome
+
+
+def tried(trial: PeerTrial, recording: Recording) -> PeerOutcome:
+    """Outcome of a method on a recording, on one thread; seconds are those of the processor."""
+    chosen = METHODS[trial.method]
+    true = tuple((c.law.clearance_m, c.law.stiffness_n_per_m) for c in recording.rig.contacts)
+    begin_s = time.process_time()
+    try:
+        with threadpool_limits(1):
+            answers = chosen.answers(recording)
+    except Exception as error:  # a peer may raise anything, and the others go on
+        return PeerOutcome(trial=trial, versions=chosen.versions, true=true, failure=f"{type(error).__name__}: {error}")
+    cpu_s = time.process_time() - begin_s
+    return PeerOutcome(trial=trial, versions=chosen.versions, true=true, answers=answers, cpu_s=cpu_s)
+
+
+if __name__ == "__main__":
+    run(app, "scenarios.peers")

@@ -1,0 +1,107 @@
+"""What peers are given of a recording, and the form of their answers."""
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from rig.model.quantities import QuantityName
+from rig.model.sensing import sensors_of
+from rig.recording import Recording
+from rig.simulation.plants.modal import model_of
+
+START_CLEARANCE, START_STIFFNESS = 0.8, 1.5
+"""Where the peers that iterate start: shares of the true clearance and stiffness."""
+
+
+class ContactAnswer(msgspec.Struct, frozen=True, kw_only=True):
+    """Clearance and stiffness of a contact, with half-widths of their 95 % intervals; None where a peer has none."""
+
+    contact: str
+    clearance_m: float | None
+    stiffness_n_per_m: float
+    clearance_reach_m: float | None = None
+    stiffness_reach_n_per_m: float | None = None
+
+
+@dataclass(frozen=True)
+class LinearModel:
+    """Believed linear part of a rig: modes with unit modal mass, and shapes at force, contacts and sensors.
+
+    A mode obeys q'' + 2 zeta omega q' + omega^2 q = force_row F - sum_j contact_rows_j f_j.
+    """
+
+    omega: Float[np.ndarray, " modes"]
+    zeta: Float[np.ndarray, " modes"]
+    bodies: tuple[str, ...]
+    force_row: Float[np.ndarray, " modes"]
+    contact_rows: Float[np.ndarray, "contacts modes"]
+    sensor_rows: Float[np.ndarray, "stations modes"]
+
+
+@dataclass(frozen=True)
+class Given:
+    """A recording as arrays, with the true contact laws for those peers that are told them, or start near them."""
+
+    model: LinearModel
+    names: tuple[str, ...]
+    true_clearance_m: Float[np.ndarray, " contacts"]
+    true_stiffness_n_per_m: Float[np.ndarray, " contacts"]
+    sample_rate_hz: float
+    force_n: Float[np.ndarray, " samples"]
+    displacement_m: Float[np.ndarray, "stations samples"]
+    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    acceleration_m_per_s2: Float[np.ndarray, "stations samples"]
+    station_bodies: tuple[str, ...]
+    contact_stations: Float[np.ndarray, "contacts stations"]
+    """Relative displacements by the stations' displacements: 1 at a contact's place, -1 at the other body's."""
+    force_station: int
+
+    @property
+    def eta_m(self) -> Float[np.ndarray, "contacts samples"]:
+        """Relative displacements at the contacts, as measured."""
+        return self.contact_stations @ self.displacement_m
+
+
+def given(recording: Recording, modes_per_beam: int = 16) -> Given:
+    """Arrays of a recording that has displacement, velocity and acceleration at every station."""
+    rig = recording.rig
+    model = model_of(rig, False, modes_per_beam)
+    places = [s.station for s in sensors_of(rig, "displacement")]
+    mode_bodies = [b.name for b in rig.bodies for _ in range(model.omega.size // len(rig.bodies))]
+    selection = np.zeros((len(rig.contacts), len(places)))
+    for row, contact in zip(selection, rig.contacts, strict=True):
+        row[places.index(contact.at)] = 1
+        if contact.against:
+            row[places.index(contact.against)] = -1
+
+    def values(quantity: QuantityName) -> Float[np.ndarray, "stations samples"]:
+        return np.array([recording.values_of(s) for s in sensors_of(rig, quantity)])
+
+    return Given(
+        model=LinearModel(
+            omega=model.omega,
+            zeta=model.zeta,
+            bodies=tuple(mode_bodies),
+            force_row=model.gains[0],
+            contact_rows=model.across,
+            sensor_rows=np.array([model.rows[place] for place in places]),
+        ),
+        names=tuple(c.name for c in rig.contacts),
+        true_clearance_m=np.array([c.law.clearance_m for c in rig.contacts]),
+        true_stiffness_n_per_m=np.array([c.law.stiffness_n_per_m for c in rig.contacts]),
+        sample_rate_hz=rig.sample_rate_hz,
+        force_n=recording.force_n,
+        displacement_m=values("displacement"),
+        velocity_m_per_s=values("velocity"),
+        acceleration_m_per_s2=values("acceleration"),
+        station_bodies=tuple(place.body for place in places),
+        contact_stations=selection,
+        force_station=places.index(rig.forces[0]),
+    )
+
+
+def dead_zone(eta_m: Float[np.ndarray, "..."], clearance_m: float) -> Float[np.ndarray, "..."]:
+    """Penetration beyond a clearance to both sides, with the sign of the displacement, m."""
+    return np.sign(eta_m) * np.maximum(np.abs(eta_m) - clearance_m, 0)

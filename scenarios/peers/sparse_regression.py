@@ -1,0 +1,120 @@
+"""Sparse regression (pysindy): accelerations on a library of linear terms and of dead zones on a grid of clearances.
+
+The greedy selection (FROLS) picks dead zones from a coarse grid, then from finer ones around the clearance found. Two
+neighbours of the grid together are a dead zone between them: stiffness is the sum of their coefficients, clearance
+their mean by these. Intervals are the spread over an ensemble of bootstraps, as `EnsembleOptimizer` makes it.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from scenarios.peers.given import ContactAnswer, Given, dead_zone
+
+COARSE, FINE = 40, 9
+"""Clearances of the first grid, over all displacements, and of the finer ones, around the clearance found before."""
+HALF_WIDTHS = (1 / 4, 1 / 10, 1 / 40, 1 / 40, 1 / 160, 1 / 640)
+"""Half-widths of the finer grids, as shares of the largest displacement."""
+PICKS = 3
+"""Dead zones a contact that the greedy selection may take beside the linear terms."""
+BOOTSTRAPS = 20
+COVERED = 1.96
+KEPT_HZ = 512.0
+"""Samples a second that the regression takes; more of them only take longer."""
+
+
+def sparse_regression(recording: Given) -> tuple[ContactAnswer, ...]:
+    """Clearance and stiffness of every contact from measured displacements, velocities and accelerations.
+
+    One mass: its acceleration. Two beams: the accelerations of the struck body's first four modes, by the pseudoinverse
+    of the shapes at its stations; a contact's stiffness is its coefficient over minus the mode's shape there.
+    """
+    modes = [i for i, body in enumerate(recording.model.bodies) if body == recording.station_bodies[-1]]
+    stations = [i for i, body in enumerate(recording.station_bodies) if body == recording.station_bodies[-1]]
+    resolved = modes[: len(stations)]
+    every = max(1, round(recording.sample_rate_hz / KEPT_HZ))
+    to_modes = np.linalg.pinv(recording.model.sensor_rows[np.ix_(stations, resolved)])[:4]
+    modal = [
+        (to_modes @ signal[stations, ::every]).T
+        for signal in (recording.displacement_m, recording.velocity_m_per_s, recording.acceleration_m_per_s2)
+    ]
+    eta_m, force_n = recording.eta_m[:, ::every].T, recording.force_n[::every, None]
+    shapes = recording.model.contact_rows[:, resolved[:4]].T
+
+    reach_m = np.abs(eta_m).max(axis=0)
+    library_inputs = (np.hstack([*modal[:2]]), force_n, eta_m)
+    grids = [np.linspace(0.02, 0.98, COARSE) * reach for reach in reach_m]
+    for half_width in (*HALF_WIDTHS, None):
+        (coefficients,) = _coefficients(library_inputs, modal[2], grids, bootstraps=0)
+        clearance_m, stiffness_n_per_m = _joined(coefficients, grids, shapes)
+        if half_width:
+            grids = [
+                np.clip(middle, half_width * reach, (0.95 - half_width) * reach)
+                + half_width * reach * np.linspace(-1, 1, FINE)
+                for middle, reach in zip(clearance_m, reach_m, strict=True)
+            ]
+    ensemble = [_joined(c, grids, shapes) for c in _coefficients(library_inputs, modal[2], grids, BOOTSTRAPS)]
+    spread_m, spread_n_per_m = (np.std(values, axis=0, ddof=1) for values in zip(*ensemble, strict=True))
+    return tuple(
+        ContactAnswer(
+            contact=name,
+            clearance_m=float(clearance_m[j]),
+            stiffness_n_per_m=float(stiffness_n_per_m[j]),
+            clearance_reach_m=COVERED * float(spread_m[j]),
+            stiffness_reach_n_per_m=COVERED * float(spread_n_per_m[j]),
+        )
+        for j, name in enumerate(recording.names)
+    )
+
+
+def _coefficients(
+    library_inputs: tuple[Float[np.ndarray, "samples _"], ...],
+    acceleration: Float[np.ndarray, "samples modes"],
+    grids_m: list[Float[np.ndarray, " clearances"]],
+    bootstraps: int,
+) -> list[Float[np.ndarray, "modes terms"]]:
+    """Coefficients of the library's terms in every modal acceleration, by one fit or by each of the bootstraps.
+
+    pysindy regresses as many derivatives as it has states, so the states are the modal velocities; displacements, force
+    and relative displacements come as controls.
+    """
+    import pysindy
+
+    motion, force_n, eta_m = library_inputs
+    states = acceleration.shape[1]
+    velocity, controls = motion[:, states:], np.hstack([motion[:, :states], force_n, eta_m])
+    linear = list(range(2 * states + force_n.shape[1]))
+    libraries = [pysindy.PolynomialLibrary(degree=1, include_bias=False)]
+    libraries += [pysindy.CustomLibrary([_penetration(clearance_m) for clearance_m in grid]) for grid in grids_m]
+    library = pysindy.GeneralizedLibrary(
+        libraries, inputs_per_library=[linear, *([len(linear) + j] for j in range(len(grids_m)))]
+    )
+    greedy = pysindy.FROLS(normalize_columns=True, alpha=1e-12, max_iter=len(linear) + PICKS * len(grids_m))
+    optimizer = pysindy.EnsembleOptimizer(greedy, bagging=True, n_models=bootstraps) if bootstraps else greedy
+    model = pysindy.SINDy(optimizer=optimizer, feature_library=library)
+    model.fit(velocity, t=1 / KEPT_HZ, x_dot=acceleration, u=controls)
+    return [c[:, len(linear) :] for c in (optimizer.coef_list if bootstraps else [model.coefficients()])]
+
+
+def _penetration(clearance_m: float) -> Callable[[Any], Any]:
+    def penetration(eta_m: Any) -> Any:
+        return dead_zone(eta_m, clearance_m)
+
+    return penetration
+
+
+def _joined(
+    coefficients: Float[np.ndarray, "modes terms"],
+    grids_m: list[Float[np.ndarray, " clearances"]],
+    shapes: Float[np.ndarray, "modes contacts"],
+) -> tuple[Float[np.ndarray, " contacts"], Float[np.ndarray, " contacts"]]:
+    """Clearance and stiffness of every contact by all modal equations, weighted with the squares of the shapes."""
+    clearance_m, stiffness_n_per_m, first = [], [], 0
+    for j, grid in enumerate(grids_m):
+        by_clearance = -shapes[:, j] @ coefficients[:, first : first + grid.size] / np.sum(shapes[:, j] ** 2)
+        first += grid.size
+        stiffness_n_per_m.append(by_clearance.sum())
+        clearance_m.append(by_clearance @ grid / by_clearance.sum())
+    return np.array(clearance_m), np.array(stiffness_n_per_m)
