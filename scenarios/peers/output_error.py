@@ -11,8 +11,9 @@ from scipy.optimize import least_squares
 from scenarios.peers.given import START_CLEARANCE, START_STIFFNESS, ContactAnswer, Given
 from scenarios.peers.rollouts import Stepper, rolled_out, stepper
 
-WINDOWS_S = (1 / 16, 1 / 4)
-"""Windows of the first pass, within which a wrong clearance still lets the motion be followed, and of the last."""
+WINDOWS_S = {1: (1 / 16, 1 / 4), 2: (1 / 64, 1 / 16)}
+"""Windows by the number of contacts: of the first pass, within which a wrong clearance still lets the motion be
+followed, and of the last."""
 STEPS_HZ = {1: 4096, 2: 8192}
 """Steps a second of the rollouts, by the number of contacts."""
 OUTPUTS_HZ = {1: 512, 2: 1024}
@@ -56,7 +57,7 @@ def output_error(recording: Given) -> tuple[ContactAnswer, ...]:
         [START_CLEARANCE * recording.true_clearance_m, stiffness_n_per_m, DAMPING_S * stiffness_n_per_m], axis=1
     )
     laws = np.tile([1.0, 1.0, 0.0], contacts)
-    for window_s in WINDOWS_S:
+    for window_s in WINDOWS_S[contacts]:
         laws, errors = _fitted(_windows(recording, scales, window_s), laws)
     values, reach = (scales * v.reshape(contacts, 3) for v in (laws, COVERED * errors))
     return tuple(
@@ -114,7 +115,7 @@ def _fitted(
     directions = np.tile(np.diag(size), (count, 1, 1))
     by_state, _ = _derivatives(windows, laws, windows.starts, directions)
     factors = np.linalg.qr(by_state, mode="r")
-    directions = directions @ np.linalg.pinv(factors, rcond=1e-9)
+    directions = directions @ np.linalg.pinv(factors, rcond=1e-7)
 
     def unpacked(x: Float[np.ndarray, " all"]) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "windows states"]]:
         steps = x[laws.size :].reshape(count, states)
@@ -130,6 +131,7 @@ def _fitted(
         lambda x: windows.residuals(*unpacked(x)).ravel(),
         np.append(laws, np.zeros(count * states)),
         jac=jacobian,
+        x_scale="jac",
         tr_solver="lsmr",
         xtol=1e-6,
         ftol=1e-8,
