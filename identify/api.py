@@ -17,6 +17,9 @@ from identify.gaps.results import Matters
 from identify.history import history_of
 from identify.history.observations import observations
 from identify.laws import identify_law
+from identify.planning.plan_result import PlanResult
+from identify.planning.planned_test import planned_test
+from identify.planning.ranking import MOST_CHANGES, planned
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -163,6 +166,34 @@ def compare(
     with threadpool_limits(1):
         history = history_of(list(observations(paths, use, _resolved(tolerances), progress)))
     return HistoryResult(history)
+
+
+def plan(
+    source: Rig | Source,
+    *,
+    duration_s: float | None = None,
+    force_rms_n: float | None = None,
+    band_hz: tuple[float, float] | None = None,
+    tolerances: Tolerances | str | None = None,
+    simulator: str = "modal",
+    most_changes: int = MOST_CHANGES,
+    workers: int = 1,
+    progress: Progress = lambda _: None,
+) -> PlanResult:
+    """Plan of a test: expected intervals of every contact, and what would shorten them (`identify.planning` says how).
+
+    The source is a rig, a rig.json, or a recording, which then gives duration, force and band, too. Several workers are
+    processes: a script that asks for them needs `if __name__ == "__main__"`.
+    Raises RigError if the rig or the values make no test.
+    """
+    described: Rig | Recording
+    if isinstance(source, str | Path):
+        described = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
+    else:
+        described = source
+    test = planned_test(described, duration_s, force_rms_n, band_hz, _resolved(tolerances))
+    report = planned(test, simulator, most_changes, workers, progress)
+    return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 
 
 def _identity(source: Source) -> Path | int:

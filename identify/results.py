@@ -10,6 +10,7 @@ import msgspec
 
 from identify.checks import Finding
 from identify.contacts import Identification
+from identify.contacts.identified_contact import EstimatedQuantity, IdentifiedContact, identified_contact
 from identify.contacts.results import ContactReport, Estimate, Unanswered, identified_rig
 from identify.gaps.results import Gap
 from identify.history import History
@@ -17,27 +18,34 @@ from identify.history import page as history_page
 from identify.laws import Laws
 from identify.laws.results import LawReport
 from identify.pages.style import Picture
-from identify.pages.wording import COVERED, interval
+from identify.pages.summary import Summarized, Summary
+from identify.pages.wording import COVERED, interval, number, percent
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 Row = dict[str, str | float]
+MOST_CAUSES = 5
+"""Causes of a diagnosis in its summary, the most probable first. Display."""
 
 
 @dataclass(frozen=True)
-class CheckResult:
+class CheckResult(Summarized):
     """Findings on a recording and its rig.json, each with channel, evidence and mend."""
 
     findings: tuple[Finding, ...]
+    """Findings, none if nothing is wrong."""
     title: str
+    """Name of the rig, with the files that were checked."""
 
     @property
     def sound(self) -> bool:
+        """Whether nothing wrong was found."""
         return not self.findings
 
     def to_dict(self) -> dict[str, Any]:
+        """Dictionary with `sound` and the findings."""
         return {"sound": self.sound, "findings": [_finding_fields(f) for f in self.findings]}
 
     def table(self) -> list[Row]:
@@ -47,25 +55,46 @@ class CheckResult:
             for f in self.findings
         ]
 
-    def __str__(self) -> str:
-        return "\n".join(f.sentence for f in self.findings) or "nothing wrong was found"
+    def summary(self) -> Summary:
+        """Each finding with its cause and its sentence."""
+        if self.sound:
+            return Summary(above=("nothing wrong was found",))
+        return Summary(tuple({"cause": f.cause, "finding": f.sentence} for f in self.findings))
 
 
 @dataclass(frozen=True)
-class ContactResult:
-    """Contacts by a recording. `report` has all estimates with standard errors, as contact.json has.
-
-    `laws` are the reference laws of the contacts, and `laws_name` names them.
-    """
+class ContactResult(Summarized):
+    """Contacts by a recording: `found["contact_1"].clearance` has `.value`, `.interval`, `.unit`, `.standard_error`."""
 
     found: Identification = field(repr=False)
+    """Estimates with the signals from which the figures are drawn."""
     title: str
+    """Name of the rig, with the file of the recording."""
     laws: Mapping[str, ContactLaw]
+    """Reference laws by contact, which the figures mark."""
     laws_name: str = "rig.json"
+    """Name of the reference laws."""
     sources: tuple[Path, ...] = ()
+    """Files of the recordings."""
+
+    def __getitem__(self, name: str) -> IdentifiedContact:
+        """Contact of that name; raises RigError if the recording does not determine it, or there is none."""
+        contacts = {contact.name: contact for contact in self.contacts}
+        if name in contacts:
+            return contacts[name]
+        for contact in self.report.unanswered:
+            if contact.name == name:
+                raise RigError(f"contact {name!r} is not told by this record: {contact.reason}")
+        raise RigError(f"there is no contact {name!r}; there are {', '.join(contacts) or 'none'}")
+
+    @property
+    def contacts(self) -> tuple[IdentifiedContact, ...]:
+        """Identified contacts."""
+        return tuple(map(identified_contact, self.report.contacts))
 
     @property
     def report(self) -> ContactReport:
+        """All estimates with standard errors: the contents of contact.json."""
         return self.found.report
 
     @property
@@ -93,6 +122,7 @@ class ContactResult:
         return contact_figures(self.found, marks, self.laws_name)
 
     def figure(self, name: str) -> Picture:
+        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
         return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
@@ -101,27 +131,30 @@ class ContactResult:
 
         write_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
 
-    def __str__(self) -> str:
-        lines = [
-            f"{c.name}: clearance {interval(1e3 * c.clearance_m.value, 1e3 * c.clearance_m.standard_error, 'mm')}, "
-            f"stiffness {interval(c.stiffness_n_per_m.value, c.stiffness_n_per_m.standard_error, 'N/m')}"
-            for c in self.report.contacts
-        ]
+    def summary(self) -> Summary:
+        """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""
         laws = [f"{sentence}." for c in self.report.contacts if (sentence := c.law_sentence)]
-        warnings = [f"not to be relied on: {f.sentence}" for f in self.report.findings]
-        return "\n".join([*warnings, *lines, *laws, *_unanswered_lines(self.report.unanswered)])
+        return Summary(
+            tuple(map(_contact_cells, self.contacts)),
+            above=tuple(f"not to be relied on: {f.sentence}" for f in self.report.findings),
+            below=(*laws, *_unanswered_lines(self.report.unanswered)),
+        )
 
 
 @dataclass(frozen=True)
-class LawResult:
-    """Contact laws as formulae. `report` has the contents of law.json."""
+class LawResult(Summarized):
+    """Contact laws as formulae."""
 
     found: Laws = field(repr=False)
+    """Laws with the signals from which the figures are drawn."""
     title: str
+    """Name of the rig, with the file of the recording."""
     sources: tuple[Path, ...] = ()
+    """Files of the recordings."""
 
     @property
     def report(self) -> LawReport:
+        """Laws with all values: the contents of law.json."""
         return self.found.report
 
     def to_dict(self) -> dict[str, Any]:
@@ -144,6 +177,7 @@ class LawResult:
         return law_figures(self.found.found)
 
     def figure(self, name: str = "law") -> Picture:
+        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
         return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
@@ -152,24 +186,35 @@ class LawResult:
 
         write_results(self.found, Path(folder), self.title, self.sources)
 
-    def __str__(self) -> str:
-        lines = [f"{law.contact}: {law.verdict}; {law.formula}" for law in self.report.laws]
-        return "\n".join([*lines, *_unanswered_lines(self.report.unanswered)])
+    def summary(self) -> Summary:
+        """Laws tried on each contact with what they leave of the held-out force, and the verdicts with the formulae."""
+        rows = tuple(
+            {
+                "contact": law.contact,
+                "law": tried.law,
+                "left of held-out data, N rms": number(tried.held_out_error_n, 3),
+            }
+            for law in self.report.laws
+            for tried in law.candidates
+        )
+        verdicts = tuple(f"{law.contact}: {law.verdict}; {law.formula}" for law in self.report.laws)
+        return Summary(rows, below=(*verdicts, *_unanswered_lines(self.report.unanswered)))
 
 
 @dataclass(frozen=True)
-class GapResult:
-    """Difference of the machine from its description. `report` has the contents of gap.json, `corrected` is the new
-    rig.
-
-    findings are those of the check of every recording, of which some may be the effect that is diagnosed.
-    """
+class GapResult(Summarized):
+    """Difference of the machine from its description."""
 
     report: Gap = field(repr=False)
+    """Verdict, causes and evidence: the contents of gap.json."""
     corrected: Rig = field(repr=False)
+    """Rig with the named effects in it; the nominal rig where none is named."""
     title: str
+    """Name of the rig, with the files of the recordings."""
     findings: tuple[Finding, ...] = ()
+    """Findings of the check of every recording, of which some may be the effect that is diagnosed."""
     sources: tuple[Path, ...] = ()
+    """Files of the recordings."""
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary as in gap.json."""
@@ -188,9 +233,10 @@ class GapResult:
         """All figures by their names."""
         from identify.gaps.page.pictures import pictures
 
-        return pictures(self.report, self.corrected)
+        return pictures(self.report)
 
     def figure(self, name: str) -> Picture:
+        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
         return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
@@ -200,18 +246,29 @@ class GapResult:
         sentences = tuple(finding.sentence for finding in self.findings)
         write_all(self.report, self.corrected, self.title, Path(folder), self.sources, sentences)
 
-    def __str__(self) -> str:
-        return self.report.sentence
+    def summary(self) -> Summary:
+        """Sentence of the verdict, and the likeliest causes with the share of the difference that each removes."""
+        rows = tuple(
+            {
+                "cause": "; ".join(cause.words),
+                "probability": percent(cause.probability),
+                "difference removed": percent(cause.explained),
+            }
+            for cause in self.report.causes[:MOST_CAUSES]
+        )
+        return Summary(rows, above=(self.report.sentence,))
 
 
 @dataclass(frozen=True)
-class HistoryResult:
-    """Changes of a machine from recording to recording. `report` has the contents of history.json."""
+class HistoryResult(Summarized):
+    """Changes of a machine from recording to recording."""
 
     report: History = field(repr=False)
+    """Values by recording, with the tests: the contents of history.json."""
 
     @property
     def changed(self) -> bool:
+        """Whether a quantity changed by more than chance."""
         return any(q.changed for q in self.report.quantities)
 
     def to_dict(self) -> dict[str, Any]:
@@ -229,6 +286,7 @@ class HistoryResult:
         return {"history": history_page.history_figure(self.report)}
 
     def figure(self, name: str = "history") -> Picture:
+        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
         return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
@@ -239,8 +297,29 @@ class HistoryResult:
         write_bytes(history_page.csv_of(self.report), out / "history.csv")
         write_json(self.report, out / "history.json")
 
-    def __str__(self) -> str:
+    @property
+    def sentence(self) -> str:
+        """Sentence on the quantities that changed."""
         return history_page.sentence(self.report)
+
+    def summary(self) -> Summary:
+        """Sentence on what changed, and each quantity with its change and the p-values of both tests."""
+        names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
+        rows = tuple(dict(zip(names, row, strict=True)) for row in history_page.rows(self.report))
+        return Summary(rows, above=(self.sentence,))
+
+
+def _contact_cells(contact: IdentifiedContact) -> dict[str, str]:
+    return {
+        "contact": contact.name,
+        "clearance, mm": _scaled(contact.clearance, 1e3),
+        "stiffness, N/m": _scaled(contact.stiffness),
+        "damping, N s/m": _scaled(contact.damping),
+    }
+
+
+def _scaled(quantity: EstimatedQuantity, scale: float = 1.0) -> str:
+    return interval(scale * quantity.value, scale * quantity.standard_error, "1")
 
 
 def _finding_fields(finding: Finding) -> dict[str, Any]:

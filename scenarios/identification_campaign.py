@@ -21,6 +21,7 @@ from rich.table import Table
 from identify.contacts.acceptance import Contacts, find_contacts
 from identify.pages.wording import COVERED
 from rig.commands.command_line import run
+from rig.commands.tasks import Dask, run_tasks
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 from rig.model.tolerances import EXACT, LABORATORY
@@ -29,7 +30,6 @@ from rig.simulation.plants import modal, plant_named
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 from scenarios.jitter import jittered
-from scenarios.tasks import Dask, run_tasks
 
 QUANTITIES = ("clearance", "stiffness", "damping")
 app = typer.Typer(pretty_exceptions_enable=False)

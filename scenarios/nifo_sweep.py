@@ -23,9 +23,9 @@ from rich.table import Table
 
 from identify.pages.wording import COVERED
 from rig.commands.command_line import run
+from rig.commands.tasks import Dask, run_tasks
 from rig.simulation.reference import BarrelCradle
 from scenarios.nifo_study import LONG, NifoEstimate, NifoOutcome, Study, estimated
-from scenarios.tasks import Dask, run_tasks
 
 BLOCK_S = 1200.0
 """The paper's longest block, for a resolution of 0.000833 Hz."""

@@ -22,7 +22,18 @@ print("imported")
 """
 
 
-DRAWS = ("axes", "blueprint", "contact_view", "drawing", "gap_view", "spectra", "viewing", "web")
+DRAWS = (
+    "axes",
+    "blueprint",
+    "contact_view",
+    "drawing",
+    "gap_view",
+    "model_view",
+    "prediction_view",
+    "spectra",
+    "viewing",
+    "web",
+)
 """What draws for the viewer, by rerun."""
 
 

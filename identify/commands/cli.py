@@ -1,8 +1,7 @@
 """The command `identify`."""
 
-from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -10,18 +9,14 @@ from rich.table import Table
 from rich.text import Text
 
 import identify
-from identify.checks import Finding
+from identify.commands.contact import contact, print_findings
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
-from identify.contacts.figures import curves
-from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
-from identify.contacts.results import ContactReport, Estimate, Segments, identified_rig
+from identify.commands.plan import plan
 from identify.laws.report import curves as law_curves
 from identify.laws.results import LawReport
 from identify.pages.tables import save_tables
-from identify.pages.wording import interval, number
-from identify.signals.spectra import POWERS, Averaging
 from rig.commands.command_line import (
     Force,
     Json,
@@ -33,20 +28,14 @@ from rig.commands.command_line import (
     say,
     working,
 )
-from rig.files import make_folder, write_bytes, write_json
-from rig.model.description import to_json
-from rig.model.tolerances import tolerances_named
-from rig.recording.segments import segments
-
-DRAWN_FROM = 0.8
-"""Share of the progress at which results are drawn."""
 
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
-
+app.command()(contact)
 app.command()(gap)
 app.command()(compare)
 app.command()(history)
+app.command()(plan)
 
 
 @app.callback()
@@ -79,101 +68,6 @@ def check(
             say(f"  {finding.sentence}")
     if not result.sound:
         raise typer.Exit(1)
-
-
-def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print the findings of a check, if there are any."""
-    if findings:
-        console.print("Not to be relied on:", style="bold red")
-    for finding in findings:
-        console.print(f"  {finding.sentence}", soft_wrap=True)
-
-
-@app.command()
-def contact(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),
-    ] = None,
-    use: UseOption = "auto",
-    equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
-    averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
-    block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
-    overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
-    window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
-    tolerances: TolerancesOption = None,
-    band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
-    segment: Annotated[
-        float | None,
-        typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
-    ] = None,
-    export: ExportOption = None,
-    details: Annotated[
-        bool, typer.Option("--details", help="Print NIFO by modal equation and the modes it finds, too.")
-    ] = False,
-    as_json: Json = False,
-    force: Force = False,
-) -> None:
-    """Clearance and stiffness of every contact of a recording.
-
-    Example: identify contact barrel_cradle.mcap --use acceleration --out results
-    """
-    sensors = checked_use(use)
-    if window not in POWERS:
-        raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
-    check_export(export, out)
-    averaging = Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band)
-    if out is not None:
-        for name in ("contact.json", "contact.html", "rig.json"):
-            refuse_existing(out / name, force, file, new_folder=True)
-    if segment is None and file.exists() and file.stat().st_size > LARGE_BYTES:
-        segment = longest_segment_s(file)
-    settings = {
-        "use": sensors,
-        "averaging": averaging,
-        "equation": equation,
-        "tolerances": tolerances_named(tolerances) if tolerances else None,
-    }
-    with progress_bar(f"identifying {file.name}") as progress:
-        if segment is not None:
-            report = _by_segments(file, segment, out, progress, settings)
-        else:
-            report = _identified(file, out, progress, settings, export)
-    if as_json:
-        print_json(report)
-    else:
-        print_report(report, literal_console(), details)
-
-
-def _identified(
-    file: Path, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any], export: str | None
-) -> ContactReport:
-    """Report of a recording that is identified at once, and its files."""
-    identification_share = 1.0 if out is None else DRAWN_FROM
-    result = identify.contact(file, progress=lambda share: progress(identification_share * share), **settings)
-    if out is not None:
-        result.save(out)
-        if export is not None:
-            save_tables(curves(result.found), out, export)
-    return result.report
-
-
-def _by_segments(
-    file: Path, segment_s: float, out: Path | None, progress: Callable[[float], None], settings: dict[str, Any]
-) -> ContactReport:
-    """Pooled report of a recording that is identified segment by segment, and its files."""
-    report, segment_results = identify_long(file, segment_s=segment_s, progress=progress, **settings)
-    if out is not None:
-        from identify.contacts.figures import segments_figure
-
-        make_folder(out)
-        if report.contacts:
-            segments_figure(report, segment_results).save(out / "segments.png")
-        write_json(Segments(segment_results), out / "segments.json")
-        write_bytes(to_json(identified_rig(next(iter(segments(file, segment_s, 0.0))).rig, report)), out / "rig.json")
-        write_json(report, out / "contact.json")
-    return report
 
 
 @app.command()
@@ -238,58 +132,6 @@ def print_laws(report: LawReport, console: Console) -> None:
         )
     for unanswered in report.unanswered:
         console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}", soft_wrap=True)
-
-
-def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
-    """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
-    print_findings(report.findings, console)
-    table = Table(title=f"Contacts of {report.rig}, ± 95 %")
-    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
-        table.add_column(heading, justify="left" if heading == "contact" else "right")
-    for estimate in report.contacts:
-        table.add_row(
-            estimate.name,
-            _interval(estimate.clearance_m, 1e3),
-            _interval(estimate.stiffness_n_per_m),
-            _interval(estimate.damping_n_s_per_m),
-        )
-    console.print(table)
-    for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
-        console.print(f"{sentence}.", soft_wrap=True)
-    for unanswered in report.unanswered:
-        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}")
-    for note in report.notes:
-        console.print(f"note: {note}", soft_wrap=True)
-    if details and report.nifo:
-        console.print(_nifo_table(report))
-    for mode in report.modes if details else ():
-        console.print(
-            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
-            + (f" ({mode.flag})" if mode.flag else "")
-        )
-
-
-def _nifo_table(report: ContactReport) -> Table:
-    spectra = Table(title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency")
-    for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
-        spectra.add_column(heading)
-    for result in report.nifo:
-        for stiffness in result.stiffness:
-            spectra.add_row(
-                result.equation,
-                stiffness.contact,
-                number(stiffness.mean_n_per_m.value),
-                f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
-                "nearly invisible" if stiffness.contact in result.nearly_invisible else "",
-            )
-        answered = {s.contact for s in result.stiffness}
-        for name in (n for n in result.nearly_invisible if n not in answered):
-            spectra.add_row(result.equation, name, "", "", "on a node: not told")
-    return spectra
-
-
-def _interval(estimate: Estimate, scale: float = 1.0) -> str:
-    return interval(scale * estimate.value, scale * estimate.standard_error, "1")
 
 
 def main() -> None:

@@ -6,17 +6,25 @@ from typing import Annotated
 import typer
 
 from identify.api import gap as diagnosed
+from identify.commands.gap_folder import GapSettings, gap_folder
+from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
+from identify.gaps.page.report import curves
 from identify.gaps.results import Matters
 from identify.pages.tables import save_tables
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
+from rig.commands.tasks import Dask
+from rig.errors import RigError
+from rig.model.description import read_rig, to_json
+from rig.model.tolerances import tolerances_named
 
 
 def gap(
     real: Annotated[
         list[Path],
         typer.Argument(
-            help="Recordings of reality, one or more of one rig; their rig.json is believed unless --rig is given."
+            help="Recordings of reality, one or more of one rig, or a folder of recordings; their rig.json is believed "
+            "unless --rig is given."
         ),
     ],
     validate: Annotated[
@@ -36,7 +44,8 @@ def gap(
     null_reference: Annotated[
         Path | None,
         typer.Option(
-            help="File of the null reference, made where it is not there or of another rig; else beside the first REAL."
+            help="File of the null reference, made where it is not there or of another rig; else beside the first "
+            "REAL, or in --out for a folder."
         ),
     ] = None,
     tolerances: TolerancesOption = None,
@@ -53,6 +62,7 @@ def gap(
         ),
     ] = False,
     export: ExportOption = None,
+    dask: Dask = None,
     as_json: Json = False,
     force: Force = False,
 ) -> None:
@@ -61,8 +71,32 @@ def gap(
     Examples: identify gap monday.mcap --validate tuesday.mcap --out results
 
     identify gap january.mcap april.mcap july.mcap --out results
+
+    identify gap recordings --out results
+
+    Each recording of a folder is diagnosed by itself: fitted to its first part, judged on its last. The results go to
+    DIR/NAME, one table to DIR/gaps.csv and .parquet; the same command goes on after an interruption. Exit status 1 if
+    recordings were refused.
     """
     check_export(export, out)
+    thresholds = Matters(matters / 100, matters_contact / 100)
+    if any(path.is_dir() for path in real):
+        if len(real) > 1:
+            raise RigError(f"{len(real)} names with a folder among them; give one folder, or recordings")
+        settings = GapSettings(
+            simulator=simulator,
+            tolerances=tolerances_named(tolerances) if tolerances else None,
+            matters=thresholds,
+            next_experiment=next_experiment,
+            rig=None if rig is None else to_json(read_rig(rig)).decode(),
+            null_reference=None if null_reference is None else str(null_reference.absolute()),
+            export=export,
+        )
+        results = check_folder_options(real[0], out, validate=validate)
+        gap_folder(real[0], results, settings, dask, as_json, force)
+        return
+    if dask is not None:
+        raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
     if out is not None:
         sources = [*real, *(path for path in (validate, null_reference, rig) if path)]
         for name in ("gap.json", "gap.html", "rig.json"):
@@ -80,7 +114,7 @@ def gap(
             simulator=simulator,
             null_reference=null_reference or real[0].parent,
             tolerances=tolerances,
-            matters=Matters(matters / 100, matters_contact / 100),
+            matters=thresholds,
             next_experiment=next_experiment,
             rig=rig,
             progress=show,
@@ -88,8 +122,6 @@ def gap(
     if out is not None:
         result.save(out)
         if export is not None:
-            from identify.gaps.page.report import curves
-
             save_tables(curves(result.report), out, export)
     if as_json:
         print_json(result.report)

@@ -64,7 +64,7 @@ def _compare_and_print(
     if as_json:
         print_json(result.to_dict())
         return
-    say(str(result))
+    say(result.sentence)
     table = Table("", "mean", "first to last, ± 95 %", "p, trend", "p, differences", box=SIMPLE_HEAD)
     for row in rows(result.report):
         table.add_row(*row)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from identify.contacts.contact_record import ContactRecord, touched_stops
 from identify.contacts.initial_guess import initial_pulls, reach_m, without_nuisances
 from identify.contacts.joint_fit import JointEstimate, fit_joint
-from identify.contacts.law_form import LAW, STIFFNESS, FormName, NominalLaws
+from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS, FormName, NominalLaws, law_numbers
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation
 from identify.linear.joined import Joined
@@ -111,8 +111,7 @@ def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Seque
 
 def _nominal_laws(rig: Rig, place: Joined) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    nominal = [rig.contacts[j].law for j in place.members]
-    values = np.array([LAW.vector({name: getattr(law, name) for name in LAW.names}) for law in nominal])
+    values = [law_numbers(rig.contacts[j].law) for j in place.members]
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, place.signs, strict=True)])
 
 
@@ -130,7 +129,10 @@ def _place_outcomes(
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=len(names), at_most=MOST_CONTACTS)
-    reach = np.maximum(reach_m(record), nominal[:, :2].min(axis=0))  # the nearest stop is always touched
+    nearest = nominal[:, :2].min(axis=0)
+    reach = np.maximum(
+        reach_m(record), np.where(nearest < ABSENT_STOP_M, nearest, 0.0)
+    )  # the nearest is always touched
     return _outcomes_in_reach(names, nominal, record, sides, reach)
 
 
@@ -138,7 +140,13 @@ def _present_sides(
     nominal: Float[np.ndarray, "4"], record: ContactRecord, sides: Bool[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "2"]:
     """Sides with a stop. A nominal clearance far beyond the motion says that there is none, and that the force there is
-    ringing."""
+    ringing.
+
+    Raises ContactRefusedError if one side certainly has none (null in rig.json) and the zero of the relative
+    displacement is unknown: half the total play would be no clearance.
+    """
+    if not record.sides_known and np.any(nominal[:2] >= ABSENT_STOP_M):
+        raise refused(RefusalCode.ONE_STOP_TOUCHED)
     present = sides & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
     return present if present.any() and (present.all() or record.sides_known) else sides
 

@@ -1,6 +1,7 @@
 """Figures of an identification, and the tables of their curves; no estimate is computed here."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -269,9 +270,9 @@ def _mark_stops(
     for j, sign in zip(place.members, place.signs, strict=True):
         stop, name = result.stops[j], result.rig.contacts[j].name
         if stop is not None:
-            for position_m in (-stop.lower_m, stop.upper_m):
+            for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
                 line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))
-        for side in (-1, 1) if name in marks else ():
+        for side in result.rig.contact(name).law.sides if name in marks else ():
             line(1e3 * side * marks[name][0], color="k", ls=":", lw=1.2, label=next(mark_labels, None))
 
 

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws import ContactLaw, DeadZone
 from rig.model.parameters import Parameter, ParameterSet
 
 LAW = ParameterSet(
@@ -32,6 +32,10 @@ DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
 OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
 """Distance of the middle of the play from zero, m."""
 
+ABSENT_STOP_M = 1e6
+"""Clearance that stands for a stop that is not there, out of every motion's reach: sums over the parameters are
+finite."""
+
 LawParameters = Float[np.ndarray, " laws"]
 """Values of the parameters of `LAW`, contact by contact."""
 NominalLaws = Float[np.ndarray, "contacts 4"]
@@ -42,6 +46,11 @@ EXPONENTS = (1.0, 3.0)
 """Range of the exponent of a `DeadZone`."""
 
 Signal = Float[np.ndarray, "*samples"]
+
+
+def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
+    """Parameters of `LAW` of a law, with `ABSENT_STOP_M` for the clearance where there is no stop."""
+    return np.minimum([getattr(law, name) for name in LAW.names], [ABSENT_STOP_M, ABSENT_STOP_M, np.inf, np.inf])
 
 
 @dataclass(frozen=True)

@@ -197,8 +197,8 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
     lower, upper = law.lower_clearance_m, law.upper_clearance_m
     if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
-        off_centre = (upper - lower) / 2
-        lower, upper = estimate.clearance_m.value - off_centre, estimate.clearance_m.value + off_centre
+        growth_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
+        lower, upper = lower + growth_m, upper + growth_m
     if estimate.lower_clearance_m is not None:
         lower = estimate.lower_clearance_m.value
     if estimate.upper_clearance_m is not None:

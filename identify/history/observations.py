@@ -1,7 +1,7 @@
 """Observations of a machine: recordings that are identified, or a contact.json that exists already."""
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from identify.contacts import identify_contact
@@ -27,7 +27,12 @@ def sources_in(folder: Path) -> list[Path]:
     sources = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{RESULT}")]
     if not sources:
         raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {RESULT}; give another")
-    return sorted(sources, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
+    return by_name(sources)
+
+
+def by_name(paths: Iterable[Path]) -> list[Path]:
+    """Paths sorted by name, 2 before 10."""
+    return sorted(paths, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
 
 
 def observations(

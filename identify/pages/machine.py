@@ -29,7 +29,7 @@ MAX_LETTERS = 40
 
 
 @dataclass(frozen=True)
-class Mark:
+class DrawnMark:
     """What acts at a station, in words."""
 
     station: Station
@@ -67,7 +67,7 @@ class _Text:
 
 
 @dataclass(frozen=True)
-class _Plan:
+class _Layout:
     """Places of bodies, stations and contacts, px."""
 
     rig: Rig
@@ -102,33 +102,33 @@ class _Plan:
         return self.tops[body.name] + _height(body)
 
 
-def machine(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[Mark] = ()) -> str:
+def machine(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequence[DrawnMark] = ()) -> str:
     """SVG of a rig: bodies, sensors, forces, contacts with their lines of text, and marks with theirs."""
     left_m = left_ends(rig)
     extent_m = max(left_m[b.name] + b.length_m for b in rig.bodies) - min(left_m.values())
-    plan = _Plan(rig, left_m, (WIDTH - LEFT - RIGHT) / extent_m if extent_m > 0 else 0.0)
+    layout = _Layout(rig, left_m, (WIDTH - LEFT - RIGHT) / extent_m if extent_m > 0 else 0.0)
     below, above = ({body.name: _Rows() for body in rig.bodies} for _ in range(2))
     contact_texts: list[tuple[Contact, _Text]] = []
     for contact in rig.contacts:
         lines = [contact.name, *contact_lines.get(contact.name, ())]
-        rows = below[plan.upper_body(contact).name]
-        contact_texts.append((contact, _beside(plan.contact_x(contact), lines, rows)))
-    mark_texts: list[tuple[Mark, _Text]] = []
-    for mark in sorted(marks, key=lambda mark: plan.x(mark.station)):
+        rows = below[layout.upper_body(contact).name]
+        contact_texts.append((contact, _beside(layout.contact_x(contact), lines, rows)))
+    mark_texts: list[tuple[DrawnMark, _Text]] = []
+    for mark in sorted(marks, key=lambda mark: layout.x(mark.station)):
         lines = wrap(mark.words, MAX_LETTERS)
-        mark_texts.append((mark, _above(plan.x(mark.station), lines, above[mark.station.body])))
+        mark_texts.append((mark, _above(layout.x(mark.station), lines, above[mark.station.body])))
     y = 0.0
     for body in reversed(rig.bodies):
-        plan.tops[body.name] = y = y + ROOM + LINE * len(above[body.name].spans)
+        layout.tops[body.name] = y = y + ROOM + LINE * len(above[body.name].spans)
         y += _height(body) + LINE * len(below[body.name].spans)
     parts = [
-        *(part for body in rig.bodies for part in _support(plan, body)),
-        *(part for contact, text in contact_texts for part in _contact(plan, contact, text)),
-        *(part for body in rig.bodies for part in _body(plan, body)),
-        *_sensors(plan),
-        *_forces(plan),
-        *(part for mark, text in mark_texts for part in _ring(plan, mark, text)),
-        *(part for mark, text in mark_texts for part in _words(plan, mark, text)),
+        *(part for body in rig.bodies for part in _support(layout, body)),
+        *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
+        *(part for body in rig.bodies for part in _body(layout, body)),
+        *_sensors(layout),
+        *_forces(layout),
+        *(part for mark, text in mark_texts for part in _ring(layout, mark, text)),
+        *(part for mark, text in mark_texts for part in _words(layout, mark, text)),
     ]
     return (
         f'<svg viewBox="0 0 {WIDTH:g} {y + FOOT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
@@ -155,9 +155,9 @@ def _above(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
     return _Text(middle, "middle", lines, rows.line_for(middle - half, middle + half, len(lines)))
 
 
-def _support(plan: _Plan, body: Body) -> Iterator[str]:
+def _support(layout: _Layout, body: Body) -> Iterator[str]:
     """Wall of a clamped beam; spring of a mass."""
-    x, middle = plan.x(Station(body.name)), plan.tops[body.name] + _height(body) / 2
+    x, middle = layout.x(Station(body.name)), layout.tops[body.name] + _height(body) / 2
     if body.clamped:
         yield _path("ink", f"M{x:g},{middle - 26:g}v52")
         yield _path("thin", "".join(f"M{x:g},{middle - 22 + 9 * k:g}l-10,9" for k in range(6)))
@@ -168,9 +168,9 @@ def _support(plan: _Plan, body: Body) -> Iterator[str]:
         yield _path("ink", f"M{left - 62:g},{middle - 20:g}v40")
 
 
-def _body(plan: _Plan, body: Body) -> Iterator[str]:
-    x, top, height = plan.x(Station(body.name)), plan.tops[body.name], _height(body)
-    width = BLOCK[0] if body.is_mass else plan.scale * body.length_m
+def _body(layout: _Layout, body: Body) -> Iterator[str]:
+    x, top, height = layout.x(Station(body.name)), layout.tops[body.name], _height(body)
+    width = BLOCK[0] if body.is_mass else layout.scale * body.length_m
     left = x - width / 2 if body.is_mass else x
     yield f'<rect class="body" x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>'
     if body.is_mass:
@@ -179,12 +179,12 @@ def _body(plan: _Plan, body: Body) -> Iterator[str]:
         yield _line(left + width + 8, top + height, "start", body.name, "name")
 
 
-def _contact(plan: _Plan, contact: Contact, text: _Text) -> Iterator[str]:
+def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
     """Fork with two stops around the upper body, from the lower body or the ground, and its lines of text."""
-    x, upper = plan.contact_x(contact), plan.upper_body(contact)
-    top, bottom = plan.tops[upper.name], plan.bottom(upper)
+    x, upper = layout.contact_x(contact), layout.upper_body(contact)
+    top, bottom = layout.tops[upper.name], layout.bottom(upper)
     carriers = [s.body for s in contact_stations(contact) if s.body != upper.name]
-    foot = plan.tops[carriers[0]] if carriers else bottom + ROOM + LINE * (text.first_line + len(text.lines) - 2)
+    foot = layout.tops[carriers[0]] if carriers else bottom + ROOM + LINE * (text.first_line + len(text.lines) - 2)
     kind = "found" if len(text.lines) > 1 else "fork"
     yield _path(kind, f"M{x - REACH:g},{top - JAW:g}h{2 * REACH:g}V{foot:g}")
     yield _path(kind, f"M{x - REACH:g},{bottom + JAW:g}h{2 * REACH:g}")
@@ -196,34 +196,34 @@ def _contact(plan: _Plan, contact: Contact, text: _Text) -> Iterator[str]:
         yield _line(text.x, y, text.anchor, line, "value" if k else "name")
 
 
-def _sensors(plan: _Plan) -> Iterator[str]:
-    for station in dict.fromkeys(sensor.station for sensor in plan.rig.sensors):
-        yield _path("sensor", f"M{plan.x(station) - 5:g},{plan.tops[station.body] - 9:g}h10l-5,8z")
+def _sensors(layout: _Layout) -> Iterator[str]:
+    for station in dict.fromkeys(sensor.station for sensor in layout.rig.sensors):
+        yield _path("sensor", f"M{layout.x(station) - 5:g},{layout.tops[station.body] - 9:g}h10l-5,8z")
 
 
-def _forces(plan: _Plan) -> Iterator[str]:
-    for station in dict.fromkeys(plan.rig.forces):
-        x, y = plan.corner_x(station, -0.35), plan.bottom(plan.rig.body(station.body))
+def _forces(layout: _Layout) -> Iterator[str]:
+    for station in dict.fromkeys(layout.rig.forces):
+        x, y = layout.corner_x(station, -0.35), layout.bottom(layout.rig.body(station.body))
         yield _path("force", f"M{x:g},{y + 34:g}V{y + 5:g}m-5,9l5,-9l5,9")
         yield _line(x + 9, y + 33, "start", "F", "dim")
 
 
-def _base(plan: _Plan, mark: Mark, text: _Text) -> float:
+def _base(layout: _Layout, mark: DrawnMark, text: _Text) -> float:
     """Baseline of the lowest line of a mark's words."""
-    return plan.tops[mark.station.body] - 24 - LINE * text.first_line
+    return layout.tops[mark.station.body] - 24 - LINE * text.first_line
 
 
-def _ring(plan: _Plan, mark: Mark, text: _Text) -> Iterator[str]:
+def _ring(layout: _Layout, mark: DrawnMark, text: _Text) -> Iterator[str]:
     """Ring about the station, and a line to its words."""
-    x, top = plan.corner_x(mark.station, 0.38), plan.tops[mark.station.body]
-    middle = top + _height(plan.rig.body(mark.station.body)) / 2
-    yield _path("mark", f"M{x:g},{middle - 9:g}V{_base(plan, mark, text) + 5:g}")
+    x, top = layout.corner_x(mark.station, 0.38), layout.tops[mark.station.body]
+    middle = top + _height(layout.rig.body(mark.station.body)) / 2
+    yield _path("mark", f"M{x:g},{middle - 9:g}V{_base(layout, mark, text) + 5:g}")
     yield f'<circle class="mark" cx="{x:g}" cy="{middle:g}" r="9"/>'
 
 
-def _words(plan: _Plan, mark: Mark, text: _Text) -> Iterator[str]:
+def _words(layout: _Layout, mark: DrawnMark, text: _Text) -> Iterator[str]:
     for k, line in enumerate(reversed(text.lines)):
-        yield _line(text.x, _base(plan, mark, text) - LINE * k, text.anchor, line, "mark-words")
+        yield _line(text.x, _base(layout, mark, text) - LINE * k, text.anchor, line, "mark-words")
 
 
 def _path(kind: str, d: str) -> str:

@@ -68,10 +68,10 @@ white-space:normal;overflow-wrap:normal}}
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
 <title>{title}</title><style>{style}</style>{script}</head>
-<body><h1>{title}</h1>
+<body><main><h1>{title}</h1>
 <div class="verdict {colour}"><b>{verdict}</b><p>{sentence}</p></div>
 {content}
-<p class="dim">{foot}</p>
+<p class="dim">{foot}</p></main>
 <script>addEventListener("beforeprint",()=>document.querySelectorAll("details").forEach(one=>one.open=true))</script>
 </body></html>
 """

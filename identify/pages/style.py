@@ -27,9 +27,12 @@ class Picture:
     """PNG file and the matplotlib figure that it shows; a notebook displays it."""
 
     png: bytes = field(repr=False)
+    """Contents of the PNG file."""
     figure: Any = field(repr=False, compare=False, default=None)
+    """Matplotlib figure, to change and to save in another format."""
 
     def save(self, path: str | Path) -> None:
+        """Write the PNG file."""
         write_bytes(self.png, Path(path))
 
     def _repr_png_(self) -> bytes:

@@ -1,16 +1,22 @@
-"""Tables of curves as files: csv, mat or parquet, one file per table."""
+"""Tables as files: curves as csv, mat or parquet, one file per table; rows of numbers and words as csv and parquet."""
 
-from collections.abc import Callable, Mapping
+import csv
+from collections.abc import Callable, Mapping, Sequence
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.files import atomic_write
+from rig.files import atomic_write, write_bytes
 
 Table = dict[str, Float[np.ndarray, " rows"]]
 """Columns of equal length by their names, which end in the unit unless it is one."""
+Row = Mapping[str, str | float | None]
+"""Cells by their columns."""
 
 
 def save_tables(tables: Mapping[str, Table], folder: Path, form: str) -> None:
@@ -21,8 +27,6 @@ def save_tables(tables: Mapping[str, Table], folder: Path, form: str) -> None:
 
 
 def _write_csv(table: Table, path: Path) -> None:
-    import csv
-
     with path.open("w", encoding="utf-8", newline="") as stream:
         csv.writer(stream, lineterminator="\n").writerow(table)
         np.savetxt(stream, np.stack([*table.values()], axis=1), fmt="%.17g", delimiter=",")
@@ -37,10 +41,41 @@ def _write_mat(table: Table, path: Path) -> None:
 
 
 def _write_parquet(table: Table, path: Path) -> None:
+    pyarrow, parquet = _pyarrow(path)
+    parquet.write_table(pyarrow.table(table), path)
+
+
+def _pyarrow(path: Path) -> tuple[Any, Any]:
+    """Modules pyarrow and pyarrow.parquet; raises RigError where they are not installed."""
     with needs_extra("view", f"{path}: a parquet file"):
-        import pyarrow as pa
+        import pyarrow
         from pyarrow import parquet
-    parquet.write_table(pa.table(table), path)
+    return pyarrow, parquet
+
+
+def save_rows(rows: Sequence[Row], columns: Sequence[str], folder: Path, name: str) -> str:
+    """Write rows to NAME.csv and NAME.parquet; the note is empty, or says why there is no parquet file.
+
+    An empty cell of the CSV, a null of the parquet file, is a number that is not there; words are never null.
+    """
+    text = StringIO()
+    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(text.getvalue().encode(), folder / f"{name}.csv")
+    path = folder / f"{name}.parquet"
+    try:
+        pyarrow, parquet = _pyarrow(path)
+    except RigError as error:
+        return str(error)
+    arrays = {}
+    for column in columns:
+        cells = [row.get(column) for row in rows]
+        kind = pyarrow.string() if any(isinstance(cell, str) for cell in cells) else pyarrow.float64()
+        arrays[column] = pyarrow.array(cells, kind)
+    with atomic_write(path) as partial_path:
+        parquet.write_table(pyarrow.table(arrays), partial_path)
+    return ""
 
 
 WRITERS: Mapping[str, Callable[[Table, Path], None]] = {

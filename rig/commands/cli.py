@@ -1,7 +1,6 @@
 """The command `rig`."""
 
 import json
-import os
 from collections.abc import Mapping
 from functools import reduce
 from inspect import getdoc
@@ -14,13 +13,15 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, fmu, import_, recover
+from rig.commands.cli_files import draw, export_, fmu, import_, recover, schema
 from rig.commands.cli_init import init
+from rig.commands.cli_view import view
 from rig.commands.command_line import (
     Force,
     Json,
     StoppedError,
     Version,
+    check_ending,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -32,10 +33,9 @@ from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
-from rig.extras import needs_extra
-from rig.files import check_source
-from rig.model.description import Station, read_rig
-from rig.recording import Recording, Signals, read, read_truth, truth_path
+from rig.model.contact_laws import walls_m
+from rig.model.description import Station, read_rig, to_json
+from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
@@ -123,6 +123,7 @@ def record(
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
+    check_ending(out, (".mcap",), "a recording")
     refuse_existing(truth_path(out), force)
     try:
         with progress_bar(f"recording {out.name} ({plant})") as progress:
@@ -141,12 +142,23 @@ def record(
             raise
         raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
-        print(json.dumps({"recording": str(out), "truth": str(truth_path(out))}))
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level(machine)}))
     else:
         forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+        if isinstance(machine, OwnRig):
+            say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
+            for warning in machine.warnings:
+                say(f"warning: {warning}")
         print(f"{truth_path(out)}: what only a simulator knows")
+
+
+def _level(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+    """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
+    if not isinstance(machine, OwnRig):
+        return {}
+    return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
 
 
 def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
@@ -190,7 +202,7 @@ def info(file: File, as_json: Json = False) -> None:
     contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
     for contact in rig.contacts:
         law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
-        sides = f"-{1e3 * law.lower_clearance_m:g}, +{1e3 * law.upper_clearance_m:g}"
+        sides = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
         contacts.add_row(contact.name, _place(contact.at), against, sides, f"{law.stiffness_n_per_m:g}")
     channels = [_channel_table(group, signals) for group, signals in recording.signals.items()]
     for table in (bodies, contacts, *channels):
@@ -214,67 +226,14 @@ def check(file: File, as_json: Json = False) -> None:
         say(f"{file}: sound, {channels} channels of {recording.samples} samples")
 
 
-@app.command()
-def view(
-    file: File,
-    out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
-    truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
-    contact: Annotated[
-        Path | None,
-        typer.Option(
-            help="A contact.json of `identify contact`, or its folder: its walls; where there is no truth file, with "
-            "`--export csv` or `parquet` also its relative displacements and separated forces."
-        ),
-    ] = None,
-    gap: Annotated[
-        Path | None,
-        typer.Option(
-            help="A gap.json of `identify gap`, or its folder: where and when the gap acts, with the verdict."
-        ),
-    ] = None,
-    magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
-    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this computer; Ctrl-C ends it.")] = False,
-    force: Force = False,
-) -> None:
-    """Write a recording for the rerun viewer, and open it where there is a display.
-
-    Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
-    """
-    with needs_extra("view", "rig view (rerun)"):
-        from rig.viewer.gap import read_gap
-        from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
-        from rig.viewer.viewing import open_viewer, write_rrd
-        from rig.viewer.web import serve
-
-    if magnification is not None and not 0 < magnification < np.inf:
-        raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
-    check_source(file)
-    target = out or file.with_suffix(".rrd")
-    truth_file = truth or truth_path(file)
-    refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
-    recording = read(file)
-    truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
-    identified = NOTHING_IDENTIFIED
-    if contact is not None:
-        identified = read_identified(contact, recording.rig, recording.duration_s)
-    diagnosed = None if gap is None else read_gap(gap, recording.rig, recording.duration_s)
-    with progress_bar(f"writing {target.name}") as progress:
-        write_rrd(
-            recording, truth_recording, target, magnification, identified=identified, gap=diagnosed, progress=progress
-        )
-    print(f"{target}: written", flush=True)
-    if web:
-        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
-    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        open_viewer(target)
-
-
+app.command()(view)
 app.command()(demo)
 app.command()(recover)
 app.command("import")(import_)
 app.command("export")(export_)
 app.command()(draw)
 app.command()(fmu)
+app.command()(schema)
 app.add_typer(init, name="init")
 
 
@@ -286,7 +245,7 @@ def doctor() -> None:
 
 def _summary(recording: Recording) -> dict[str, Any]:
     return {
-        "rig": msgspec.to_builtins(recording.rig),
+        "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
         "sample_rate_hz": recording.rig.sample_rate_hz,
         "channels": [

@@ -1,6 +1,7 @@
 """The commands of `rig` that bring recordings and rigs back, in and out: recover, import, export, draw."""
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -8,12 +9,16 @@ import msgspec
 import numpy as np
 import typer
 
-from rig.commands.command_line import Force, Json, progress_bar, refuse_existing, say, working
-from rig.files import check_source
-from rig.lab.exporting import WRITERS, export
+from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
+from rig.files import check_source, write_bytes
+from rig.lab.exporting import ENDINGS, WRITERS, export
+from rig.lab.import_map import Map
 from rig.lab.importing import import_file
+from rig.lab.looking import look_at
+from rig.lab.tables import READERS
 from rig.model.description import read_rig
-from rig.recording import read
+from rig.model.schema import rig_schema, schema_of
+from rig.recording import RIG_NAME, read
 from rig.recording.recovery import recover as recover_recording
 
 
@@ -28,6 +33,7 @@ def recover(
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
     refuse_existing(out, force, bad)
+    check_ending(out, (".mcap",), "a recording")
     with working(f"recovering {bad.name}"):
         losses = recover_recording(bad, out)
     if as_json:
@@ -39,17 +45,35 @@ def recover(
 
 
 def import_(
-    source: Annotated[Path, typer.Argument(help="The measured data: .csv, .txt, .uff, .unv, .mat or .tdms.")],
-    map_: Annotated[Path, typer.Option("--map", help="The TOML file that says which column is which sensor.")],
-    out: Annotated[Path, typer.Option(help="The recording to write.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help=f"The measured data, a file of {', '.join(READERS)}.")],
+    map_: Annotated[
+        Path | None,
+        typer.Option("--map", help="The TOML file that says which column is which sensor; without it one is proposed."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="The recording to write, with --map.")] = None,
+    write_map: Annotated[Path | None, typer.Option(help="Without --map: write the proposed map to this .toml.")] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(help="Without --map: the rig.json of the proposed map; otherwise the one beside the map or FILE."),
+    ] = None,
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Make a recording of data measured elsewhere.
+    """Make a recording of data measured elsewhere; without a map, look at the data and propose one.
 
-    Example: rig import run7.csv --map run7.toml --out run7.mcap
+    Example: rig import run7.csv --write-map run7.toml, then rig import run7.csv --map run7.toml --out run7.mcap
     """
+    if map_ is None:
+        if out is not None:
+            raise typer.BadParameter(
+                "a recording needs a --map; leave --out away to have one proposed", param_hint="--out"
+            )
+        _propose(source, write_map, rig, force, as_json)
+        return
+    if out is None or write_map is not None or rig is not None:
+        raise typer.BadParameter("give --out with --map, and neither --write-map nor --rig", param_hint="--map")
     refuse_existing(out, force, source, map_)
+    check_ending(out, (".mcap",), "a recording")
     with working(f"importing {source.name}"):
         steps = import_file(source, map_, out)
     if as_json:
@@ -58,6 +82,33 @@ def import_(
     print(f"{out}: imported from {source}; next: identify check {out}")
     for step in steps:
         say(f"  {step}")
+
+
+def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
+    """Print the map proposed for a file, or write it and print what was seen."""
+    if write_map is not None:
+        refuse_existing(write_map, force, source)
+        check_ending(write_map, (".toml",), "a map")
+    folder = (write_map or source).parent
+    rig_path = rig_path or next((p for p in (folder / RIG_NAME, source.parent / RIG_NAME) if p.exists()), None)
+    rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, folder)).as_posix()
+    with working(f"looking at {source.name}"):
+        proposal = look_at(source, None if rig_path is None else read_rig(rig_path), rig_name)
+    if write_map is not None:
+        write_bytes(proposal.text.encode(), write_map)
+    if as_json:
+        print(json.dumps({"map": proposal.text, "seen": proposal.seen, "left": proposal.left}))
+        return
+    map_name = write_map or source.with_suffix(".toml")
+    fill = f"fill in its {proposal.left} values marked ?, then " if proposal.left else ""
+    command = f"{fill}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
+    if write_map is None:
+        print(proposal.text, end="")
+        say(f"# next: save this as {map_name}, {command}")
+        return
+    for fact in proposal.seen:
+        say(fact)
+    say(f"{write_map}: written; next: {command}")
 
 
 def export_(
@@ -76,10 +127,12 @@ def export_(
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     refuse_existing(out, force, file)
+    check_ending(out, ENDINGS[format_], f"a file of the format {format_}")
     written = [out]
     if map_ is not None:
+        check_ending(map_, (".toml",), "a map")
         refuse_existing(map_, force, file, out)
-        written += [map_, map_.with_name("rig.json")]
+        written += [map_, map_.with_name(RIG_NAME)]
         refuse_existing(written[-1], force, file, out, map_)
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
@@ -100,6 +153,7 @@ def draw(
     check_source(file)
     target = out or file.with_suffix(".svg")
     refuse_existing(target, force, file)
+    check_ending(target, (".svg",), "a drawing")
     draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
     print(f"{target}: written; a browser shows it")
 
@@ -120,5 +174,20 @@ def fmu(
         raise typer.BadParameter(f"{step} is not a finite number above zero", param_hint="--step")
     check_source(file)
     refuse_existing(out, force, file)
+    check_ending(out, (".fmu",), "an FMU")
     export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
     print(f"{out}: written; its force is the value at the end of the next step")
+
+
+def schema(
+    of_map: Annotated[bool, typer.Option("--map", help="That of the import map, a TOML file, instead.")] = False,
+) -> None:
+    """Print the JSON Schema of rig.json, by which editors complete and check it.
+
+    Name it in rig.json by a first line "$schema": "rig.schema.json", in map.toml (Taplo, Even Better TOML) by
+    #:schema map.schema.json
+
+    Example: rig schema > rig.schema.json
+    """
+    chosen = schema_of(Map, "import map") if of_map else rig_schema()
+    print(json.dumps(chosen, indent=2))

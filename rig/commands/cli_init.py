@@ -13,12 +13,19 @@ import typer
 
 from rig.commands.command_line import Force, Json, refuse_existing, working
 from rig.lab.starting import KINDS, MAP_NAME, Start, StartWithStops, write_start
+from rig.model.decoding import explained
 from rig.recording import RIG_NAME
 
 Kind = type[Start]
 Out = Annotated[Path, typer.Option(help=f"The folder for {RIG_NAME} and {MAP_NAME}; made if need be.")]
 _EXAMPLES = {
     "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
+    "two_masses": "--masses-kg 1,2 --frequencies-hz 6,9 --stops upper --clearance-m 5e-4 --stiffness-n-per-m 2e4 "
+    "--sample-rate-hz 1024 --quantity acceleration,displacement --out lab",
+    "chain": "--masses-kg 6.5,6.5,6.5 --springs-n-per-m 5e5 --contacts 3-2 --stops upper --clearance-m 1e-4 "
+    "--stiffness-n-per-m 1e6 --sample-rate-hz 1024 --quantity acceleration,displacement --out lab",
+    "cantilever": "--length-m 0.5 --width-m 0.03 --thickness-m 0.005 --clearance-m 5e-4 --stiffness-n-per-m 5e4 "
+    "--sample-rate-hz 4096 --out lab",
     "beams": "--cradle-length-m 1.2 --barrel-length-m 1.5 --overlap-start-m 0.5 ... --out lab",
     "structure": "--from-uff fin.uff --contacts-m 0.2 --force-m 0.5 --clearance-m 1e-4 ... --out lab",
     "measured": "--from-record level1.mat --force-column Force --columns 'Acceleration[1],Acceleration[2]' --unit "
@@ -91,7 +98,15 @@ def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
     elif default not in (None, ()):
         default_text = ",".join(default) if isinstance(default, tuple) else default
         text = f"{text} Default: {default_text}."
-    metavars = {"Path": "FILE", "tuple[float": "NUMBER,...", "tuple[int": "NUMBER,...", "float": "NUMBER", "": "TEXT"}
+    metavars = {
+        "Path": "FILE",
+        "both": "both|upper|lower",
+        "tuple[float": "NUMBER,...",
+        "tuple[int": "NUMBER,...",
+        "float": "NUMBER",
+        "int": "NUMBER",
+        "": "TEXT",
+    }
     metavar = next(name for type_text, name in metavars.items() if type_text in str(field.type))
     name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]
@@ -120,7 +135,10 @@ def _value(kind: Kind, name: str, text: str) -> Any:
     try:
         return msgspec.convert(raw, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
     except msgspec.ValidationError as error:
-        raise typer.BadParameter(f"{text!r} does not fit: {error}", param_hint=f"--{name.replace('_', '-')}") from error
+        reason = explained(error, raw, hint)
+        raise typer.BadParameter(
+            f"{text!r} does not fit: {reason}", param_hint=f"--{name.replace('_', '-')}"
+        ) from error
 
 
 for _name, _kind in KINDS.items():

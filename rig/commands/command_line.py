@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -20,6 +20,8 @@ from rig.errors import RigError, is_plain, one_line
 from rig.files import check_target, part_of
 
 INTERRUPTED = 130
+SPEED_PERIOD_S = 3600.0
+"""Time over which the speed is averaged that tells the time left: steps may last minutes."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON on standard output, and nothing else.")]
 
@@ -116,7 +118,13 @@ def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as bar:
+    with Progress(
+        *columns,
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+        speed_estimate_period=SPEED_PERIOD_S,
+    ) as bar:
         task = bar.add_task(one_line(description), total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
 
@@ -127,6 +135,15 @@ def working(description: str) -> Iterator[None]:
     console = Console(stderr=True)
     with console.status(Text(one_line(description))) if console.is_terminal else nullcontext():
         yield
+
+
+def check_ending(path: Path, endings: Sequence[str], content: str) -> None:
+    """Raise RigError unless the name of a file to be written ends as files of its content do."""
+    if path.suffix.lower() not in endings:
+        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        raise RigError(
+            f"{path}: {ending}, and {content} in {' or '.join(endings)}; name it {path.with_suffix(endings[0]).name}"
+        )
 
 
 def refuse_existing(path: Path, force: bool, *sources: Path, new_folder: bool = False) -> None:

@@ -4,6 +4,7 @@ import msgspec
 
 from rig.effects.base import Effect
 from rig.errors import RigError, meant
+from rig.model.decoding import explained
 from rig.registry import subclasses
 
 
@@ -27,9 +28,12 @@ def effect_named(text: str) -> Effect:
         if not equals:
             raise RigError(f"effect {name}: {assignment!r} is not PARAMETER=VALUE")
         if parameter not in kind.__struct_fields__:
-            raise RigError(f"effect {name} has no parameter {parameter!r}; it has {', '.join(kind.__struct_fields__)}")
+            names = kind.__struct_fields__
+            raise RigError(
+                f"effect {name} has no parameter {parameter!r}{meant(parameter, names)}; it has {', '.join(names)}"
+            )
         values[parameter] = value
     try:
         return msgspec.convert(values, kind, strict=False)
     except msgspec.ValidationError as error:
-        raise RigError(f"effect {name}: {error}") from error
+        raise RigError(f"effect {name}: {explained(error, values, kind)}") from error

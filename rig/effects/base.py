@@ -55,9 +55,9 @@ class Scale:
         return max((law.stiffness_n_per_m for law in self._laws()), default=0.0)
 
     def clearance_m(self) -> float:
-        """Smallest clearance of the contacts at the place, m."""
-        laws = self._laws()
-        return min((min(law.lower_clearance_m, law.upper_clearance_m) for law in laws), default=0.0)
+        """Smallest clearance of the stops at the place, m; zero if there are none."""
+        clearances_m = [min(law.lower_clearance_m, law.upper_clearance_m) for law in self._laws()]
+        return min((c for c in clearances_m if np.isfinite(c)), default=0.0)
 
     def contact_mass_kg(self) -> float:
         """Mass of the lightest body at the contacts of the place."""
@@ -96,7 +96,8 @@ class Scale:
         """
         body = self._body()
         touching = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
-        return max(self.force_rms_n / self.stiffness_n_per_m(of), *(c.law.clearance_m for c in touching), 0.0)
+        clearances_m = [c.law.clearance_m for c in touching if c.law.sides]
+        return max(self.force_rms_n / self.stiffness_n_per_m(of), *clearances_m, 0.0)
 
     @property
     def band_hz(self) -> tuple[float, float]:

@@ -23,9 +23,15 @@ class OneStop(Effect, frozen=True):
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
-        """Either side, of every contact and of all."""
+        """Either side that has a stop, of every contact and of all."""
         places = super().placements(rig, sensors)
-        return [{**place, "side": side} for place in places for side in ("upper", "lower")]
+        sides = {place["contact"]: _sides(rig, place["contact"]) for place in places}
+        return [
+            {**place, "side": name}
+            for place in places
+            for name, side in (("upper", 1), ("lower", -1))
+            if side in sides[place["contact"]]
+        ]
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(rig, self.contact, DeadZone, self._changed)
@@ -38,3 +44,8 @@ class OneStop(Effect, frozen=True):
             stiffness_n_per_m=law.stiffness_n_per_m * self.factor,
             lower_stiffness_ratio=law.lower_stiffness_ratio / self.factor,
         )
+
+
+def _sides(rig: Rig, contact: str | None) -> set[int]:
+    """Sides on which the contact of that name, or any contact, has a stop."""
+    return {side for c in rig.contacts if contact in (None, c.name) for side in c.law.sides}

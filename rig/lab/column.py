@@ -9,12 +9,13 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class Column:
-    """A channel; unit and sample rate are None where the file does not state them."""
+    """A channel; unit and sample rate are None, and recorded (its date as text) empty where the file has none."""
 
     name: str
     values: Float[np.ndarray, " samples"]
     unit: str | None = None
     sample_rate_hz: float | None = None
+    recorded: str = ""
 
 
 @dataclass(frozen=True)

@@ -160,6 +160,14 @@ WRITERS: dict[str, Writer] = {
     "h5": _write_hdf5,
     "mf4": _write_mdf,
 }
+ENDINGS: dict[str, tuple[str, ...]] = {
+    "csv": (".csv", ".txt"),
+    "uff": (".uff", ".unv"),
+    "mat": (".mat",),
+    "h5": (".h5", ".hdf5"),
+    "mf4": (".mf4",),
+}
+"""Endings of the files of each format."""
 
 
 def import_map(channels_by_group: Mapping[str, Channels], file_format: str) -> str:

@@ -22,6 +22,8 @@ from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
 
 NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
 """Attributes for the name, the unit and the rate of a dataset; one without a name is called by its path."""
+DATE_ATTRIBUTES = ("recorded", "start_time", "date")
+"""Attributes of a dataset or the file that state when it was recorded."""
 SINGLE_VALUE_SHAPES = ((), (1,))
 """Shapes of an attribute with a single value."""
 READ_BYTES = 32_000_000
@@ -150,7 +152,8 @@ def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: 
     except ValueError:
         raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate!r}") from None
     rows = _rows(dataset, axis, chosen)
-    return [Column(names[k], row, unit or None, rate_hz) for k, row in zip(chosen, rows, strict=True)]
+    recorded = attribute(dataset, DATE_ATTRIBUTES) or attribute(dataset.file, DATE_ATTRIBUTES) or ""
+    return [Column(names[k], row, unit or None, rate_hz, recorded) for k, row in zip(chosen, rows, strict=True)]
 
 
 def _rows(dataset: Any, axis: int, chosen: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:

@@ -1,65 +1,23 @@
 """Import of measured data as a recording, by a map from columns to sensors."""
 
 from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.files import check_target, sha256_of
+from rig.files import sha256_of
 from rig.lab.clock import RATE_TOLERANCE, SampleTimes, even
 from rig.lab.column import Column
-from rig.lab.csv_text import TextForm
+from rig.lab.import_map import Map, Source, read_map
+from rig.lab.recorded import recorded_date
 from rig.lab.tables import Table, read_table
 from rig.lab.units import si_factor
-from rig.model.description import Rig, read_rig
-from rig.model.toml_file import read_toml
-from rig.recording import RECORDED, RIG_NAME, channel_groups, with_history, writing
+from rig.model.description import Rig
+from rig.recording import RECORDED, channel_groups, with_history, writing
 from rig.recording.writer import SAMPLES_AT_ONCE
-
-
-class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Column of a file, by name or number from 1, with its unit (if the file has none) and an extra factor."""
-
-    column: str | int
-    unit: str | None = None
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.scale) and self.scale != 0):
-            raise RigError(f"column {self.column!r}: scale is {self.scale}; give a finite value other than zero")
-
-
-class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Import map of measured data, a TOML file. rig is a path relative to the map's folder.
-
-    force is a list if several act at once, in the order of rig.json, and "none" for a free decay without a force
-    column.
-    """
-
-    rig: str = RIG_NAME
-    force: Source | tuple[Source, ...] | Literal["none"]
-    sensors: dict[str, Source]
-    time: Source | None = None
-    sample_rate_hz: float | None = None
-    resample: bool = False
-    csv: TextForm = TextForm()
-
-    def __post_init__(self) -> None:
-        if self.time is not None and self.sample_rate_hz is not None:
-            raise RigError("time and sample_rate_hz are both given; leave one out")
-        if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
-            raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
-
-    @property
-    def forces(self) -> tuple[Source, ...]:
-        if isinstance(self.force, str):
-            return ()
-        return self.force if isinstance(self.force, tuple) else (self.force,)
 
 
 def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
@@ -68,17 +26,18 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     Values are converted to SI: value times scale times unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
-    mapping, rig = _read_map(map_path, out)
+    mapping, rig = read_map(map_path, out)
     keys = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
     table = read_table(source, mapping.csv, keys)
-    modified = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
-    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: modified}
+    date, date_origin = recorded_date(source, mapping.csv, [column.recorded for column in table.columns.values()])
+    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
+    table = replace(table, notes=(*table.notes, f"recorded {date} by {date_origin}"))
     return _import(table, origin, str(source), mapping, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
     """Import columns in memory, described by `source`, as `import_file` does."""
-    return _import(Table.of(columns), {"source": source}, source, *_read_map(map_path, out), map_path, out)
+    return _import(Table.of(columns), {"source": source}, source, *read_map(map_path, out), map_path, out)
 
 
 def _import(
@@ -90,15 +49,7 @@ def _import(
     map_path: Path,
     out: Path,
 ) -> tuple[str, ...]:
-    names, mapped = {s.name for s in rig.sensors}, set(mapping.sensors)
-    for differing, fault in ((mapped - names, "is no sensor of the rig"), (names - mapped, "is missing")):
-        if differing:
-            raise RigError(f"{map_path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(names))}")
     forces = mapping.forces
-    if mapping.force != "none" and len(forces) != len(rig.forces):
-        raise RigError(
-            f"{map_path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree"
-        )
     sources = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
     sources |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
     try:
@@ -116,6 +67,7 @@ def _import(
         "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in columns.items()),
         *(() if forces else ("no force was measured: its channel is zero",)),
         *resampled,
+        *table.notes,
     )
     provenance = {
         "made_by": "rig import",
@@ -181,13 +133,6 @@ def _write(
         for first in range(0, next(iter(rows.values())).size, SAMPLES_AT_ONCE):
             span = slice(first, first + SAMPLES_AT_ONCE)
             recording.append_all({name: np.stack([rows[c][span] for c in g.names]) for name, g in groups.items()})
-
-
-def _read_map(path: Path, out: Path) -> tuple[Map, Rig]:
-    mapping = read_toml(path, Map, "map", "rig/lab/README.md")
-    place = path.parent / mapping.rig
-    check_target(out, place)
-    return mapping, read_rig(place)
 
 
 def _check_columns(columns: Mapping[str, Column]) -> None:

@@ -30,9 +30,10 @@ _NUMERIC_CLASSES = range(6, 16)
 _COMPLEX = 1 << 11
 
 
-def matlab_blocks(path: Path) -> Blocks:
+def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
     """Block per real numeric matrix, named as in MATLAB: `a`, `run.a`, `run(2).a`, `c{3}`; `a[1]` is a channel.
 
+    Matrices of fewer than least_values are left out (of version 7.3, of fewer than two).
     Raises RigError if version 7.3 needs h5py and it is not installed, and RigError or UnreadableError if the file is
     cut, damaged or too large.
     """
@@ -42,16 +43,20 @@ def matlab_blocks(path: Path) -> Blocks:
     if head.startswith(b"MATLAB 7.3"):
         yield from matlab_hdf5_blocks(path)
     elif order is None or not head.startswith(b"MATLAB 5.0"):
-        yield from _version_4(path.read_bytes())
+        yield from _version_4(path.read_bytes(), least_values)
     else:
-        yield from _Version5(path, path.read_bytes(), order).blocks()
+        yield from _Version5(path, path.read_bytes(), order, least_values).blocks()
 
 
 def _block(
-    name: str, shape: tuple[int, ...], array: Callable[[], np.ndarray], working_bytes: int = 0
+    name: str,
+    shape: tuple[int, ...],
+    array: Callable[[], np.ndarray],
+    least_values: int,
+    working_bytes: int = 0,
 ) -> Iterator[ColumnBlock]:
     """Channels of a matrix: its rows or columns, whichever are fewer."""
-    if len(shape) != 2 or math.prod(shape) < 2:
+    if len(shape) != 2 or math.prod(shape) < least_values:
         return
     count, samples = sorted(shape)
     if count > MAX_ITEMS:
@@ -84,8 +89,9 @@ class _Head:
 class _Version5:
     """Traversal of a file of version 5 to 7, which counts the elements of structs and cells."""
 
-    def __init__(self, path: Path, content: bytes, order: str) -> None:
+    def __init__(self, path: Path, content: bytes, order: str, least_values: int) -> None:
         self._path, self._content, self._order = path, memoryview(content), order
+        self._least_values = least_values
         self._elements = 0
 
     def blocks(self) -> Iterator[ColumnBlock]:
@@ -166,7 +172,7 @@ class _Version5:
         def array() -> np.ndarray:
             return np.frombuffer(body()[start : start + length], stored).reshape(head.shape, order="F")
 
-        yield from _block(name, head.shape, array, working_bytes)
+        yield from _block(name, head.shape, array, self._least_values, working_bytes)
 
     def _head(self, body: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(body, 0)
@@ -211,7 +217,7 @@ def _unpacked(compressed: memoryview, size: int) -> bytes:
     return content
 
 
-def _version_4(content: bytes) -> Iterator[ColumnBlock]:
+def _version_4(content: bytes, least_values: int) -> Iterator[ColumnBlock]:
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 
@@ -219,7 +225,7 @@ def _version_4(content: bytes) -> Iterator[ColumnBlock]:
         raise UnreadableError("its header is damaged")
     for name, array in loadmat(BytesIO(content)).items():
         if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
-            yield from _block(name, array.shape, partial(np.asarray, array))
+            yield from _block(name, array.shape, partial(np.asarray, array), least_values)
 
 
 def matlab_hdf5_blocks(path: Path) -> Blocks:

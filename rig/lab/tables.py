@@ -4,17 +4,19 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 from rig.errors import RigError
 from rig.files import check_source
 from rig.lab.column import Blocks, Column, Refused, UnreadableError
-from rig.lab.csv_text import TextForm, csv_blocks
+from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, csv_blocks
 from rig.lab.hdf5 import hdf5_blocks
 from rig.lab.matlab import matlab_blocks
 from rig.lab.tdms import tdms_blocks
 from rig.lab.uff import uff_blocks
 from rig.limits import MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
+Result = TypeVar("Result")
 Key = str | int
 """Name of a column, or its number from 1."""
 WORKING_BYTES_PER_SAMPLE = 16
@@ -23,10 +25,11 @@ WORKING_BYTES_PER_SAMPLE = 16
 
 @dataclass(frozen=True)
 class Table:
-    """Names of all columns of a file, and the requested columns by index."""
+    """Names of all columns of a file, the requested columns by index, and what was left out in words."""
 
     names: tuple[str, ...]
     columns: Mapping[int, Column]
+    notes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, columns: Sequence[Column]) -> "Table":
@@ -50,8 +53,20 @@ class Table:
 def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) -> Table:
     """Requested columns (None: all) of a file, whose format follows from its suffix; no others are decoded.
 
-    Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, holds no numbers,
-    keeps a column that is asked for elsewhere, or would take more memory than `rig.limits` allows.
+    Raises RigError as `with_blocks` does, and with a sentence if the file holds no numbers, or keeps a column that is
+    asked for elsewhere.
+    """
+    table = with_blocks(path, text, lambda blocks: _read(path, blocks, keys))
+    if not table.names:
+        raise RigError(f"{path}: holds no column of numbers over time; check what was exported")
+    return table
+
+
+def with_blocks(path: Path, text: TextForm, consume: Callable[[Blocks], Result]) -> Result:
+    """Result of `consume`, given the content of a file, whose format follows from its suffix.
+
+    Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, or would take more
+    memory than `rig.limits` allows.
     """
     if (suffix := path.suffix.lower()) not in READERS:
         raise RigError(f"{path}: the suffix {suffix!r} is none of {', '.join(READERS)}; rename the file or convert it")
@@ -60,7 +75,7 @@ def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) 
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
         with closing(READERS[suffix](path, text)) as blocks:
-            table = _read(path, blocks, keys)
+            return consume(blocks)
     except OSError as error:
         if error.errno is None:  # of a format's library, in words of its own
             raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
@@ -73,14 +88,12 @@ def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) 
         raise RigError(f"{path}: cannot be read as {suffix} ({error}); export it again") from error
     except Exception as error:  # what the formats' libraries raise on a bad file is not to be listed
         raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
-    if not table.names:
-        raise RigError(f"{path}: holds no column of numbers over time; check what was exported")
-    return table
 
 
 def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
     names: list[str] = []
     columns: dict[int, Column] = {}
+    notes: tuple[str, ...] = ()
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
     for block in blocks:
         first = len(names)
@@ -100,7 +113,9 @@ def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
             )
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
             columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
-    return Table(tuple(names), columns)
+            if missing := block.samples - columns[first + chosen[0]].values.size:
+                notes = (f"the last {missing} lines are incomplete and were left out",)
+    return Table(tuple(names), columns, notes)
 
 
 def _may_select(refused: Refused, column_count: int, keys: Collection[Key] | None) -> bool:
@@ -113,8 +128,7 @@ def _may_select(refused: Refused, column_count: int, keys: Collection[Key] | Non
 
 
 READERS: dict[str, Callable[[Path, TextForm], Blocks]] = {
-    ".csv": csv_blocks,
-    ".txt": csv_blocks,
+    **dict.fromkeys(TEXT_SUFFIXES, csv_blocks),
     ".uff": lambda path, _: uff_blocks(path),
     ".unv": lambda path, _: uff_blocks(path),
     ".mat": lambda path, _: matlab_blocks(path),

@@ -58,7 +58,8 @@ def _columns(channel: Any, name: str, _: object) -> list[Column]:
     unit = channel.properties.get("unit_string")
     interval_s = channel.properties.get("wf_increment")
     rate = 1 / interval_s if isinstance(interval_s, int | float) and interval_s > 0 else None
-    return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate)]
+    recorded = f"{start} UTC" if (start := channel.properties.get("wf_start_time")) is not None else ""
+    return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate, recorded)]
 
 
 def _check_segments(path: Path, stream: BufferedReader, file_bytes: int) -> None:

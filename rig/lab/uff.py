@@ -58,6 +58,8 @@ class _History:
     """Byte order of a binary dataset, < or >; empty for text."""
     start: int
     stop: int
+    recorded: str
+    """ID lines two to five, of which one states the date."""
 
     @property
     def value_count(self) -> int:
@@ -160,6 +162,7 @@ def _block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
         order=("<" if _integer(head, 7, 13) == 1 else ">") if dataset.binary else "",
         start=start,
         stop=dataset.stop,
+        recorded=" ".join(line[:80].strip() for line in (lines[2], lines[1], *lines[3:5])),
     )
     size = (4 if kind == SINGLE else 8) if dataset.binary else min(WIDTHS[kind, history.even])
     room = (dataset.stop - start) // size
@@ -175,10 +178,10 @@ def _columns(content: mmap.mmap, history: _History, chosen: Sequence[int]) -> li
     values = _binary(content, history) if history.order else _text(content, history)
     if history.even:
         rate = 1 / history.interval_s if history.interval_s > 0 and history.point_count > 1 else None
-        return [Column(history.name, values, history.unit, rate)]
+        return [Column(history.name, values, history.unit, rate, history.recorded)]
     columns = (
         Column(f"{history.name} time", values[::2].copy(), "s"),
-        Column(history.name, values[1::2].copy(), history.unit),
+        Column(history.name, values[1::2].copy(), history.unit, None, history.recorded),
     )
     return [columns[k] for k in chosen]
 

@@ -31,11 +31,14 @@ class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Contact(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Two stations that meet; the relative displacement is `at` minus `against` (None: the ground)."""
+    """Two stations that meet; the relative displacement is `at` minus `against`.
+
+    In place of a second station stands None, in rig.json null, "ground" or nothing, for the ground.
+    """
 
     name: str
     at: Station
-    against: Station | None
+    against: Station | None = None
     law: AnyLaw
 
 

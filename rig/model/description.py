@@ -3,13 +3,14 @@
 The components' structs are in `rig.model.components` and importable from here.
 """
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
-from rig.errors import RigError
+from rig.errors import RigError, meant
 from rig.files import contents
 from rig.limits import SCHEMA_VERSION, check_json, check_largest, check_schema_version
 from rig.model.beam import Beam
@@ -29,6 +30,8 @@ from rig.model.components import (
     check_name,
     contact_stations,
 )
+from rig.model.contact_laws.base import CLEARANCES
+from rig.model.decoding import converted
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
 from rig.model.structure import Structure
@@ -62,6 +65,8 @@ __all__ = [
 
 Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
+GROUND, SCHEMA_KEY = "ground", "$schema"
+"""Word in rig.json for the ground, in place of a station; key that names its JSON Schema, which is read over."""
 MAX_PER_KIND = 1000
 """Largest number of bodies, of contacts, of sensors and of forces."""
 
@@ -74,19 +79,33 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """
 
     name: str
+    """Name of the machine."""
     bodies: tuple[Body, ...]
+    """Beams, masses and structures given by their modes."""
     contacts: tuple[Contact, ...]
+    """Contacts between two bodies, or a body and the ground."""
     force_at: Station | tuple[Station, ...]
+    """Place of the measured force, or of each of several that act at once."""
     sensors: tuple[Sensor, ...]
+    """Sensors with place, quantity and noise."""
     sample_rate_hz: float
+    """Rate of every channel, Hz."""
     masses: tuple[PointMass, ...] = ()
+    """Attached point masses."""
     springs: tuple[PointSpring, ...] = ()
+    """Springs from a body to the base."""
     clamps: tuple[Clamp, ...] = ()
+    """Compliance of the clamps of beams."""
     loads: tuple[StaticLoad, ...] = ()
+    """Constant forces."""
     base_motion: BaseMotion | None = None
+    """Unmeasured motion of the base that carries the bodies."""
     force_sensor: ForceSensor = ForceSensor()
+    """Errors of the force sensor; they hold for every force."""
     dampers: tuple[PointDamper, ...] = ()
+    """Dampers from a body to the base."""
     tones: tuple[Tone, ...] = ()
+    """Unmeasured harmonic forces."""
     tolerances: Tolerances | None = None
     """Standard deviations of the description, where its author states them."""
     schema_version: int = SCHEMA_VERSION
@@ -144,6 +163,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return force_names(len(self.forces))
 
     def body(self, name: str) -> Body:
+        """Body of that name; raises RigError if there is none."""
         for body in self.bodies:
             if body.name == name:
                 return body
@@ -171,6 +191,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         return tuple(b for b in self.bodies if isinstance(b, Beam))
 
     def contact(self, name: str) -> Contact:
+        """Contact of that name."""
         return next(c for c in self.contacts if c.name == name)
 
     def _check_forces(self) -> None:
@@ -240,12 +261,29 @@ def to_json(rig: Rig) -> bytes:
     return msgspec.json.format(msgspec.json.encode(rig), indent=2)
 
 
-def _with_laws_named(decoded: Any) -> Any:
-    """Add the type dead_zone to the laws of older files, which do not state one."""
-    contacts = decoded.get("contacts") if isinstance(decoded, dict) else None
-    for contact in contacts if isinstance(contacts, list) else []:
-        if isinstance(contact, dict) and isinstance(contact.get("law"), dict):
-            contact["law"].setdefault("type", "dead_zone")
+def _in_types(decoded: Any) -> Any:
+    """Description in the values of the types: a law without a type is a dead zone, a clearance of null infinite, and
+    "ground" no station. The name of its JSON Schema is left out.
+
+    Raises RigError, without the file's name, for another word than "ground".
+    """
+    if not isinstance(decoded, dict):
+        return decoded
+    decoded.pop(SCHEMA_KEY, None)
+    contacts = decoded.get("contacts")
+    for number, contact in enumerate(contacts if isinstance(contacts, list) else []):
+        if not isinstance(contact, dict):
+            continue
+        if isinstance(word := contact.get("against"), str):
+            if word != GROUND:
+                raise RigError(
+                    f"contacts[{number}].against is {word!r}{meant(word, [GROUND])}; give a station, "
+                    f'{{"body": ..., "position_m": ...}}, or {GROUND!r}'
+                )
+            contact["against"] = None
+        if isinstance(law := contact.get("law"), dict):
+            law.setdefault("type", "dead_zone")
+            law |= {name: math.inf for name in CLEARANCES if name in law and law[name] is None}
     return decoded
 
 
@@ -253,12 +291,17 @@ def from_json(text: bytes, source: str) -> Rig:
     """Rig from a JSON text; raises RigError with `source`, the place and the reason if it is invalid."""
     check_json(text, source)
     try:
-        decoded = _with_laws_named(msgspec.json.decode(text))
-        check_schema_version(decoded, source)
-        check_largest(decoded, source)
-        return msgspec.convert(decoded, Rig)
+        decoded = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: not a rig description: {error}; see rig/recording/README.md") from error
+        raise RigError(f"{source}: not a rig description: it is no JSON ({error}); correct it there") from error
+    check_schema_version(decoded, source)
+    check_largest(decoded, source)
+    wrong = f"{source}: not a rig description"
+    try:
+        in_types = _in_types(decoded)
+    except RigError as error:
+        raise RigError(f"{wrong}: {error}") from error
+    return converted(in_types, Rig, wrong)
 
 
 def read_rig(path: Path) -> Rig:

@@ -122,4 +122,4 @@ def tolerances_named(text: str) -> Tolerances:
         return NAMED[text]
     if not Path(text).exists():
         raise RigError(f"{text}: no tolerances can be read there; give {', '.join(NAMED)} or a TOML file")
-    return read_toml(Path(text), Tolerances, "file of tolerances", "rig.model.tolerances")
+    return read_toml(Path(text), Tolerances, "file of tolerances", "identify/README.md")

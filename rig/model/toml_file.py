@@ -2,14 +2,16 @@
 
 import re
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 
 from rig.errors import RigError
 from rig.files import contents
 from rig.limits import MAX_DEPTH
+from rig.model.decoding import explained
 
 T = TypeVar("T")
 MAX_TOML_BYTES = 1_000_000
@@ -18,8 +20,13 @@ DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 """A dotted key of more than MAX_DEPTH parts, whose parsing takes quadratic time and memory."""
 
 
-def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
-    """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key."""
+def read_toml(
+    path: Path, kind: type[T], called: str, described_in: str, check: Callable[[dict[str, Any]], None] = lambda _: None
+) -> T:
+    """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key.
+
+    `check` sees the values first, and may raise a RigError of its own.
+    """
     wrong = f"{path}: is no {called}"
     try:
         content = contents(path)
@@ -28,14 +35,18 @@ def read_toml(path: Path, kind: type[T], called: str, described_in: str) -> T:
         text = content.decode()
         if DEEP_KEY.search(text):
             raise RigError(f"{wrong}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
-        return msgspec.convert(tomllib.loads(text), kind)
+        decoded = tomllib.loads(text)
+        check(decoded)
+        return msgspec.convert(decoded, kind)
     except RigError:
         raise
     except UnicodeDecodeError as error:
         raise RigError(f"{wrong}: it is not text in UTF-8; save it so") from error
     except RecursionError as error:
         raise RigError(f"{wrong}: its values are nested too deep; see {described_in}") from error
-    except (tomllib.TOMLDecodeError, msgspec.ValidationError) as error:
+    except msgspec.ValidationError as error:
+        raise RigError(f"{wrong} ({explained(error, decoded, kind)})") from error
+    except tomllib.TOMLDecodeError as error:
         raise RigError(f"{wrong} ({error}); see {described_in}") from error
     except ValueError as error:
         raise RigError(f"{wrong}: it has a number of too many digits; see {described_in}") from error

@@ -48,16 +48,21 @@ class Channel:
     """One channel: an array with its name, unit, place and times. numpy takes it for its values."""
 
     name: str
+    """Name of the sensor, or of the force."""
     unit: str
+    """SI unit of the values."""
     station: Station | None
+    """Place on a body; None where the channel has no single one."""
     time_s: Float[np.ndarray, " samples"]
+    """Time of each sample, s."""
     values: Float[np.ndarray, " samples"]
+    """Samples, in `unit`."""
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.values, dtype=dtype, copy=copy)
 
     def to_pandas(self) -> Any:
-        """A pandas Series over the time in seconds; needs the package pandas."""
+        """Pandas Series over the time in seconds; needs the package pandas."""
         from pandas import Index, Series
 
         return Series(self.values, Index(self.time_s, name="time_s"), name=f"{self.name}, {self.unit}")
@@ -68,8 +73,11 @@ class Recording:
     """Nominal rig, signals of its sensors by group, and provenance of a record."""
 
     rig: Rig
+    """Nominal rig: the machine as its owner believes it."""
     signals: Mapping[str, Signals]
+    """Channels of one quantity as a matrix, by the quantity's name: force, acceleration, ..."""
     provenance: Mapping[str, str]
+    """Origin and processing steps of the record."""
 
     def __getitem__(self, name: str) -> Channel:
         """Channel of that name; raises RigError if there is none."""
@@ -82,6 +90,13 @@ class Recording:
             raise RigError(f"the recording has no channel {name!r}; it has {', '.join(channels)}")
         return channels[name]
 
+    def to_pandas(self) -> Any:
+        """Pandas DataFrame of all channels over the time in seconds, a column "NAME, UNIT" each; needs pandas."""
+        from pandas import concat
+
+        names = [name for signals in self.signals.values() for name in signals.channels.names]
+        return concat([self[name].to_pandas() for name in names], axis=1)
+
     def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
         """Samples of a sensor of the rig."""
         signals = self.signals[sensor.quantity]
@@ -89,10 +104,12 @@ class Recording:
 
     @property
     def forces_n(self) -> Float[np.ndarray, "forces samples"]:
+        """Samples of every force, N."""
         return self.signals["force"].values
 
     @property
     def force_names(self) -> tuple[str, ...]:
+        """Channel names of the forces."""
         return self.signals["force"].channels.names
 
     @property
@@ -104,6 +121,7 @@ class Recording:
 
     @property
     def samples(self) -> int:
+        """Number of samples of every channel."""
         return self.forces_n.shape[1]
 
     @property
@@ -113,10 +131,12 @@ class Recording:
 
     @property
     def end_s(self) -> float:
+        """Time after the last sample, s."""
         return self.start_s + self.duration_s
 
     @property
     def duration_s(self) -> float:
+        """Length of the record, s."""
         return self.samples / self.rig.sample_rate_hz
 
 

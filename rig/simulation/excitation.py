@@ -25,9 +25,13 @@ class _Band(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Band and rms value, taken over the excited part of the record, of any excitation."""
 
     rms_n: float
+    """Root mean square of the excited part, N; for a free decay the peak over sqrt(2)."""
     low_hz: float
+    """Lower end of the band, Hz; for a hammer the hits a second."""
     high_hz: float
+    """Upper end of the band, Hz; for a hammer and a free decay half the inverse of a hit's length."""
     seed: int = 1
+    """Seed of the random numbers."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rms_n) and self.rms_n >= 0):
@@ -46,6 +50,7 @@ class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     """
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         return _scaled(_noise(samples, step_s, self) * _rise(samples, step_s), self.rms_n)
 
 
@@ -53,9 +58,12 @@ class BurstRandom(_Band, frozen=True, tag="burst"):
     """The band-limited Gaussian force, on for `on_fraction` of each period and off for the rest."""
 
     period_s: float = 4.0
+    """Period of the bursts, s."""
     on_fraction: float = 0.6
+    """Share of each period in which the force is on."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         noise = _noise(samples, step_s, self)
         phase = np.mod(np.arange(samples) * step_s, self.period_s) / (self.period_s * self.on_fraction)
         edge = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
@@ -66,6 +74,7 @@ class Sweep(_Band, frozen=True, tag="sweep"):
     """A linear sine sweep from the lower to the upper end of the band over the whole record."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         time_s = np.arange(samples) * step_s
         return _scaled(scipy.signal.chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
 
@@ -74,8 +83,10 @@ class Multisine(_Band, frozen=True, tag="multisine"):
     """A periodic sum of sines of equal amplitude and random phase on every line of 1/period in the band."""
 
     period_s: float = 8.0
+    """Period, s."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         lines = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
         lines = lines[lines > 0]
         phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(lines))
@@ -90,6 +101,7 @@ class FreeDecay(_Band, frozen=True, tag="free_decay"):
     """One half-sine impact of length 1/(2 high_hz) and peak rms_n * sqrt(2), then free decay."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         time_s = np.arange(samples) * step_s
         blow = np.sin(2 * np.pi * self.high_hz * time_s)
         return np.where(time_s < 0.5 / self.high_hz, blow, 0.0) * self.rms_n * np.sqrt(2)
@@ -103,6 +115,7 @@ class Hammer(_Band, frozen=True, tag="hammer"):
     """
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         duration_s, rng = samples * step_s, np.random.default_rng(self.seed)
         count = max(1, int(duration_s * self.low_hz))
         interval_s, peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, count)
@@ -122,8 +135,10 @@ class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
     """
 
     steps: int = 20
+    """Number of frequencies."""
 
     def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+        """Force at the steps after the quiet second, N."""
         held_s, time_s = samples * step_s / self.steps, np.arange(samples) * step_s
         step = np.minimum((time_s / held_s).astype(int), self.steps - 1)
         frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)

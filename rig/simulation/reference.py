@@ -7,6 +7,7 @@ import msgspec
 from rig.errors import RigError, meant
 from rig.model.beam import Beam
 from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.decoding import explained
 from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES, QuantityName
@@ -18,24 +19,40 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     """The one-mass rig (figure 1 and table 1): a mass on a spring between two stops."""
 
     mass_kg: float = 1.0
+    """Mass, kg."""
     frequency_hz: float = 5.0
+    """Natural frequency with open contacts, Hz."""
     damping_ratio: float = 0.01
+    """Damping ratio with open contacts."""
     clearance_m: float = 1e-3
+    """Clearance on each side, m."""
     stiffness_n_per_m: float = 1e4
+    """Stiffness of each stop, N/m."""
     contact_damping_n_s_per_m: float = 0.0
+    """Damping of a closed stop, N s/m."""
     sensors: str = "displacement+acceleration"
     """Quantities measured at every station, joined by +."""
     noise_density: float = 0.0
+    """Noise density of the accelerometer, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 512.0
+    """Rate of every channel, Hz."""
     step_s: float = 2.0**-13
+    """Time step of the simulation, s."""
     duration_s: float = 825.0
+    """Length of the recording, s."""
     excitation: str = "gaussian"
+    """Kind of the force: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
     rms_n: float = 0.5
+    """Root mean square of the force, N."""
     low_hz: float = 0.0
+    """Lower end of the force's band, Hz."""
     high_hz: float = 15.0
+    """Upper end of the force's band, Hz."""
     seed: int = 1
+    """Seed of the random force."""
 
     def rig(self) -> Rig:
+        """Rig of these settings."""
         mass = Station("mass")
         quantities = _quantities(self.sensors)
         law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
@@ -56,6 +73,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         )
 
     def force(self) -> Excitation:
+        """Exciting force of these settings."""
         return excitation_of(
             self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
         )
@@ -65,29 +83,46 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """The barrel in its cradle (figure 10 and table 2): a clamped and a free beam that meet at two contacts."""
 
     length_m: float = 1.0
+    """Length of each beam, m."""
     overlap_start_m: float = 0.45
     """Position on the cradle of the barrel's left end (the paper's la)."""
     clearance_1_m: float = 5e-3
+    """Clearance of contact_1 on each side, m."""
     clearance_2_m: float = 5e-3
+    """Clearance of contact_2 on each side, m."""
     stiffness_1_n_per_m: float = 1e5
+    """Stiffness of the stops of contact_1, N/m."""
     stiffness_2_n_per_m: float = 1e5
+    """Stiffness of the stops of contact_2, N/m."""
     contact_damping_n_s_per_m: float = 0.0
+    """Damping of a closed stop, N s/m."""
     damping_ratio: float = 0.01
+    """Damping ratio of every mode of both beams."""
     stations: Literal[4, 6, 8, 10] = 6
     """Stations per beam; the contacts are always among them."""
     sensors: str = "displacement+acceleration"
+    """Quantities measured at every station, joined by +."""
     noise_density: float = 0.0
     """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 4096.0
+    """Rate of every channel, Hz."""
     step_s: float = 2.0**-14
+    """Time step of the simulation, s."""
     duration_s: float = 60.0
+    """Length of the recording, s."""
     excitation: str = "gaussian"
+    """Kind of the force: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
     rms_n: float = 14.0
+    """Root mean square of the force, N."""
     low_hz: float = 0.5
+    """Lower end of the force's band, Hz."""
     high_hz: float = 100.0
+    """Upper end of the force's band, Hz."""
     seed: int = 1
+    """Seed of the random force."""
 
     def rig(self) -> Rig:
+        """Rig of these settings."""
         beams = tuple(
             Beam(
                 name=name,
@@ -128,6 +163,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         )
 
     def force(self) -> Excitation:
+        """Exciting force of these settings."""
         return excitation_of(
             self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
         )
@@ -169,7 +205,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
     try:
         return msgspec.convert(settings, kind, strict=False)
     except msgspec.ValidationError as error:
-        raise RigError(f"{scenario}: {error}; see `rig record --help` for the settings") from error
+        raise RigError(f"{scenario}: {explained(error, settings, kind)}; see `rig record --help`") from error
 
 
 def _quantities(sensors: str) -> list[QuantityName]:

@@ -8,7 +8,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from rig.viewer.drawing import GRID, STEEL, Colour, pixels, send_labels, style
+from rig.viewer.drawing import pixels, send_labels, style
+from rig.viewer.palette import GRID, STEEL, Colour
 
 WIDTH, HEIGHT = 1.6, 1.0
 LABEL_HALF_HEIGHT = 0.06

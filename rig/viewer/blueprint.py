@@ -1,4 +1,4 @@
-"""Blueprint of the rerun viewer: the moving rig and its contacts left, time series right; spectra behind a tab."""
+"""Blueprint of the rerun viewer: the moving rig and its contacts left, plots right; prediction and spectra in tabs."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -11,11 +11,25 @@ from rig.model.description import UNITS, Contact, Rig
 from rig.model.quantities import QUANTITIES, QuantityName, printed_unit
 from rig.model.sensing import quantities_of, sensors_of
 from rig.viewer.axes import axes_view
-from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, LEGEND_ROWS, TIMELINE, entity, legend_of
+from rig.viewer.drawing import (
+    DIAGNOSIS,
+    GAP_OVER_TIME,
+    KEY,
+    LEGEND_ROWS,
+    PREDICTION,
+    TIMELINE,
+    entity,
+    legend_of,
+)
+from rig.viewer.palette import MEANINGS
 from rig.viewer.spectra import ShownSpectra
 
 WINDOW_S = 0.5
 """Time that plots show before and after the cursor, s."""
+GHOSTS = "model/prediction"
+"""Entities of the predicted rigs."""
+MAX_SIDE_BY_SIDE = 2
+"""Plots of force over displacement that have room for their labels side by side; more stand behind tabs."""
 TRAIL_S = 0.1
 """Time that a close-up shows before the cursor, s."""
 
@@ -37,6 +51,9 @@ class Layout:
     """Half width of the views of each contact, mm."""
     spectra: tuple[ShownSpectra, ...]
     diagnosis: bool
+    masses_alone: bool = False
+    predicted_at: str | None = None
+    """Name of the station whose predicted displacement is shown, if a prediction is."""
 
 
 def plotted(rig: Rig) -> list[QuantityName]:
@@ -50,16 +67,17 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
         _close_up(contact, layout.reach_mm[contact.name], _caveat(layout, contact=True))
         for contact in layout.rig.contacts
     ]
-    phases = [_phase(layout, contact) for contact in layout.rig.contacts]
-    rows = [rrb.Horizontal(*close_ups), rrb.Horizontal(*phases)]
-    left_column = rrb.Vertical(_model(layout), *rows, row_shares=[3, 2, 2]) if close_ups else _model(layout)
+    model = _model(layout)
+    left_column = rrb.Vertical(model, rrb.Horizontal(*close_ups), row_shares=[5, 3]) if close_ups else model
+    shares = [1.0] * len(close_ups) + [max(1.0, len(close_ups) / MAX_SIDE_BY_SIDE)]
+    motion = rrb.Horizontal(left_column, rrb.Vertical(*_plots(layout), row_shares=shares), column_shares=[3, 2])
+    tabs = [rrb.Vertical(_key(), motion, row_shares=[1, 14], name="Motion")]
+    if layout.predicted_at is not None:
+        tabs.append(_prediction(layout, layout.predicted_at))
+    tabs.append(rrb.Grid(*(axes_view(spectra.origin, spectra.title) for spectra in layout.spectra), name="Spectra"))
     speed = float(f"{60 / layout.frame_rate_hz:.1g}")
     return rrb.Blueprint(
-        rrb.Tabs(
-            rrb.Horizontal(left_column, rrb.Vertical(*_plots(layout)), column_shares=[1, 1], name="Motion"),
-            rrb.Grid(*(axes_view(spectra.origin, spectra.title) for spectra in layout.spectra), name="Spectra"),
-            active_tab=0,
-        ),
+        rrb.Tabs(*tabs, active_tab=0 if layout.predicted_at is None else 1),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="paused", playback_speed=speed),
@@ -68,16 +86,39 @@ def blueprint(layout: Layout) -> rrb.Blueprint:
     )
 
 
-def _model(layout: Layout) -> rrb.Spatial3DView:
+def _key() -> rrb.Spatial2DView:
+    bounds = rrb.VisualBounds2D(x_range=[0.0, len(MEANINGS)], y_range=[-0.02, 0.12])
+    return rrb.Spatial2DView(origin=KEY, name="What the colours mean", visual_bounds=bounds)
+
+
+def _model(layout: Layout, name: str = "", left_out: str = GHOSTS, farther: float = 1.0) -> rrb.Spatial3DView:
+    """View of the moving rig, from `farther` where it is narrow; `left_out` are entities that another tab shows."""
     x, extent_m = layout.centre_m, layout.extent_m
+    away, above = (0.8 if len(layout.rig.bodies) > 1 else 0.9, 0.12) if layout.masses_alone else (0.72, 0.16)
     return rrb.Spatial3DView(
         origin="/model",
-        name=f"{layout.rig.name}: deflection magnified {layout.magnification:g} times{_caveat(layout)}",
+        contents=["+ $origin/**", f"- /{left_out}/**"],
+        name=name or f"{layout.rig.name}: motion and play magnified {layout.magnification:g} times{_caveat(layout)}",
         eye_controls=rrb.EyeControls3D(
-            position=(x, -0.85 * extent_m, 0.3 * extent_m), look_target=(x, -0.05 * extent_m, 0), eye_up=(0, 0, 1)
+            position=(x, -farther * away * extent_m, farther * above * extent_m),
+            look_target=(x, -0.05 * extent_m, 0),
+            eye_up=(0, 0, 1),
         ),
         line_grid=rrb.LineGrid3D(visible=False),
     )
+
+
+def _prediction(layout: Layout, station: str) -> rrb.Vertical:
+    """Tab of the prediction: both rigs over the measured one left, displacement and errors over time right."""
+    name = f"{layout.rig.name}: measured, and predicted by both rigs; magnified {layout.magnification:g} times"
+    words = rrb.TextDocumentView(origin=f"{PREDICTION}/words", name="How well both rigs predict")
+    plots = (
+        _plot(layout, f"{PREDICTION}/displacement", f"{station}: displacement, mm{_caveat(layout)}"),
+        _plot(layout, f"{PREDICTION}/error", "Error of the displacement over all stations, mm rms"),
+    )
+    model = rrb.Vertical(_model(layout, name, "model/gap", 1.2), words, row_shares=[4, 1])
+    motion = rrb.Horizontal(model, rrb.Vertical(*plots), column_shares=[3, 2])
+    return rrb.Vertical(_key(), motion, row_shares=[1, 14], name="Prediction")
 
 
 def _close_up(contact: Contact, reach_mm: float, caveat: str) -> rrb.Spatial2DView:
@@ -94,7 +135,7 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     """View of force over relative displacement until the cursor, with the displacement's histogram behind a tab."""
     histogram = rrb.BarChartView(
         origin=entity("histogram", contact.name),
-        name=f"{contact.name}: histogram, % of the time over mm",
+        name=f"{contact.name}: % of the time over mm",
         plot_legend=rrb.PlotLegend(visible=False),
     )
     if layout.contact_force is None:
@@ -102,9 +143,9 @@ def _phase(layout: Layout, contact: Contact) -> rrb.View | rrb.Container:
     until_now = rr.VisibleTimeRange(
         TIMELINE, start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.cursor_relative()
     )
-    name = f"{contact.name}: {layout.contact_force} force over relative displacement"
+    name = f"{contact.name}: {layout.contact_force} force"
     force = axes_view(entity("phase", contact.name), name, time_ranges=[until_now])
-    return rrb.Tabs(force, histogram, active_tab=0)
+    return rrb.Tabs(force, histogram, active_tab=0, name=contact.name)
 
 
 def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
@@ -129,6 +170,10 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
     force, source = [], layout.contact_force
     if source is not None:
         force = [_plot(layout, "contact_force", f"{source.capitalize()} contact force, N", note)]
+    phases = [_phase(layout, contact) for contact in layout.rig.contacts]
+    name = "Force over displacement" if force else "Histograms"
+    many = len(phases) > MAX_SIDE_BY_SIDE
+    laws = [rrb.Tabs(*phases, name=name) if many else rrb.Horizontal(*phases, name=name)] if phases else []
     time = rrb.encodings.TimelineColumn(TIMELINE)
     text = rrb.encodings.TextLogColumn("Body")
     events = rrb.TextLogView(
@@ -137,8 +182,9 @@ def _plots(layout: Layout) -> list[rrb.View | rrb.Container]:
         columns=rrb.TextLogColumns(timeline_columns=[time], text_log_columns=[text]),
     )
     force_view = _plot(layout, "exciting_force", "Exciting force, N")
-    tabs = [*(_diagnosis() if layout.diagnosis else []), *([events] if relative else []), force_view, *measured]
-    return [*relative, *force, rrb.Tabs(*tabs, active_tab=0)]
+    diagnosis = _diagnosis() if layout.diagnosis else []
+    tabs = [*diagnosis, *laws, *force, *([events] if relative else []), force_view, *measured]
+    return [*relative, rrb.Tabs(*tabs, active_tab=0)]
 
 
 def _diagnosis() -> list[rrb.View]:

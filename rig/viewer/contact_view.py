@@ -11,28 +11,12 @@ import rerun as rr
 from jaxtyping import Bool, Float, Int, UInt8
 from scipy.ndimage import maximum_filter1d
 
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Contact
 from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
-from rig.viewer.drawing import (
-    BELIEVED,
-    CLOSED,
-    FAINT,
-    FOUND,
-    FREE,
-    LINES,
-    STEEL,
-    TIMELINE,
-    Colour,
-    entity,
-    pixels,
-    send,
-    send_labels,
-    send_legend,
-    send_lines,
-    style,
-)
+from rig.viewer.drawing import TIMELINE, entity, pixels, send, send_labels, send_legend, send_lines, style
+from rig.viewer.palette import CLOSED, FAINT, FORCE, FOUND, MACHINE, SOURCES, STEEL, Colour
 
 TRAIL_POINTS = 60
 HATCHES = 16
@@ -40,9 +24,12 @@ DASHES = 24
 MAX_CLOSINGS = 20_000
 """Largest number of closings in the log."""
 MAX_PLOTTED = 1_000_000
+FAR = 5.0
+"""Clearance over the other one and the largest motion beyond which a stop is out of reach and of view."""
 NEAR_S = 0.005
 """Time before and after a contact within which every sample is drawn, s."""
-LAW_COLOURS: dict[str, Colour] = {"believed": BELIEVED, "identified": FOUND}
+CHANGES = (("closes", "circle", "●"), ("opens", "diamond", "◆"))
+"""Marks of the first closed and of the first free sample; both bound the time in contact and have its colour."""
 SIDES = {-1: "upper", 1: "lower"}
 COLUMNS = (1.85, -1.85, 0.55)
 """Positions of the labels of the walls and of overlaid laws, relative to the reach."""
@@ -56,8 +43,8 @@ class ContactMotion:
     """Motion of a contact over the record. Its law is drawn as walls and defines closure; wall_source is the law's.
 
     overlaid are laws drawn over it, by source; force_n is the contact force where it is known. The samples may be a
-    part of the record: identified motion begins later and ends at until_s. frames are drawn; the time series hold every
-    `stride`-th sample, and all near a contact.
+    part of the record: identified motion, for which is_identified is true, begins later and ends at until_s. frames
+    are drawn; the time series hold every `stride`-th sample, and all near a contact.
     """
 
     contact: Contact
@@ -69,12 +56,19 @@ class ContactMotion:
     force_n: Float[np.ndarray, " samples"] | None
     frames: Int[np.ndarray, " frames"]
     stride: int
+    is_identified: bool = False
+
+    @property
+    def colour(self) -> Colour:
+        return FOUND if self.is_identified else MACHINE
 
     @cached_property
     def reach_mm(self) -> float:
-        """Half width of the views of the contact, mm."""
+        """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
         law, largest = self.contact.law, float(np.abs(self.relative_m).max())
-        return 1.2e3 * max(law.lower_clearance_m, law.upper_clearance_m, largest) or 1.0
+        walls = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+        in_reach = [wall_m for wall_m in walls if wall_m <= FAR * max(walls[0], largest)]
+        return 1.2e3 * max([largest, *in_reach]) or 1.0
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
@@ -100,7 +94,7 @@ class ContactMotion:
 
     @property
     def colours(self) -> UInt8[np.ndarray, "frames 3"]:
-        return np.where(self.closed[self.frames, None], CLOSED, FREE).astype(np.uint8)
+        return np.where(self.closed[self.frames, None], CLOSED, self.colour).astype(np.uint8)
 
 
 def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
@@ -115,18 +109,18 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
         1.1 * contact_motion.reach_mm,
     )
     time_s = contact_motion.time_s[contact_motion.frames]
-    edges = np.linspace(-across, across, HATCHES + 1)
+    edges, colour = np.linspace(-across, across, HATCHES + 1), SOURCES[contact_motion.wall_source]
     for level, direction in _levels(law):
         hatches = [[[x, level], [x - 0.05 * across, level + direction * 0.05 * across]] for x in edges[1:]]
         walls = [[[-across, level], [across, level]], *hatches]
-        style(stream, f"{path}/{SIDES[direction]}", rr.LineStrips2D(walls, colors=[STEEL], radii=pixels(1.5)))
-    _send_levels(stream, f"{path}/{contact_motion.wall_source}", contact_motion, law, COLUMNS[0], STEEL)
+        style(stream, f"{path}/{SIDES[direction]}", rr.LineStrips2D(walls, colors=[colour], radii=pixels(1.5)))
+    _send_levels(stream, f"{path}/{contact_motion.wall_source}", contact_motion, law, COLUMNS[0], colour)
     for column, (name, overlaid_law) in zip(COLUMNS[1:], contact_motion.overlaid.items(), strict=False):
         dash_ends = np.linspace(-across, across, 2 * DASHES).reshape(DASHES, 2)
         dashes = [[[a, level], [b, level]] for level, _ in _levels(overlaid_law) for a, b in dash_ends]
-        drawn = rr.LineStrips2D(dashes, colors=[LAW_COLOURS[name]], radii=pixels(1.25), draw_order=40.0)
+        drawn = rr.LineStrips2D(dashes, colors=[SOURCES[name]], radii=pixels(1.25), draw_order=40.0)
         style(stream, f"{path}/{name}", drawn)
-        _send_levels(stream, f"{path}/{name}", contact_motion, overlaid_law, column, LAW_COLOURS[name])
+        _send_levels(stream, f"{path}/{name}", contact_motion, overlaid_law, column, SOURCES[name])
     now_x = 0.15 * across
     trail_offsets = np.linspace(-TRAIL_S * contact_motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
     trail = np.empty((contact_motion.frames.size, TRAIL_POINTS, 2))
@@ -134,7 +128,7 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
     trail[..., 1] = -1e3 * contact_motion.relative_m[np.maximum(contact_motion.frames[:, None] + trail_offsets, 0)]
     middle = rr.LineStrips2D([[[-across, 0], [across, 0]]], colors=[FAINT], radii=pixels(0.5))
     style(stream, f"{path}/middle", middle)
-    style(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[LINES[0]], radii=[pixels(0.75)]))
+    style(stream, f"{path}/trail", rr.LineStrips2D.from_fields(colors=[contact_motion.colour], radii=[pixels(0.75)]))
     send(stream, f"{path}/trail", time_s, rr.LineStrips2D, strips=trail)
     style(stream, f"{path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
     send(stream, f"{path}/point", time_s, rr.Points2D, positions=trail[:, -1], colors=contact_motion.colours)
@@ -151,8 +145,8 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
 
 
 def _levels(law: ContactLaw) -> list[tuple[float, int]]:
-    """Levels of the upper and the lower wall in the view, mm (y points downwards), with the outward direction."""
-    return [(-1e3 * law.upper_clearance_m, -1), (1e3 * law.lower_clearance_m, 1)]
+    """Levels of the walls, upper first, in the view, mm (y points downwards), with the outward direction."""
+    return [(-1e3 * wall_m, -side) for wall_m, side in walls_m(law)]
 
 
 def _send_levels(
@@ -181,10 +175,10 @@ def _readings(contact_motion: ContactMotion) -> list[str]:
 def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
     """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
     path, end_times_s = entity("relative_displacement", contact_motion.contact.name), contact_motion.time_s[[0, -1]]
-    legend = [(contact_motion.contact.name, LINES[0])]
+    legend = [(contact_motion.contact.name, contact_motion.colour)]
     for label, law in (("walls", contact_motion.contact.law), *contact_motion.overlaid.items()):
-        colour = LAW_COLOURS.get(label, CLOSED)
-        limits = 1e3 * np.array([law.upper_clearance_m, -law.lower_clearance_m])
+        colour = SOURCES[contact_motion.wall_source if label == "walls" else label]
+        limits = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
         names = [f"{contact_motion.wall_source if label == 'walls' else label} {limit:+.5g} mm" for limit in limits]
         send_lines(stream, f"{path}/{label}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
         legend += [(label, colour) for label in names]
@@ -195,13 +189,11 @@ def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
         contact_motion.time_s[contact_motion.plotted],
         value,
         [contact_motion.contact.name],
-        LINES,
+        (contact_motion.colour,),
     )
-    for label, samples, colour in (
-        ("closes", _changes(contact_motion)[0], CLOSED),
-        ("opens", _changes(contact_motion)[1], FREE),
-    ):
-        style(stream, f"{path}/{label}", rr.SeriesPoints(colors=[colour], names=[label], marker_sizes=[3.0]))
+    for (label, marker, sign), samples in zip(CHANGES, _changes(contact_motion), strict=True):
+        points = rr.SeriesPoints(colors=[CLOSED], names=[label], markers=[marker], marker_sizes=[4.0])
+        style(stream, f"{path}/{label}", points)
         send(
             stream,
             f"{path}/{label}",
@@ -209,7 +201,7 @@ def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
             rr.Scalars,
             scalars=1e3 * contact_motion.relative_m[samples],
         )
-        legend.append((f"● {label}", colour))
+        legend.append((f"{sign} {label}", CLOSED))
     send_legend(stream, path, legend)
 
 
@@ -234,7 +226,7 @@ def send_events(stream: rr.RecordingStream, contact_motion: ContactMotion) -> No
     samples = np.concatenate([closes, opens])
     order = np.argsort(samples, kind="stable")
     levels = np.array([rr.TextLogLevel.WARN] * closes.size + [rr.TextLogLevel.INFO] * opens.size)
-    colours = np.array([CLOSED] * closes.size + [FREE] * opens.size, dtype=np.uint8).reshape(-1, 3)
+    colours = np.array([CLOSED] * closes.size + [contact_motion.colour] * opens.size, dtype=np.uint8).reshape(-1, 3)
     send(
         stream,
         entity("events", contact_motion.contact.name),
@@ -268,14 +260,13 @@ def send_phase(stream: rr.RecordingStream, contact_motion: ContactMotion) -> Non
     largest_n = 1.1 * float(np.abs(contact_motion.force_n).max()) or 1.0
     axes = Axes((-reach, reach), (-largest_n, largest_n), "relative displacement, mm", "force, N")
     laws = {contact_motion.wall_source: contact_motion.contact.law, **contact_motion.overlaid}
-    colours = {name: STEEL if name == contact_motion.wall_source else LAW_COLOURS[name] for name in laws}
-    axes.send(stream, path, {"force": LINES[1]} | {f"{name} law": colour for name, colour in colours.items()})
+    axes.send(stream, path, {"force": FORCE} | {f"{name} law": SOURCES[name] for name in laws})
     eta = np.linspace(contact_motion.relative_m.min(), contact_motion.relative_m.max(), 401)
     for depth, (name, law) in enumerate(laws.items()):
         line = axes.points(1e3 * eta, law.force_n(eta, np.zeros(eta.size)))
-        law_style = {"colors": [colours[name]], "radii": pixels(1.0), "draw_order": 10.0 + depth}
+        law_style = {"colors": [SOURCES[name]], "radii": pixels(1.0), "draw_order": 10.0 + depth}
         style(stream, f"{path}/{name}", rr.LineStrips2D([line], **law_style))
-    line_style = rr.LineStrips2D.from_fields(colors=[LINES[1]], radii=[pixels(1.25)], draw_order=50.0)
+    line_style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
     style(stream, f"{path}/seen", line_style)
     points = axes.points(1e3 * contact_motion.relative_m, contact_motion.force_n)[contact_motion.plotted]
     frame_places = np.searchsorted(contact_motion.plotted, contact_motion.frames)
@@ -289,5 +280,5 @@ def send_histogram(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
     moving_m = contact_motion.relative_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(contact_motion.relative_m))) :]
     counts, edges = np.histogram(1e3 * moving_m, BINS, range=(-contact_motion.reach_mm, contact_motion.reach_mm))
     share = 100 * counts / moving_m.size
-    bars = rr.BarChart(share, abscissa=edges[:-1], widths=np.diff(edges), color=LINES[0])
+    bars = rr.BarChart(share, abscissa=edges[:-1], widths=np.diff(edges), color=contact_motion.colour)
     style(stream, entity("histogram", contact_motion.contact.name), bars)

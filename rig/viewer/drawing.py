@@ -7,25 +7,12 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
+from rig.viewer.palette import Colour
+
 TIMELINE = "sim_time"
-DIAGNOSIS, GAP_OVER_TIME = "diagnosis", "gap_over_time"
+DIAGNOSIS, GAP_OVER_TIME, KEY, PREDICTION = "diagnosis", "gap_over_time", "key", "prediction"
 ROWS = 8192
 
-Colour = tuple[int, int, int]
-FREE, CLOSED, STEEL, FAINT, FORCE = (90, 200, 120), (255, 70, 60), (170, 175, 185), (85, 90, 100), (255, 190, 60)
-GRID, GAP = (50, 54, 62), (255, 90, 220)
-FOUND, BELIEVED = (90, 230, 230), (205, 120, 230)
-"""Colours of identified laws and of those in rig.json."""
-LINES = (
-    (95, 160, 255),
-    (255, 150, 90),
-    (190, 130, 255),
-    (120, 220, 220),
-    (240, 220, 100),
-    (255, 130, 180),
-    (150, 210, 90),
-    (200, 200, 200),
-)
 LEGEND_ROWS = 9
 """Largest number of names per column of a legend."""
 

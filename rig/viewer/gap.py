@@ -10,7 +10,7 @@ import msgspec
 from rig.errors import RigError
 from rig.files import contents
 from rig.limits import decoded_result
-from rig.model.description import Rig, Station
+from rig.model.description import Rig, Station, read_rig
 from rig.model.layout import station_named
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
@@ -39,11 +39,16 @@ class _Attribution(msgspec.Struct, frozen=True):
     time_s: tuple[_Share, ...]
 
 
+class _Rollout(msgspec.Struct, frozen=True):
+    horizon_s: float = 0.0
+
+
 class _Gap(msgspec.Struct, frozen=True):
     verdict: str
     sentence: str
     causes: tuple[_Cause, ...]
     attribution: _Attribution
+    rollout: _Rollout | None = None
     unknown: UnmeasuredForce | None = None
 
 
@@ -64,13 +69,15 @@ class Mark:
 class ShownGap:
     """Diagnosis as drawn: its text, marks on the bodies, and the mismatch by station and over time.
 
-    spans are start and end (s) and share of the mismatch.
+    spans are start and end (s) and share of the mismatch. horizon_s is how long null simulations can be predicted,
+    zero where that is not known.
     """
 
     text: str
     marks: tuple[Mark, ...]
     shares: dict[Station, float]
     spans: tuple[tuple[float, float, float], ...]
+    horizon_s: float = 0.0
 
 
 def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
@@ -89,7 +96,25 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
     _check_places(file, rig, (*shares, *(m.place for m in marks)))
     if any(end_s > duration_s for _, end_s, _ in spans):
         raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
-    return ShownGap(_text(report), marks, shares if report.verdict not in UNLOCATED_VERDICTS else {}, spans)
+    horizon_s = report.rollout.horizon_s if report.rollout else 0.0
+    if report.verdict in UNLOCATED_VERDICTS:
+        shares = {}
+    return ShownGap(_text(report), marks, shares, spans, horizon_s if 0 < horizon_s <= duration_s else 0.0)
+
+
+def read_corrected(path: Path, rig: Rig) -> Rig | None:
+    """Corrected rig.json beside a gap.json, given by its path or folder; None if there is none.
+
+    Raises RigError if it is unreadable or invalid, or of a rig with other bodies, contacts or forces.
+    """
+    file = (path if path.is_dir() else path.parent) / "rig.json"
+    if not file.exists():
+        return None
+    corrected = read_rig(file)
+    names = [([b.name for b in r.bodies], [c.name for c in r.contacts], r.forces) for r in (corrected, rig)]
+    if names[0] != names[1] or corrected.sample_rate_hz != rig.sample_rate_hz:
+        raise RigError(f"{file}: is of another rig than the recording; take the folder of its own diagnosis")
+    return corrected
 
 
 def _decoded(file: Path) -> _Gap:

@@ -7,8 +7,9 @@ import rerun as rr
 from jaxtyping import Bool, Float
 
 from rig.viewer.contact_view import ContactMotion
-from rig.viewer.drawing import DIAGNOSIS, GAP, GAP_OVER_TIME, send, send_lines, style
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, send, send_lines, style
 from rig.viewer.gap import Mark, ShownGap
+from rig.viewer.palette import GAP
 from rig.viewer.stage import Stage
 
 MIN_LABELLED_SHARE = 0.1

@@ -1,6 +1,7 @@
 """Results of `identify contact`: the contacts' laws (contact.json), their motion and forces (motion.csv, .parquet)."""
 
 import csv
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -122,6 +123,8 @@ def _parquet(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
 def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     """Laws in a contact.json, by contact; without separate sides, both clearances are the common one.
 
+    Where one side alone was determined, the other has no stop here.
+
     Raises RigError if the file is unreadable or invalid, or names a contact that the rig does not have.
     """
     report = decoded_result(contents(path), _Report, str(path), "contact.json", "make one by `identify contact`")
@@ -136,9 +139,14 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
 
 
 def _law(contact: _Contact) -> DeadZone:
+    sides = contact.lower_clearance_m, contact.upper_clearance_m
+    lower_m, upper_m = (
+        contact.clearance_m.value if sides == (None, None) else math.inf if side is None else side.value
+        for side in sides
+    )
     return DeadZone(
-        lower_clearance_m=(contact.lower_clearance_m or contact.clearance_m).value,
-        upper_clearance_m=(contact.upper_clearance_m or contact.clearance_m).value,
+        lower_clearance_m=lower_m,
+        upper_clearance_m=upper_m,
         stiffness_n_per_m=contact.stiffness_n_per_m.value,
         damping_n_s_per_m=max(0.0, contact.damping_n_s_per_m.value),  # an estimate may lie below zero
     )

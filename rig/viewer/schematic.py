@@ -4,9 +4,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from rig.model.contact_laws import walls_m
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
-from rig.viewer.svg import FAINT, FORCE, INK, MOVING, SENSOR, Drawing
+from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
+from rig.viewer.svg import GREY, Drawing
 
 LENGTH_PX, LEVEL_PX, HALF_PX, GAP_PX, REACH_PX = 800.0, 300.0, 7.0, 12.0, 62.0
 TITLE_PX = -180.0
@@ -34,7 +36,7 @@ def draw(rig: Rig, path: Path) -> None:
     if rig.base_motion:
         base = rig.base_motion
         words = f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
-        drawing.text(0.0, plan.levels[rig.bodies[0].name] + REACH_PX + 90, words, FORCE)
+        drawing.text(0.0, plan.levels[rig.bodies[0].name] + REACH_PX + 90, words, FORCE_INK)
     drawing.write(path)
 
 
@@ -96,7 +98,7 @@ def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
         left_px, plan.top(body.name), left_px + width, plan.bottom(body.name), dashed=bool(len(body.positions_m))
     )
     for x_m in body.positions_m:
-        drawing.dot(left_px + plan.scale * float(x_m), level, FAINT, 2.0)
+        drawing.dot(left_px + plan.scale * float(x_m), level, GREY, 2.0)
     if body.clamped:
         drawing.wall(left_px, level, 30.0)
     if items is not None:
@@ -122,13 +124,13 @@ def _ruler(drawing: Drawing, plan: _Plan, body: Body) -> None:
         item.station for group in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones) for item in group
     ]
     places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
-    drawing.line((left_px, y), (left_px + plan.scale * body.length_m, y), colour=FAINT, width=1.0)
+    drawing.line((left_px, y), (left_px + plan.scale * body.length_m, y), colour=GREY, width=1.0)
     labelled_x = -1e9
     for x_m in places:
         x = left_px + plan.scale * x_m
-        drawing.line((x, y - 5), (x, y + 5), colour=FAINT, width=1.0)
+        drawing.line((x, y - 5), (x, y + 5), colour=GREY, width=1.0)
         is_low = x - labelled_x < 48  # beside the one before there is no room
-        drawing.text(x, y + (30 if is_low else 18), f"{x_m:g} m", FAINT, "middle", size=11)
+        drawing.text(x, y + (30 if is_low else 18), f"{x_m:g} m", GREY, "middle", size=11)
         labelled_x = -1e9 if is_low else x
 
 
@@ -136,11 +138,14 @@ def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     """Draw the two stops of a contact and their carrier: another body, or the ground."""
     x, name = plan.x(contact.at, contact), contact.at.body
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
-    for y, ground_up in ((upper, True), (lower, False)):
+    sides = contact.law.sides or (-1, 1)
+    for y, side in ((upper, 1), (lower, -1)):
+        if side not in sides:
+            continue
         if contact.against is None:
-            drawing.ground(x, y, upwards=ground_up)
+            drawing.ground(x, y, upwards=side > 0)
         else:
-            drawing.line((x - 16, y), (x + 16, y), colour=MOVING, width=3.0)
+            drawing.line((x - 16, y), (x + 16, y), colour=BELIEVED_INK, width=3.0)
     if contact.against is not None:
         against = contact.against
         against_x = plan.x(against, contact)
@@ -148,17 +153,20 @@ def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
             lower, plan.bottom(against.body)
         )  # fmt: skip
         middle = (plan.levels[name] + plan.levels[against.body]) / 2
-        drawing.line((x, end_levels[0]), (x, middle), (against_x, middle), (against_x, end_levels[1]), colour=MOVING)
+        drawing.line(
+            (x, end_levels[0]), (x, middle), (against_x, middle), (against_x, end_levels[1]), colour=BELIEVED_INK
+        )
 
 
 def _clearances(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     x, name, law = plan.x(contact.at, contact), contact.at.body, contact.law
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
-    drawing.text(x + 20, upper + 4, f"+{1e3 * law.upper_clearance_m:g} mm", MOVING, size=11)
-    drawing.text(x + 20, lower + 4, f"\u2212{1e3 * law.lower_clearance_m:g} mm", MOVING, size=11)
+    for wall_m, side in walls_m(law):
+        sign, y = ("+", upper) if side > 0 else ("\u2212", lower)
+        drawing.text(x + 20, y + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
     y = lower + 22
     for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
-        drawing.text(x + 8, y, words, MOVING, size=11)
+        drawing.text(x + 8, y, words, BELIEVED_INK, size=11)
         y += 14
 
 
@@ -176,8 +184,8 @@ def _forces(drawing: Drawing, plan: _Plan) -> None:
         names.setdefault(station, []).append("force F" if len(forces) == 1 else f"F{number}")
     for station in dict.fromkeys(forces):
         x, top = plan.x(station, station), plan.top(station.body)
-        drawing.arrow((x, top - 1), (x, top - 80), FORCE, 3.0)
-        drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE)
+        drawing.arrow((x, top - 1), (x, top - 80), FORCE_INK, 3.0)
+        drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE_INK)
 
 
 def _sensors(drawing: Drawing, plan: _Plan) -> None:
@@ -187,13 +195,15 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
         quantities.setdefault(sensor.station, []).append(LETTERS.get(sensor.quantity, sensor.quantity))
     for station, letters in quantities.items():
         x, top = plan.x(station, plan.rig.sensors), plan.top(station.body)
-        drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR, fill=SENSOR)
+        drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR_INK, fill=SENSOR_INK)
         place = "" if station.body in plan.slots else f"  {station.position_m:g} m"
-        drawing.text(x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR, turned=-60, size=11)
+        drawing.text(
+            x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
+        )
     if quantities:
         used = dict.fromkeys(s.quantity for s in plan.rig.sensors)
         key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
-        drawing.text(0.0, TITLE_PX + 20, f"sensors: {key}", SENSOR)
+        drawing.text(0.0, TITLE_PX + 20, f"sensors: {key}", SENSOR_INK)
 
 
 def _attached(drawing: Drawing, plan: _Plan) -> None:
@@ -211,7 +221,7 @@ def _attached(drawing: Drawing, plan: _Plan) -> None:
         _grounded(drawing, plan, damper.station, damper, drawing.damper, values)
     for clamp in rig.clamps:
         x, y = plan.lefts[clamp.body], plan.levels[clamp.body]
-        drawing.dot(x, y, MOVING, 6.0)
+        drawing.dot(x, y, BELIEVED_INK, 6.0)
         drawing.text(x - 12, y + 46, f"{clamp.rotational_n_m_per_rad:g} N m/rad", size=11)
     for load in rig.loads:
         x, top = plan.x(load.station, load), plan.top(load.station.body)
@@ -220,8 +230,8 @@ def _attached(drawing: Drawing, plan: _Plan) -> None:
         drawing.text(x + 6, top - 30, f"{abs(load.force_n):g} N", size=11)
     for tone in rig.tones:
         x, top = plan.x(tone.station, tone), plan.top(tone.station.body)
-        drawing.arrow((x, top - 1), (x, top - 40), FORCE, 1.5)
-        drawing.text(x + 6, top - 30, f"tone {tone.frequency_hz:g} Hz", FORCE, size=11)
+        drawing.arrow((x, top - 1), (x, top - 40), FORCE_INK, 1.5)
+        drawing.text(x + 6, top - 30, f"tone {tone.frequency_hz:g} Hz", FORCE_INK, size=11)
 
 
 def _grounded(

@@ -13,7 +13,8 @@ from rig.model.quantities import printed_unit
 from rig.model.sensing import quantities_of
 from rig.recording import Recording
 from rig.viewer.axes import Axes
-from rig.viewer.drawing import LINES, entity, pixels, style
+from rig.viewer.drawing import entity, pixels, style
+from rig.viewer.palette import FORCE, SENSOR, shades
 
 BLOCK_S = 4.0
 """Length of the averaged blocks, s (lines 0.25 Hz apart); at most a quarter of the record."""
@@ -55,7 +56,7 @@ def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_
     low = 10.0 ** np.floor(np.log10(max(density.min(), high / 10.0**DECADES)))
     name = f"amplitude density, {spectra.unit}/√Hz"
     axes = Axes((frequency_hz[0], frequency_hz[-1]), (min(low, high / 10), high), "frequency, Hz", name, True)
-    colours = {name: LINES[i % len(LINES)] for i, name in enumerate(spectra.signals)}
+    colours = dict(zip(spectra.signals, shades(FORCE if spectra.unit == "N" else SENSOR, len(density)), strict=True))
     axes.send(stream, spectra.origin, colours)
     lines = [axes.points(frequency_hz, row) for row in density]
     drawn = rr.LineStrips2D(lines, colors=[*colours.values()], radii=pixels(0.75), draw_order=50.0)

@@ -6,8 +6,9 @@ from html import escape
 from pathlib import Path
 
 from rig.files import write_bytes
+from rig.viewer.palette import INK
 
-INK, FAINT, STEEL, MOVING, FORCE, SENSOR = "#222", "#888", "#d4d9e0", "#2f6fb0", "#c23b22", "#2a7f4f"
+GREY, STEEL = "#888", "#d4d9e0"
 Point = tuple[float, float]
 
 
@@ -65,14 +66,14 @@ class Drawing:
         far_y = y - 8 if upwards else y + 8
         for k in range(int(width // 9)):
             hatch_x = x - width / 2 + 9 * (k + 1)
-            self.line((hatch_x, y), (hatch_x - 7, far_y), width=1.0, colour=FAINT)
+            self.line((hatch_x, y), (hatch_x - 7, far_y), width=1.0, colour=GREY)
 
     def wall(self, x: float, y: float, half: float) -> None:
         """Draw a vertical line hatched on its left."""
         self.line((x, y - half), (x, y + half), width=2.5)
         for k in range(int(2 * half // 9)):
             hatch_y = y - half + 9 * (k + 1)
-            self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=FAINT)
+            self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=GREY)
 
     def spring(self, x: float, top: float, bottom: float) -> None:
         step = (bottom - top) / 8

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.files import write_bytes
 from rig.model.contact_laws import ContactLaw
+from rig.model.description import Rig, Station
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
 from rig.viewer.blueprint import Layout, blueprint, plotted
@@ -27,12 +28,16 @@ from rig.viewer.contact_view import (
     send_phase,
 )
 from rig.viewer.deflection import Deflection, deflection
-from rig.viewer.drawing import FAINT, FORCE, LINES, STEEL, entity, pixels, send, send_legend, send_lines, style
+from rig.viewer.drawing import entity, send_legend, send_lines
 from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
+from rig.viewer.model_view import send_key, send_model
+from rig.viewer.palette import FORCE, SENSOR, Colour, shades
+from rig.viewer.prediction import PredictedMotion
+from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of
-from rig.viewer.stage import Stage, stage
+from rig.viewer.stage import stage
 
 SCALARS = 1_000_000
 """Number of plotted values above which the time series are decimated away from contacts."""
@@ -46,6 +51,7 @@ def write_rrd(
     *,
     identified: Identified = NOTHING_IDENTIFIED,
     gap: ShownGap | None = None,
+    predicted: PredictedMotion | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Write a recording for the rerun viewer; `truth`, if given, adds the simulated truth.
@@ -54,7 +60,8 @@ def write_rrd(
     lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
     were `identified`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
     walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
-    them. A diagnosed `gap` is marked on the bodies.
+    them. A diagnosed `gap` is marked on the bodies. `predicted` adds a tab with the believed and the corrected rig
+    beside the measured one.
 
     Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
     zero, or the file cannot be written.
@@ -85,11 +92,14 @@ def write_rrd(
             spectra_of(recording, {p.contact.name: p.force_n for p in contact_motions if p.force_n is not None})
         ),
         diagnosis=gap is not None,
+        masses_alone=scene.masses_alone,
+        predicted_at=None if predicted is None else station_words(recording.rig, predicted.stations[predicted.shown]),
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
         stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
-        _send_model(stream, scene, recording, contact_motions)
+        send_key(stream)
+        send_model(stream, scene, recording, contact_motions)
         progress(0.3)
         for count, contact_motion in enumerate(contact_motions, start=1):
             send_close_up(stream, contact_motion)
@@ -100,6 +110,8 @@ def write_rrd(
             progress(0.3 + 0.5 * count / len(contact_motions))
         if gap is not None:
             send_gap(stream, gap, scene, contact_motions)
+        if predicted is not None:
+            send_prediction(stream, predicted, scene, stride)
         _send_series(stream, recording, contact_motions, stride)
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
@@ -153,6 +165,7 @@ def _contact_motions(
             force_n=None if force_n is None else force_n[j],
             frames=frames[(frames >= span.start) & (frames < span.stop)] - span.start,
             stride=stride,
+            is_identified=truth is None and identified.curves is not None,
         )
         contact_motions.append(contact_motion)
     return contact_motions
@@ -161,6 +174,11 @@ def _contact_motions(
 def open_viewer(path: Path) -> None:
     """Open the file in the rerun viewer without waiting for it."""
     subprocess.Popen([sys.executable, "-m", "rerun", str(path)], start_new_session=True)
+
+
+def station_words(rig: Rig, station: Station) -> str:
+    """Name of a station for a title: of a mass its body, else with the position."""
+    return station.body if rig.body(station.body).is_mass else f"{station.body} at {station.position_m:g} m"
 
 
 def _belongs(truth: Recording, recording: Recording) -> bool:
@@ -176,67 +194,20 @@ def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))
 
 
-def _send_model(
-    stream: rr.RecordingStream, scene: Stage, recording: Recording, contact_motions: Sequence[ContactMotion]
-) -> None:
-    stream.log("model", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for number, body in enumerate(scene.rig.bodies):
-        path, colour, strips = entity("model", body.name), LINES[number % len(LINES)], scene.strips(body)
-        style(stream, path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(3.0)]))
-        send(stream, path, scene.time_s, rr.LineStrips3D, strips=strips)
-        style(stream, f"{path}/rest", rr.LineStrips3D([scene.rest_line(body)], colors=[FAINT], radii=pixels(0.75)))
-        if (support := scene.support(body)) is not None:
-            style(stream, f"{path}/support", rr.LineStrips3D([support], colors=[STEEL], radii=pixels(2.0)))
-        label = scene.label(body)
-        style(stream, f"{path}/name", rr.Points3D.from_fields(colors=[colour], radii=[0.0], labels=[body.name]))
-        send(stream, f"{path}/name", scene.time_s, rr.Points3D, positions=label)
-    for contact_motion in contact_motions:
-        path = entity("model", contact_motion.contact.name)
-        style(stream, path, rr.LineStrips3D.from_fields(colors=[STEEL], radii=[pixels(2.0)]))
-        send(
-            stream,
-            path,
-            scene.time_s,
-            rr.LineStrips3D,
-            strips=scene.fork(contact_motion.contact, contact_motion.contact.law),
-        )
-        style(stream, f"{path}/point", rr.Points3D.from_fields(radii=[pixels(5.0)]))
-        positions, colours = (
-            scene.point(contact_motion.contact.at),
-            np.full((scene.time_s.size, 3), STEEL, dtype=np.uint8),
-        )
-        colours[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frames] - 1e-9)] = (
-            contact_motion.colours
-        )
-        send(stream, f"{path}/point", scene.time_s, rr.Points3D, positions=positions, colors=colours)
-    longest_n = np.abs(recording.forces_n).max() or 1.0
-    for name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
-        path, arrows = entity("model", name), np.zeros((scene.time_s.size, 3))
-        arrows[:, 2] = 0.2 * scene.extent_m * force_n[scene.frames] / longest_n
-        style(stream, path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
-        send(stream, path, scene.time_s, rr.Arrows3D, vectors=arrows, origins=scene.point(station))
-
-
 def _send_series(
     stream: rr.RecordingStream, recording: Recording, contact_motions: Sequence[ContactMotion], stride: int
 ) -> None:
     time_s = recording.signals["force"].time_s
-    exciting, colours = recording.rig.force_names, (FORCE, *LINES)
+    exciting = recording.rig.force_names
+    colours = shades(FORCE, len(exciting))
     send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], exciting, colours)
-    send_legend(stream, "exciting_force", list(zip(exciting, colours * len(exciting), strict=False)))
-    legend = []
-    for number, contact_motion in enumerate(contact_motions):
+    send_legend(stream, "exciting_force", list(zip(exciting, colours, strict=True)))
+    legend: list[tuple[str, Colour]] = []
+    for contact_motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if contact_motion.force_n is not None:
-            path, name = entity("contact_force", contact_motion.contact.name), contact_motion.contact.name
-            colour = LINES[number % len(LINES)]
-            send_lines(
-                stream,
-                path,
-                contact_motion.time_s[contact_motion.plotted],
-                contact_motion.force_n[None, contact_motion.plotted],
-                [name],
-                (colour,),
-            )
+            name, plotted_samples = contact_motion.contact.name, contact_motion.plotted
+            plotted_s, force_n = contact_motion.time_s[plotted_samples], contact_motion.force_n[None, plotted_samples]
+            send_lines(stream, entity("contact_force", name), plotted_s, force_n, [name], (colour,))
             legend.append((name, colour))
     send_legend(stream, "contact_force", legend)
     for quantity in plotted(recording.rig):
@@ -245,5 +216,6 @@ def _send_series(
             places = [(i, s) for i, s in enumerate(measured.channels.stations) if s is not None and s.body == body.name]
             values = measured.values[[i for i, _ in places], ::stride]
             names, path = [f"{s.position_m:g} m" for _, s in places], entity(quantity, body.name)
-            send_lines(stream, path, time_s[::stride], values, names, LINES)
-            send_legend(stream, path, [(name, LINES[i % len(LINES)]) for i, name in enumerate(names)])
+            colours = shades(SENSOR, len(names))
+            send_lines(stream, path, time_s[::stride], values, names, colours)
+            send_legend(stream, path, list(zip(names, colours, strict=True)))

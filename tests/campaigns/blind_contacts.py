@@ -15,10 +15,10 @@ from rich.table import Table
 
 from identify.contacts.acceptance import find_contacts
 from rig.commands.command_line import run
+from rig.commands.tasks import Dask, run_tasks
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
 from scenarios.identification_campaign import QUANTITIES, FoundContact, draw, figures_of, found_in
-from scenarios.tasks import Dask, run_tasks
 from tests.campaigns.worlds.machine import Machine
 from tests.campaigns.worlds.truth import Key
 

@@ -23,11 +23,11 @@ from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Gap
+from rig.commands.tasks import run_tasks
 from rig.errors import RigError
 from rig.files import write_json
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, read
-from scenarios.tasks import run_tasks
 from tests.campaigns.worlds.making import sha256_of
 
 SIMULATOR = simulator_named("modal")

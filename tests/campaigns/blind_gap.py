@@ -15,9 +15,9 @@ import typer
 from rich.console import Console
 
 from rig.commands.command_line import Force, refuse_existing, run
+from rig.commands.tasks import Dask, run_tasks
 from rig.files import write_json
 from rig.model.tolerances import tolerances_named
-from scenarios.tasks import Dask, run_tasks
 from tests.campaigns import score_figures
 from tests.campaigns.blind_comparison import by_world, check_recordings, opened, pairs_of, refused_in, seal
 from tests.campaigns.blind_diagnosis import diagnosed_cases

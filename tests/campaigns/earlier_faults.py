@@ -22,11 +22,11 @@ import identify
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.prepare import simulator_named
 from rig.commands.command_line import Force, refuse_existing, run
+from rig.commands.tasks import Dask, run_tasks
 from rig.errors import RigError
 from rig.files import write_json
 from rig.model.description import Rig
 from rig.recording import read
-from scenarios.tasks import Dask, run_tasks
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.bench import BENCHES
 from tests.campaigns.worlds.describing import described

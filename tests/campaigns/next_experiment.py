@@ -39,12 +39,12 @@ from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.screening import grid_screening, score_screening
 from identify.signals.spectra import force_band
 from rig.commands.command_line import run
+from rig.commands.tasks import Dask, run_tasks
 from rig.errors import RigError
 from rig.files import write_json
 from rig.model.description import Rig
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.replay import modal
-from scenarios.tasks import Dask, run_tasks
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.forces import Gaussian
 from tests.campaigns.worlds.instruments import measured

@@ -21,12 +21,12 @@ from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.nominal import fit_nuisance
+from rig.commands.tasks import run_tasks
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
-from scenarios.tasks import run_tasks
 from tests.campaigns.worlds.truth import Case
 
 TEMPERATURE = 6.0

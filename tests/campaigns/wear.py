@@ -17,12 +17,12 @@ import identify
 from identify.history.changes import QuantityHistory
 from identify.pages.wording import interval
 from rig.commands.command_line import run
+from rig.commands.tasks import Dask, run_tasks
 from rig.effects.contact_clearance import ContactClearance
 from rig.simulation.plants import plant_named
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
 from scenarios.jitter import jittered
-from scenarios.tasks import Dask, run_tasks
 
 DURATION_S = 20.0
 WORN = "contact_2"

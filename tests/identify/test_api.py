@@ -1,10 +1,12 @@
 """What a stranger writes after `import rig, identify`."""
 
+import html
 import json
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
+from scipy.stats import norm
 
 import identify
 import rig
@@ -43,12 +45,23 @@ def test_a_channel_as_pandas(file):
     assert (series.name, series.index.name) == ("force, N", "time_s")
 
 
+def test_a_recording_as_pandas(file):
+    recording = rig.read(file)
+    frame = recording.to_pandas()
+    assert list(frame.columns) == ["force, N", "mass_0000mm_displacement, m"]
+    np.testing.assert_array_equal(frame["force, N"], recording.force_n)
+    np.testing.assert_array_equal(frame.index, recording["force"].time_s)
+
+
 def test_contacts_from_a_file(file, tmp_path):
     result = identify.contact(str(file), use="displacement")
     (row,) = result.table()
     assert abs(row["clearance_m"] - MASS.clearance_m) < 3 * row["clearance_m_within"]
     assert result.to_dict()["contacts"][0]["clearance_m"]["value"] == row["clearance_m"]
-    assert str(result).startswith(f"stop: clearance {1e3 * row['clearance_m']:.4f} ± ")
+    head, line = str(result).splitlines()
+    assert head.split("  ")[0] == "contact"
+    assert line.split()[:3] == ["stop", f"{1e3 * row['clearance_m']:.4f}", "±"]
+    assert f'<td>stop</td><td class="number">{1e3 * row["clearance_m"]:.4f} ± ' in result._repr_html_()
     assert result.figure("section").png.startswith(b"\x89PNG")
     with pytest.raises(rig.RigError, match="no figure 'sections'; there are "):
         result.figure("sections")
@@ -57,6 +70,24 @@ def test_contacts_from_a_file(file, tmp_path):
         result.to_dict()["contacts"]
     )
     assert (tmp_path / "results" / "contact.html").exists()
+
+
+def test_a_contact_by_its_name(file):
+    result = identify.contact(file, use="displacement")
+    (estimate,) = result.to_dict()["contacts"]
+    for quantity, field, unit, truth in (
+        ("clearance", "clearance_m", "m", MASS.clearance_m),
+        ("stiffness", "stiffness_n_per_m", "N/m", MASS.stiffness_n_per_m),
+        ("damping", "damping_n_s_per_m", "N s/m", MASS.contact_damping_n_s_per_m),
+    ):
+        found = getattr(result["stop"], quantity)
+        assert (found.value, found.standard_error) == (estimate[field]["value"], estimate[field]["standard_error"])
+        assert found.unit == unit
+        low, high = found.interval
+        assert low < truth < high
+        assert norm.cdf(high, found.value, found.standard_error) == pytest.approx(0.975, abs=1e-4)
+    with pytest.raises(rig.RigError, match="no contact 'stops'; there are stop"):
+        result["stops"]
 
 
 @pytest.mark.study
@@ -95,10 +126,12 @@ def test_a_rig_with_other_sensors_is_refused(file, tmp_path):
         identify.gap(rig.read(file), rig=rig.Sdof(sensors="velocity").rig())
 
 
+@pytest.mark.study
 def test_a_machine_is_consistent_with_its_recording(file, tmp_path):
     result = identify.gap(rig.read(file), matters=SOME)
     assert result.report.verdict == "consistent"
-    assert str(result) == result.report.sentence
+    assert str(result).splitlines()[0] == result.report.sentence
+    assert result.report.sentence in html.unescape(result._repr_html_())
     assert result.corrected == MASS.rig()
     result.save(tmp_path)
     assert {p.name for p in tmp_path.iterdir()} == {"gap.html", "gap.json", "rig.json"}

@@ -55,6 +55,7 @@ def test_contacts_come_out_the_same_to_rounding(recordings, use):
     assert [m.frequency_hz for m in data.modes] == pytest.approx([m.frequency_hz for m in beams.modes], rel=1e-6)
 
 
+@pytest.mark.study
 def test_slopes_by_the_spline_leave_the_tolerances_what_they_are(recordings):
     beams, data = (identify_contact(r, use="acceleration", tolerances=LABORATORY).report for r in recordings)
     np.testing.assert_allclose(numbers(data), numbers(beams), rtol=1e-3)

@@ -54,7 +54,7 @@ def test_every_command_shows_names_as_they_are(command, tmp_path):
     done("rig", "draw", path)
     drawn = "".join(ElementTree.parse(tmp_path / "r.svg").getroot().itertext())
     assert all(each in drawn for each in (name, body, contact))
-    shown = done("identify", "contact", path, "--averages", 10, "--out", results)
+    shown = done("identify", "contact", path, "--averages", 10, "--details", "--out", results)
     assert f"Contacts of {name}," in shown
     assert f" {contact} " in shown
     assert f"of {body}: " in shown

@@ -22,6 +22,17 @@ FILES = {
     "null reference": lambda s, out: ("identify", "gap", s.recording, "--null-reference", out),
 }
 """Commands that write a file, by the sound files and the place where it is to be."""
+ENDINGS = {
+    "record": ".mcap",
+    "view": ".rrd",
+    "recover": ".mcap",
+    "import": ".mcap",
+    "export csv": ".csv",
+    "export uff": ".uff",
+    "export mat": ".mat",
+    "draw": ".svg",
+    "null reference": ".json",
+}
 FOLDERS = {
     "init": lambda _, out: ("rig", "init", "mass", *START, "--out", out),
     "contact": lambda s, out: ("identify", "contact", s.recording, "--out", out),
@@ -38,7 +49,7 @@ SLOW = ("law", "gap", "null reference")
 def test_a_disk_that_is_full_is_said_and_leaves_nothing_that_is_taken_for_whole(
     command, sound, tmp_path, at_most, command_name
 ):
-    out = tmp_path / ("o.mcap" if command_name in ("record", "recover", "import") else "o")
+    out = tmp_path / f"o{ENDINGS.get(command_name, '')}"
     words = {**FILES, **FOLDERS}[command_name](sound, out)
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (500, limit[1]))

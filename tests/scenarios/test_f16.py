@@ -99,6 +99,7 @@ def test_a_low_level_gives_the_rig(soft):
     assert found.period_s == pytest.approx(PERIOD / RATE_HZ)
 
 
+@pytest.mark.study
 def test_a_support_that_lost_stiffness_is_found_under_a_multisine(soft):
     _, believed, high = soft
     gap, corrected = diagnose(*high, SIMULATOR)

@@ -17,11 +17,12 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from scipy.stats import t as student
 
+from identify.contacts.law_form import law_numbers
 from identify.contacts.refusals import Refusal
 from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
-from identify.gaps.search.contact_laws import LawEstimate, law_numbers, law_outcomes, pooled_estimate
+from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, pooled_estimate
 from identify.pages.wording import COVERED
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig

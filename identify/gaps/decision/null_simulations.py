@@ -21,6 +21,7 @@ from msgspec.structs import replace
 from scipy.stats import norm, qmc
 
 from identify.gaps.decision.recordings import cut_recording
+from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.modes import mode_count, modes_of
 from rig.model.structure import SAME_PLACE_M, structure_of
@@ -112,7 +113,7 @@ def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
 
 def _draw_contact(contact: Contact, tolerances: Tolerances, normal: Iterator[float]) -> Contact:
     law = contact.law
-    clearance_factor = max(0.0, 1 + tolerances.clearance * next(normal))
+    clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + tolerances.clearance * next(normal))
     stiffness_factor = max(0.01, 1 + tolerances.stiffness * next(normal))
     damping_n_s_per_m = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(normal))
     changed = replace(

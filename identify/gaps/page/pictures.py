@@ -10,7 +10,6 @@ from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Curve, Gap, ResidualMap, Share
 from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
-from rig.model.description import Rig
 from rig.model.quantities import printed_unit
 
 Draw = Callable[[Any], None]
@@ -27,15 +26,15 @@ _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 """Widths and heights of figures, inches. Display."""
 
 
-def pictures(gap: Gap, corrected_rig: Rig) -> dict[str, Picture]:
+def pictures(gap: Gap) -> dict[str, Picture]:
     """Pictures by name, which begins with the section: next, large, why, unknown, where or far.
 
-    What the diagnosis lacks is left out; the corrected rig gives the bodies that an unknown force is drawn on.
+    What the diagnosis lacks is left out.
     """
-    return {name: picture(draw, *size) for name, size, draw in _drawings(gap, corrected_rig)}
+    return {name: picture(draw, *size) for name, size, draw in _drawings(gap)}
 
 
-def _drawings(gap: Gap, corrected_rig: Rig) -> Iterator[tuple[str, tuple[float, float], Draw]]:
+def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
         height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
@@ -47,9 +46,8 @@ def _drawings(gap: Gap, corrected_rig: Rig) -> Iterator[tuple[str, tuple[float, 
         yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_probability, gap=gap)
         yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_closes, gap=gap)
     if gap.unknown:
-        for name, height, draw in drawings(gap.unknown, corrected_rig):
-            is_wide = name == "place"
-            yield f"unknown_{name}", (_WIDE_IN if is_wide else _WIDTH_IN, height), draw
+        for name, height, draw in drawings(gap.unknown):
+            yield f"unknown_{name}", (_WIDTH_IN, height), draw
     for name, height, draw in _attribution_drawings(gap.attribution):
         yield f"where_{name}", (_WIDTH_IN, height), draw
     for j, curve in enumerate(gap.curves, 1):
@@ -191,7 +189,7 @@ def _positions(figure: Any, bodies: Mapping[str, Mapping[float, float]]) -> None
         axes.margins(y=0.22)
         axes.set_title(_shortened(body), loc="left", fontsize=9)
     panels[-1].set_xlabel("distance from the left end, m")
-    figure.supylabel("share of the gap, %", fontsize=9)
+    panels[0].set_ylabel("share of the gap, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 

@@ -35,8 +35,6 @@ CAPTIONS = {
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
-    "unknown_place": "The bodies seen from the side, with what is unknown in red: a dot where it acts, the double "
-    "arrow along the direction in which it pushes and pulls.",
 }
 """Captions of the wide pictures; the others carry their titles."""
 DRAWING_CAPTION = "The rig, to scale along the bodies; what differs is marked at its place."
@@ -54,7 +52,7 @@ def write_all(
 
     make_folder(folder)
     drawing = machine(corrected, {}, marks(gap, corrected))
-    write_page(gap, pictures(gap, corrected), title, folder / "gap.html", sources, findings, drawing)
+    write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")
 

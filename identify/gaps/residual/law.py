@@ -28,6 +28,8 @@ from rig.model.contact_laws import ContactLaw
 EXCESS_WEIGHT = 100.0
 """Extra weight of a contact tolerance's excess beyond `LIMIT` standard deviations: something else is wrong. Set by
 hand: a soft bound."""
+LEAST_CLEARANCE_FACTOR = 1e-9
+"""Least factor on a clearance, in place of zero: a stop that is not there stays infinitely far away. Set by hand."""
 DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
 """Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
 
@@ -47,7 +49,8 @@ def initial_unknowns(
     elastic_n = signals.force_n - law.force_n(
         np.zeros_like(eta_m), velocity_m_per_s
     )  # less what acts in the open contact too
-    middle_m = (upper - lower) / 2 + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
+    off_centre_m = (upper - lower) / 2 if np.isfinite(upper - lower) else 0.0
+    middle_m = off_centre_m + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
     depth_m = _depth_m(law, elastic_n)
     if len(law.laws) > 1:  # ringing of an open contact would penetrate a soft one deeply
         depth_m *= np.abs(elastic_n) > CLEAR_SHARE * np.quantile(np.abs(elastic_n), 0.995)
@@ -82,6 +85,8 @@ def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.n
         deepest_m = DEPTH_REACH * np.max(np.abs(force_n)) / np.array(slopes_n_per_m)
         depth_grid_m = np.sort(np.linspace(0.0, deepest_m, DEPTH_COUNT).ravel())
         for sign, clearance in zip((-1, 1), law.clearances_m, strict=True):
+            if not np.isfinite(clearance):
+                continue
             elastic_n = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth_grid_m)))
             penetration_m += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic_n, depth_grid_m)
     return penetration_m
@@ -251,8 +256,8 @@ def contact_residual(
         laws.append(
             changed(
                 single_law,
-                lower_clearance_m=single_law.lower_clearance_m * max(0.0, 1 + clearance),
-                upper_clearance_m=single_law.upper_clearance_m * max(0.0, 1 + clearance),
+                lower_clearance_m=single_law.lower_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance),
+                upper_clearance_m=single_law.upper_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance),
                 stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness),
             )
         )

@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 from identify.contacts.acceptance import accept
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import DAMPING, LAW, OFFSET, STIFFNESS
+from identify.contacts.law_form import DAMPING, LAW, OFFSET, STIFFNESS, law_numbers
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
@@ -184,11 +184,6 @@ def numbers_alone_differ(law: ContactLaw, nominal: ContactLaw) -> bool:
     if not (isinstance(law, DeadZone) and isinstance(nominal, DeadZone)):
         return False
     return msgspec.structs.replace(law, **{name: getattr(nominal, name) for name in LAW.names}) == nominal
-
-
-def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
-    """Lower and upper clearance (m), stiffness (N/m) and damping (N s/m)."""
-    return np.array([getattr(law, name) for name in LAW.names])
 
 
 def _record_solution(

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 from rig.files import make_folder, write_bytes
-from rig.lab.starting.analytic import BeamsRig, MassRig
+from rig.lab.starting.analytic import BeamsRig, CantileverRig, MassRig
 from rig.lab.starting.base import Start, StartWithStops
+from rig.lab.starting.masses import ChainRig, TwoMassesRig
 from rig.lab.starting.measured import MeasuredRig
 from rig.lab.starting.structure import StructureRig
 from rig.model.description import Rig, to_json
@@ -15,6 +16,9 @@ __all__ = ["KINDS", "MAP_NAME", "Start", "StartWithStops", "write_start"]
 MAP_NAME = "map.toml"
 KINDS: dict[str, type[Start]] = {
     "mass": MassRig,
+    "two_masses": TwoMassesRig,
+    "chain": ChainRig,
+    "cantilever": CantileverRig,
     "beams": BeamsRig,
     "structure": StructureRig,
     "measured": MeasuredRig,

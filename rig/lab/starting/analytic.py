@@ -1,4 +1,4 @@
-"""First rigs of bodies with analytic modes: one mass, or a barrel in its cradle."""
+"""First rigs of bodies with analytic modes: one mass, a cantilever, or a barrel in its cradle."""
 
 from typing import Annotated, Literal
 
@@ -26,10 +26,52 @@ class MassRig(StartWithStops, frozen=True, kw_only=True):
             damping_ratio=self.damping_ratio,
         )
         mass = Station("mass")
-        return self._rig((body,), [(mass, None)], mass, [mass]), ()
+        rig = self._rig((body,), [(mass, None)], mass, [mass])
+        return rig, self.notes()
 
 
-class BeamsRig(StartWithStops, frozen=True, kw_only=True):
+class UniformBeams(StartWithStops, frozen=True, kw_only=True):
+    """Options of the material of uniform beams."""
+
+    youngs_modulus_pa: Annotated[float, msgspec.Meta(description="Young's modulus of the beams, Pa.")] = 210e9
+    density_kg_per_m3: Annotated[float, msgspec.Meta(description="Density of the beams, kg/m^3.")] = 7850.0
+    damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of every mode.")] = 0.01
+
+
+class CantileverRig(UniformBeams, frozen=True, kw_only=True):
+    """A uniform beam, clamped at its left end, that meets stops on the ground."""
+
+    length_m: Annotated[float, msgspec.Meta(description="Length of the beam, m.")]
+    width_m: Annotated[float, msgspec.Meta(description="Its width, m.")]
+    thickness_m: Annotated[float, msgspec.Meta(description="Its thickness, over which it bends, m.")]
+    contacts_m: Annotated[
+        tuple[float, ...], msgspec.Meta(description="Places that meet the stops, m; otherwise the free end.")
+    ] = ()
+    force_m: Annotated[float | None, msgspec.Meta(description="Place of the force, m; otherwise the free end.")] = None
+    stations_m: Annotated[
+        tuple[float, ...], msgspec.Meta(description="Sensors; otherwise 6, the contacts and the force among them.")
+    ] = ()
+
+    def described(self) -> tuple[Rig, tuple[str, ...]]:
+        beam = Beam(
+            name="beam",
+            ends="clamped-free",
+            length_m=self.length_m,
+            width_m=self.width_m,
+            thickness_m=self.thickness_m,
+            youngs_modulus_pa=self.youngs_modulus_pa,
+            density_kg_per_m3=self.density_kg_per_m3,
+            damping_ratio=self.damping_ratio,
+        )
+        contacts_m = self.contacts_m or (self.length_m,)
+        force_m = self.length_m if self.force_m is None else self.force_m
+        stations_m = self.stations_m or spread([*contacts_m, force_m], self.length_m, avoided_m=(0.0,))
+        meetings = [(Station("beam", x), None) for x in contacts_m]
+        rig = self._rig((beam,), meetings, Station("beam", force_m), [Station("beam", x) for x in stations_m])
+        return rig, self.notes()
+
+
+class BeamsRig(UniformBeams, frozen=True, kw_only=True):
     """Two uniform beams: a free barrel that meets a cradle, clamped at its left end, at contacts."""
 
     cradle_length_m: Annotated[float, msgspec.Meta(description="Length of the cradle, m.")]
@@ -39,9 +81,6 @@ class BeamsRig(StartWithStops, frozen=True, kw_only=True):
     barrel_width_m: Annotated[float, msgspec.Meta(description="Width of the barrel, m.")]
     barrel_thickness_m: Annotated[float, msgspec.Meta(description="Its thickness, over which it bends, m.")]
     overlap_start_m: Annotated[float, msgspec.Meta(description="Place on the cradle of the barrel's left end, m.")]
-    youngs_modulus_pa: Annotated[float, msgspec.Meta(description="Young's modulus of both beams, Pa.")] = 210e9
-    density_kg_per_m3: Annotated[float, msgspec.Meta(description="Density of both beams, kg/m^3.")] = 7850.0
-    damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of every mode.")] = 0.01
     contacts_m: Annotated[
         tuple[float, ...],
         msgspec.Meta(description="Contacts, places on the cradle; otherwise both ends of the overlap."),
@@ -85,7 +124,7 @@ class BeamsRig(StartWithStops, frozen=True, kw_only=True):
             Station("barrel", force_m),
             [Station(name, x) for name, positions in sensed.items() for x in positions],
         )
-        return rig, ()
+        return rig, self.notes()
 
     def _beam(self, name: str, end_condition: Literal["clamped-free", "free-free"]) -> Beam:
         return Beam(

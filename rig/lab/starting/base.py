@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from itertools import product
-from typing import Annotated
+from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
@@ -48,7 +48,19 @@ class StartWithStops(Start, frozen=True, kw_only=True):
     stiffness_n_per_m: Annotated[float, msgspec.Meta(description="Contact stiffness, N/m.")]
     sample_rate_hz: Annotated[float, msgspec.Meta(description="Sampling rate of the records, Hz.")]
     damping_n_s_per_m: Annotated[float, msgspec.Meta(description="Contact damping, N s/m.")] = 0.0
+    stops: Annotated[
+        Literal["both", "upper", "lower"], msgspec.Meta(description="Stops that are there: both, upper or lower.")
+    ] = "both"
     noise_density: Annotated[float, msgspec.Meta(description="Noise of the accelerometers, m/s^2/sqrt(Hz).")] = 0.0
+
+    def notes(self) -> tuple[str, ...]:
+        """Note on what a single stop needs to be identified; none otherwise."""
+        if self.stops == "both" or "displacement" in self.quantity:
+            return ()
+        return (
+            "accelerometers alone tell the clearance of a single stop poorly, of a free body not at all; add "
+            "displacement sensors, at the contacts at least: --quantity acceleration,displacement",
+        )
 
     def _rig(
         self,
@@ -58,6 +70,9 @@ class StartWithStops(Start, frozen=True, kw_only=True):
         stations: Sequence[Station],
     ) -> Rig:
         law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
+        if self.stops != "both":
+            absent = "lower_clearance_m" if self.stops == "upper" else "upper_clearance_m"
+            law = msgspec.structs.replace(law, **{absent: np.inf})
         return Rig(
             name=self.name,
             bodies=bodies,

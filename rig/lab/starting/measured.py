@@ -11,7 +11,8 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.lab.clock import even
 from rig.lab.csv_text import TextForm
-from rig.lab.importing import Source, clock_of, rows_in_si, source_columns
+from rig.lab.import_map import Source
+from rig.lab.importing import clock_of, rows_in_si, source_columns
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
 from rig.lab.tables import read_table

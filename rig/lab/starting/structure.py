@@ -9,6 +9,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.lab.modal import Axis, Choice, structure_from_uff
 from rig.lab.starting.base import StartWithStops, spread
+from rig.model.decoding import converted
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
 from rig.model.tolerances import Tolerances
@@ -63,7 +64,8 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def described(self) -> tuple[Rig, tuple[str, ...]]:
         body, notes, tolerances = self.structure()
-        return msgspec.structs.replace(self._rig_of(body), tolerances=tolerances), (*notes, *_weight(body))
+        rig = msgspec.structs.replace(self._rig_of(body), tolerances=tolerances)
+        return rig, (*notes, *_weight(body), *self.notes())
 
     def structure(self) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
         """Body from its file, notes on it, and its tolerances if the file determines them.
@@ -91,11 +93,12 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
     def _from_json(self) -> Structure:
         path = self.body or Path()
         try:
-            return msgspec.json.decode(path.read_bytes(), type=Structure)
+            decoded = msgspec.json.decode(path.read_bytes())
         except OSError as error:
             raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
         except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
             raise RigError(f"{path}: is no structure ({error}); see rig/model/README.md") from error
+        return converted(decoded, Structure, f"{path}: is no structure")
 
     def _with_rigid_modes(self, body: Structure) -> Structure:
         """Body with a translation, 1/sqrt(m), and a rotation, (x - centre)/sqrt(J), prepended as modes of 0 Hz."""

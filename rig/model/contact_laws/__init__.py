@@ -2,11 +2,11 @@
 
 from typing import TYPE_CHECKING, Union
 
-from rig.model.contact_laws.base import ContactLaw, penetration_m
+from rig.model.contact_laws.base import ContactLaw, penetration_m, walls_m
 from rig.model.contact_laws.dead_zone import DeadZone
 from rig.registry import subclasses
 
-__all__ = ["LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m"]
+__all__ = ["LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m", "walls_m"]
 
 LAWS: dict[str, type[ContactLaw]] = {
     str(kind.__struct_config__.tag): kind for kind in subclasses(__path__, __name__, ContactLaw)

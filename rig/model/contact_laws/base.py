@@ -11,15 +11,19 @@ from rig.model.contact_laws.elementary import beyond, contributes
 
 Values = Float[np.ndarray, "*shape"]
 Signal = float | Values
+CLEARANCES = ("lower_clearance_m", "upper_clearance_m")
+"""Fields of the stops' clearances: infinite, in JSON null, where there is no stop on that side."""
 
 
 class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A force f(eta, eta', t) against the relative displacement eta: -f on the body that eta is counted for.
 
     The stops stand at `upper_clearance_m` above and `lower_clearance_m` below; both clearances grow by `wear_m_per_s`
-    from what they are at time 0. `formula` is the law: the only place that evaluates it, for arrays, for the compiled
-    loop of the modal plant and for Exudyn's connectors. It uses + - * /, `rig.model.contact_laws.elementary`, and
-    conditions on the law's own numbers alone.
+    from what they are at time 0. A clearance is infinite where that side has no stop.
+
+    `formula` is the law: the only place that evaluates it, for arrays, for the compiled loop of the modal plant and for
+    Exudyn's connectors. It uses + - * /, `rig.model.contact_laws.elementary`, and conditions on the law's own numbers
+    alone.
     """
 
     signed: ClassVar[tuple[str, ...]] = ()
@@ -33,9 +37,14 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
-            value = getattr(self, field)
-            if not (np.isfinite(value) and (value >= 0 or field in self.signed)):
-                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above")
+            value, may_lack = getattr(self, field), field in CLEARANCES
+            if not ((np.isfinite(value) or (may_lack and value > 0)) and (value >= 0 or field in self.signed)):
+                lacking = ", or null where there is no stop on that side" if may_lack else ""
+                raise RigError(f"contact law: {field} is {value}; give a finite value, zero or above{lacking}")
+        if not self.sides and not self.acts_in_the_gap:
+            raise RigError(
+                "contact law: both clearances are null, so that it has no stop and gives no force; give one of them"
+            )
 
     @staticmethod
     def formula(law: Any, eta: Any, rate: Any, time_s: Any) -> Any:
@@ -54,8 +63,19 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def clearance_m(self) -> float:
-        """Half the total clearance at time 0, m: the paper's d where both sides are equal."""
-        return (self.lower_clearance_m + self.upper_clearance_m) / 2
+        """Half the total clearance at time 0, m: the paper's d where both sides are equal.
+
+        That of the only stop where one side has none; infinite without stops.
+        """
+        if len(self.sides) == 2:
+            return (self.lower_clearance_m + self.upper_clearance_m) / 2
+        return min(self.lower_clearance_m, self.upper_clearance_m)
+
+    @property
+    def sides(self) -> tuple[int, ...]:
+        """Sides that have a stop: -1 the lower one, 1 the upper one."""
+        clearances_m = ((-1, self.lower_clearance_m), (1, self.upper_clearance_m))
+        return tuple(side for side, clearance_m in clearances_m if np.isfinite(clearance_m))
 
     def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         """Signed depth beyond the stops: the paper's dead-zone function of the relative displacement."""
@@ -76,6 +96,12 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         """Potential energy of the force at rest, J."""
         raise NotImplementedError
+
+
+def walls_m(law: ContactLaw) -> list[tuple[float, int]]:
+    """Relative displacements at which the stops stand at time 0, the upper one first, each with its side."""
+    positions_m = {-1: -law.lower_clearance_m, 1: law.upper_clearance_m}
+    return [(positions_m[side], side) for side in reversed(law.sides)]
 
 
 def depth_of(law: Any, eta: Any, time_s: Any) -> Any:

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from identify.contacts import identify_contact
 from identify.contacts.refusals import RefusalCode
+from identify.contacts.results import identified_rig
 from rig.model.description import Contact, Rig
 from rig.recording import read
 from tests.campaigns.topologies import Topology, chain, progressive_stop, recorded
@@ -39,11 +40,35 @@ def test_both_stops_are_told_where_rig_json_is_wrong_by_tens_of_per_cent(tmp_pat
     assert result.surface.histogram == ()
 
 
-def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path):
+def test_one_stop_alone_is_told_of_a_mass_on_a_spring(tmp_path):
+    rig = chain(1, "displacement", ground=True)
+    (stop,) = rig.contacts
+    rig = replace(rig, contacts=(replace(stop, law=replace(stop.law, lower_clearance_m=np.inf)),))
+    result = report(tmp_path, rig, rig, 4.0)
+    (contact,) = result.contacts
+    assert contact.lower_clearance_m is None
+    assert is_within(contact.clearance_m, stop.law.upper_clearance_m, 0.01)
+    assert is_within(contact.stiffness_n_per_m, stop.law.stiffness_n_per_m, 0.02)
+    assert identified_rig(rig, result).contacts[0].law.lower_clearance_m == np.inf
+
+
+def test_a_free_body_by_accelerometers_has_no_play_of_which_half_could_be_told(tmp_path):
+    """Two free masses at two stops, and a description that leaves one of them out."""
+    rig = chain(2, "acceleration", ground=False)
+    free = tuple(replace(b, frequency_hz=0.0, damping_ratio=0.0) for b in rig.bodies)
+    rig = replace(rig, bodies=free)
+    (stop,) = rig.contacts
+    believed = replace(rig, contacts=(replace(stop, law=replace(stop.law, lower_clearance_m=np.inf)),))
+    assert codes(report(tmp_path, rig, rig, 8.0)) == {}
+    assert codes(report(tmp_path, believed, rig, 8.0)) == {stop.name: RefusalCode.ONE_STOP_TOUCHED}
+
+
+@pytest.mark.parametrize("absent_m", [1.0, np.inf])
+def test_stops_on_opposite_sides_and_counted_in_opposite_directions(tmp_path, absent_m):
     """Between two masses: one stop above, and one below that is counted the other way round."""
     rig = chain(2, "displacement", ground=False)
     (above,) = rig.contacts
-    law = replace(above.law, lower_clearance_m=1.0)
+    law = replace(above.law, lower_clearance_m=absent_m)
     below = Contact(
         name="below",
         at=above.against,

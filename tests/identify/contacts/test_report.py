@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from identify.contacts import identify_contact
+from identify.contacts.assumptions import recommendations, variance_shares
 from identify.contacts.refusals import REMEDIES
-from identify.contacts.report import recommendations, variance_shares, write_page, write_results
+from identify.contacts.report import write_page, write_results
 from identify.pages.wording import interval
 from rig.model.tolerances import EXACT
 from rig.recording import read

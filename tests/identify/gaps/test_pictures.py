@@ -13,22 +13,19 @@ from msgspec.structs import replace
 
 from identify.gaps.page.pictures import pictures
 from identify.gaps.results import Attribution
-from rig.model.layout import left_ends
-from rig.model.unmeasured_force import Value
-from rig.simulation.reference import BarrelCradle
 
 NAMED = re.compile(r"(, (%|m|mm|s|Hz|N|m/s)|per mm|/Hz|N|natural logarithm\))$")
 
 
-def drawn(gap, rig):
+def drawn(gap):
     """The pictures by name as PNG and as figures."""
-    made = pictures(gap, rig)
+    made = pictures(gap)
     return {name: one.png for name, one in made.items()}, {name: one.figure for name, one in made.items()}
 
 
 @pytest.fixture(scope="module")
-def made(diagnosis, rig_of):
-    return diagnosis, *drawn(diagnosis, rig_of(diagnosis))
+def made(diagnosis):
+    return diagnosis, *drawn(diagnosis)
 
 
 def widths(axes):
@@ -98,10 +95,10 @@ def test_probabilities_are_drawn_and_sum_to_one(made):
     assert names[-1].startswith("something unmeasured")
 
 
-def test_further_causes_are_one_bar(gaps, rig_of):
+def test_further_causes_are_one_bar(gaps):
     gap = gaps["pair"]
     many = tuple(replace(gap.causes[0], probability=0.09) for _ in range(9))
-    _, figures = drawn(replace(gap, causes=many, probability_nothing=0.1, probability_unknown=0.09), rig_of(gap))
+    _, figures = drawn(replace(gap, causes=many, probability_nothing=0.1, probability_unknown=0.09))
     (axes,) = figures["why_probability"].axes
     assert widths(axes) == pytest.approx([9.0] * 6 + [27.0, 10.0, 9.0])
 
@@ -129,51 +126,10 @@ def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
     assert axes.get_yscale() == "log"
 
 
-def test_bodies_lie_so_that_what_touches_is_one_above_the_other():
-    rig = BarrelCradle().rig()
-    ends = left_ends(rig)
-    for contact in rig.contacts:
-        at, against = (ends[s.body] + s.position_m for s in (contact.at, contact.against))
-        assert at == pytest.approx(against)
-
-
-@pytest.mark.parametrize("name", ["partly_explained", "unexplained"])
-def test_the_unknown_force_is_drawn_at_its_place(gaps, rig_of, name):
-    gap, rig = gaps[name], rig_of(gaps[name])
-    _, figures = drawn(gap, rig)
-    (axes,) = figures["unknown_place"].axes
-    force = next(line for line in axes.get_lines() if line.get_marker() == "o" and line.get_xdata().size)
-    assert float(force.get_xdata()[0]) == pytest.approx(left_ends(rig)[gap.unknown.body] + gap.unknown.position_m)
-    assert axes.get_yticklabels()[[b.name for b in rig.bodies].index(gap.unknown.body)].get_text() == gap.unknown.body
-    assert float(force.get_ydata()[0]) == axes.get_yticks()[[b.name for b in rig.bodies].index(gap.unknown.body)]
-    legend = [text.get_text() for text in figures["unknown_place"].legends[0].get_texts()]
-    assert f"unknown force, {gap.unknown.body} at {gap.unknown.position_m:.2f} m" in legend
-
-
-@pytest.mark.parametrize(
-    ("change", "label"),
-    [
-        ({"kind": "pair", "against_body": "cradle", "against_position_m": 0.7}, "unknown pair of forces"),
-        ({"kind": "sensor", "body": None, "position_m": None}, "sensor "),
-        ({"kind": "distributed", "body": None, "position_m": None}, "stiffness changes"),
-    ],
-)
-def test_every_kind_of_unknown_is_drawn(gaps, rig_of, change, label):
-    gap = gaps["unexplained"]
-    rig = rig_of(gap)
-    if change["kind"] == "sensor":
-        change = {**change, "sensor": rig.sensors[3].name}
-    if change["kind"] == "distributed":
-        change = {**change, "growth": {"barrel": Value(-0.03, 0.001, "1")}}
-    _, figures = drawn(replace(gap, unknown=replace(gap.unknown, **change)), rig)
-    legend = [text.get_text() for text in figures["unknown_place"].legends[0].get_texts()]
-    assert sum(text.startswith(label) for text in legend) == 1
-
-
-def test_the_force_over_the_motion_is_the_right_way_round(gaps, rig_of):
+def test_the_force_over_the_motion_is_the_right_way_round(gaps):
     gap = gaps["unexplained"]
     seen = gap.unknown.over_motion
-    _, figures = drawn(gap, rig_of(gap))
+    _, figures = drawn(gap)
     mesh = figures["unknown_motion"].axes[0].collections[0]
     np.testing.assert_allclose(np.ma.filled(mesh.get_array(), 0.0), np.array(seen.force_n).T)
     np.testing.assert_allclose(mesh.get_coordinates()[0, :, 0], 1e3 * np.array(seen.displacement_m))
@@ -212,17 +168,17 @@ def test_curves_are_those_given(made):
         assert len(figure.legends[0].get_texts()) == 3
 
 
-def test_any_name_can_be_drawn(gaps, rig_of):
+def test_any_name_can_be_drawn(gaps):
     gap = gaps["consistent"]
     odd = {"$\\frac": 0.5, "<b>" * 30: 0.3, "a_$x$": 0.2}
-    _, figures = drawn(replace(gap, attribution=replace(gap.attribution, channels=odd)), rig_of(gap))
+    _, figures = drawn(replace(gap, attribution=replace(gap.attribution, channels=odd)))
     labels = [t.get_text() for t in figures["where_channels"].axes[0].get_yticklabels()]
     assert (labels[0], labels[2]) == ("$\\frac", "a_$x$")
 
 
-def test_what_is_missing_is_left_out(gaps, rig_of):
+def test_what_is_missing_is_left_out(gaps):
     gap = gaps["consistent"]
     nothing = Attribution(
         channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
     )
-    assert not pictures(replace(gap, attribution=nothing, curves=(), bands=(), causes=()), rig_of(gap))
+    assert not pictures(replace(gap, attribution=nothing, curves=(), bands=(), causes=()))

@@ -65,9 +65,9 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def written(diagnosis, rig_of, tmp_path_factory):
+def written(diagnosis, tmp_path_factory):
     """A diagnosis, its pictures, and its page as parsed."""
-    figures, path = pictures(diagnosis, rig_of(diagnosis)), tmp_path_factory.mktemp("page") / "gap.html"
+    figures, path = pictures(diagnosis), tmp_path_factory.mktemp("page") / "gap.html"
     write_page(diagnosis, figures, "Gap of one & two", path)
     return diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
 
@@ -289,6 +289,35 @@ def test_what_the_verdict_names_is_marked_at_its_place(gaps, rig_of):
     assert (mark.station.body, mark.station.position_m) == ("barrel", pytest.approx(position_m))
     assert mark.words == gap.causes[0].words[0]
     assert marks(gaps["consistent"], rig_of(gaps["consistent"])) == ()
+
+
+@pytest.mark.parametrize(
+    ("change", "stations", "words"),
+    [
+        ({}, [("barrel", None)], "unmeasured force"),
+        (
+            {"kind": "pair", "against_body": "cradle", "against_position_m": 0.7},
+            [("barrel", None), ("cradle", 0.7)],
+            "unmeasured pair of forces",
+        ),
+        ({"kind": "sensor", "body": None, "sensor": "cradle_0200mm_acceleration"}, [("cradle", 0.2)], "cradle_0200mm"),
+        ({"kind": "contact", "body": None, "contact": "contact_2"}, [("barrel", 0.55)], "contact_2: clearance"),
+        (
+            {"kind": "distributed", "body": None, "growth": {"barrel": Value(-0.03, 1e-3, "1")}},
+            [("barrel", 0.5)],
+            "stif",
+        ),
+    ],
+)
+def test_every_kind_of_unmeasured_force_is_marked_at_its_place(gaps, rig_of, change, stations, words):
+    gap = gaps["unexplained"]
+    gap = replace(gap, unknown=replace(gap.unknown, **change))
+    drawn = marks(gap, rig_of(gap))
+    expected = [(body, gap.unknown.position_m if x_m is None else x_m) for body, x_m in stations]
+    assert [(mark.station.body, mark.station.position_m) for mark in drawn] == [
+        (b, pytest.approx(x)) for b, x in expected
+    ]
+    assert drawn[0].words.startswith(words)
 
 
 def test_a_page_is_replaced_whole(gaps, tmp_path):

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from identify.pages import page
-from identify.pages.interactive import MOST_POINTS, interactive
+from identify.pages.artists import MOST_POINTS
+from identify.pages.interactive import interactive
 from identify.pages.style import picture
 
 PHONE_PX = 375
@@ -91,13 +92,51 @@ def test_long_curves_keep_their_peaks():
     assert y_values.max() == 7.0
 
 
+def named_bars(figure):
+    axes = figure.subplots()
+    bars = axes.barh([0, 1], [30.0, 70.0])
+    axes.bar_label(bars, ["30.0", "70.0"], padding=4)
+    axes.set_yticks([0, 1], ["added_mass", "<b>$$x$$"])
+    axes.invert_yaxis()
+
+
+def test_bars_have_their_names_and_labels():
+    by_type = models(interactive(picture(named_bars).figure))
+    overrides = [
+        dict(axis["major_label_overrides"]["entries"])
+        for axis in by_type["LinearAxis"]
+        if axis.get("major_label_overrides")
+    ]
+    assert [{place: text["attributes"]["text"] for place, text in names.items()} for names in overrides] == [
+        {0.0: "added_mass", 1.0: "<b>$$x$$"}
+    ]
+    assert [(label["x"], label["y"], label["text"]["attributes"]["text"]) for label in by_type["Label"]] == [
+        (30.0, 0.0, "30.0"),
+        (70.0, 1.0, "70.0"),
+    ]
+
+
+def test_cells_without_a_value_are_left_out():
+    def draw(figure):
+        axes = figure.subplots()
+        values = np.array([[1.0, np.nan], [3.0, 4.0], [5.0, 6.0]])
+        figure.colorbar(axes.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0, 2.0, 3.0], values), label="share, %")
+
+    by_type = models(interactive(picture(draw).figure))
+    (source,) = by_type["ColumnDataSource"]
+    columns = dict(source["data"]["entries"])
+    assert columns["value"] == [1.0, 3.0, 4.0, 5.0, 6.0]
+    assert list(zip(columns["left"], columns["bottom"], strict=True)) == [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2)]
+    assert by_type["ColorBar"][0]["title"] == "share, %"
+
+
 @pytest.mark.parametrize(
     "draw",
     [
         lambda figure: figure.subplots().text(0.5, 0.5, "a text"),
         lambda figure: figure.text(0.5, 0.5, "a text"),
-        lambda figure: figure.subplots().scatter([1, 2], [3, 4]),
-        lambda figure: figure.subplots().set_xticks([0, 1], ["one", "two"]),
+        lambda figure: figure.subplots().annotate("", (0, 0), (1, 1), arrowprops={"arrowstyle": "->"}),
+        lambda figure: figure.subplots().pie([1, 2]),
         lambda figure: figure.supylabel("a label"),
     ],
 )

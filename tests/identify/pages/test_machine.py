@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
-from identify.pages.machine import LETTER, WIDTH, Mark, machine
+from identify.pages.machine import LETTER, WIDTH, DrawnMark, machine
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
@@ -32,7 +32,7 @@ def boxes(svg):
 def test_every_contact_has_its_values_and_no_text_lies_over_another(name):
     rig = DRAWN[name]
     last = rig.bodies[-1]
-    marks = [Mark(Station(last.name, share * last.length_m), f"effect at {share}") for share in (0.3, 0.4, 0.9)]
+    marks = [DrawnMark(Station(last.name, share * last.length_m), f"effect at {share}") for share in (0.3, 0.4, 0.9)]
     texts = list(boxes(drawing(rig, *marks)))
     written = [text for text, *_ in texts]
     assert {c.name for c in rig.contacts} | {b.name for b in rig.bodies} | {m.words for m in marks} <= set(written)

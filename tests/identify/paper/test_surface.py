@@ -150,6 +150,7 @@ def test_stops_from_the_density_that_the_method_assumes(lower, upper):
     assert max(stops.lower_error_m, stops.upper_error_m) < 0.05e-3
 
 
+@pytest.mark.study
 def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
     """Under a force that is white as far as the mass can follow, its displacement has the assumed density.
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import pyuff
 
+from rig.lab.starting import KINDS
 from rig.model.description import read_rig
 from rig.recording import read
 from tests.rig.lab.modal.test_uff import nodes, normal_modes
@@ -15,6 +16,9 @@ from tests.rig.lab.starting.test_starting import BEAMS, CONTACT, fin
 from tests.running import exit_status
 
 MASS = {"mass_kg": 1.0, "frequency_hz": 5.0} | CONTACT
+TWO_MASSES = {"masses_kg": "1,2", "frequencies_hz": "6,9", "stops": "upper"} | CONTACT
+CHAIN = {"masses_kg": "2,2,2", "springs_n_per_m": "5e4", "contacts": "3-2,1-0"} | CONTACT
+CANTILEVER = {"length_m": 0.5, "width_m": 0.03, "thickness_m": 0.005} | CONTACT | {"sample_rate_hz": 4096.0}
 FRAME = {"contacts_m": 0.1, "force_m": 0.5, "noise_density": 1e-3} | CONTACT | {"sample_rate_hz": 4096.0}
 
 
@@ -37,6 +41,9 @@ def options(values):
     ("kind", "values", "plant"),
     [
         ("mass", MASS, None),
+        ("two_masses", TWO_MASSES, "modal"),
+        ("chain", CHAIN, None),
+        ("cantilever", CANTILEVER, "modal"),
         ("beams", BEAMS, "modal"),
         ("structure", FRAME | {"body": "fin.json"}, None),
     ],
@@ -51,9 +58,10 @@ def test_what_is_written_is_recorded_exported_and_imported_at_once(rig, tmp_path
     assert (status, err) == (0, "")
     before = read(tmp_path / "r.mcap")
     assert before.rig == read_rig(tmp_path / "lab" / "rig.json")
-    used = plant or ("modal" if kind == "structure" else "ancf")
+    used = plant or ("modal" if kind in ("structure", "chain") else "ancf")
     assert (before.provenance["plant"], before.provenance["seed"]) == (used, "5")
     assert f"by the plant {used}, force " in out
+    assert "the force: " in out
     assert all(np.any(s.values) for s in before.signals.values())
     assert rig("export", "r.mcap", "--format", "csv", "--out", "lab/run.csv")[0] == 0
     status, _, err = rig("import", "lab/run.csv", "--map", "lab/map.toml", "--out", "back.mcap")
@@ -186,6 +194,11 @@ def test_nothing_is_overwritten_unasked(rig, tmp_path):
         (("init", "mass", *options(MASS | {"quantity": "temperature"})), 2, "'temperature'"),
         (("init", "structure", *options(FRAME)), 1, "give the body of the structure by one file"),
         (("init", "pendulum"), 2, "pendulum"),
+        (("init", "mass", *options(MASS | {"stops": "left"})), 2, "give 'both' or 'lower' or 'upper'"),
+        (("init", "two_masses", *options(TWO_MASSES | {"masses_kg": "1"})), 1, "masses_kg has 1 numbers; give two"),
+        (("init", "chain", *options(CHAIN | {"contacts": "3-4"})), 1, "contacts names mass 4; there are masses 0 to 3"),
+        (("init", "chain", *options(CHAIN | {"contacts": "3"})), 1, "contacts has '3'; give pairs of masses such as"),
+        (("init", "chain", *options(CHAIN | {"springs_n_per_m": "1,2"})), 1, "springs_n_per_m has 2 numbers for 3"),
         (("record", "none.json", "--out", "r.mcap"), 1, "none.json: cannot be opened"),
     ],
 )
@@ -197,10 +210,8 @@ def test_what_does_not_fit_is_said_and_leaves_nothing(rig, tmp_path, words, stat
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["mass", "beams", "structure", "measured"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_help_has_an_example_and_every_option(rig, kind):
-    from rig.lab.starting import KINDS
-
     status, out, _ = rig("init", kind, "--help")
     assert status == 0
     assert f"Example: rig init {kind} " in out

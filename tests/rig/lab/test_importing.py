@@ -272,8 +272,8 @@ def stamps(**changes):
         (mapped(), csv_text(names="t,F,x,F"), "2 columns are named 'F'; give the number"),
         (mapped(sensors={X: {"column": "x", "unit": "mm"}}), csv_text(), f"sensor {A!r} is missing"),
         (mapped(sensors={"y": {"column": "x"}}), csv_text(), "sensor 'y' is no sensor of the rig"),
-        (mapped(force=None), csv_text(), "map.toml: is no map (Object missing required field `force`"),
-        (mapped(speed=1), csv_text(), "map.toml: is no map (Object contains unknown field `speed`"),
+        (mapped(force=None), csv_text(), "map.toml: is no map (it lacks 'force'; it needs force, sensors"),
+        (mapped(speed=1), csv_text(), "map.toml: is no map (it has no field 'speed'; it has rig, force, sensors"),
         (mapped(rig="none.json"), csv_text(), "none.json: cannot be opened"),
         (mapped(sample_rate_hz=512.0), csv_text(), "time and sample_rate_hz are both given"),
         (mapped(time=None), csv_text(), "lab.csv: it does not say when its samples were taken"),
@@ -360,3 +360,23 @@ def test_the_commands(folder, capsys):
     status, out, err = rig(*words, "--force")
     assert (status, out) == (1, "")
     assert err == f"rig: {folder / 'lab.csv'}: cannot be opened (No such file or directory); check the name\n"
+
+
+def test_endings_that_do_not_fit_are_refused(folder, capsys):
+    imported(folder, mapped(), text=csv_text())
+    path, kept = folder / "r.mcap", sorted(folder.iterdir())
+    for words, name in (
+        (("import", folder / "lab.csv", "--map", folder / "map.toml", "--out", folder / "x.mat"), "x.mcap"),
+        (("import", folder / "lab.csv", "--write-map", folder / "x.csv"), "x.toml"),
+        (("export", path, "--format", "csv", "--out", folder / "x.mat"), "x.csv"),
+        (("export", path, "--format", "mat", "--out", folder / "x"), "x.mat"),
+        (("export", path, "--format", "csv", "--out", folder / "x.csv", "--map", folder / "x.json"), "x.toml"),
+        (("recover", path, "--out", folder / "x.csv"), "x.mcap"),
+        (("record", "sdof", "--out", folder / "x.csv"), "x.mcap"),
+        (("draw", path, "--out", folder / "x.png"), "x.svg"),
+        (("view", path, "--out", folder / "x.html"), "x.rrd"),
+        (("fmu", path, "--out", folder / "x.zip"), "x.fmu"),
+    ):
+        assert exit_status("rig", *words) == 1
+        assert f"; name it {name}\n" in capsys.readouterr().err
+    assert sorted(folder.iterdir()) == kept

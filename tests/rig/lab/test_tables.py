@@ -60,3 +60,29 @@ def test_last_columns_without_a_name_or_without_values_are_left_out(tmp_path, na
 def test_other_columns_need_names_and_values(tmp_path, content, said):
     with pytest.raises(RigError, match=said):
         columns(tmp_path, content)
+
+
+def test_white_space_of_any_length_is_one_delimiter(tmp_path):
+    content = "# t  F\n 0.5   1.0\n 0.25  -2.0\n"
+    assert columns(tmp_path, content, delimiter=" ") == {"t": [0.5, 0.25], "F": [1.0, -2.0]}
+
+
+def test_a_file_without_names_may_have_other_text_in_its_lines(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text("2024-03-01 14:05:06,1.0\n2024-03-01 14:05:07,2.0\n")
+    (column,) = read_table(path, TextForm(names=False), [2]).columns.values()
+    assert column.values.tolist() == [1.0, 2.0]
+
+
+def test_an_incomplete_end_is_left_out_and_counted(tmp_path):
+    path = tmp_path / "lab.csv"
+    path.write_text("t,F [kN],x\n0,1.0,2\n1,2.0,3\n2,,4\n3,nan\nend of data\n")
+    table = read_table(path, TextForm(cut_incomplete_end=True), ["t", "F [kN]"])
+    assert [c.values.tolist() for c in table.columns.values()] == [[0, 1], [1, 2]]
+    assert [c.unit for c in table.columns.values()] == [None, "kN"]
+    assert table.notes == ("the last 3 lines are incomplete and were left out",)
+    path.write_text("t,F\n0,1.0\n1,\n2,3.0\n")
+    with pytest.raises(RigError, match="line 3 lacks a number, and line 4 has them all"):
+        read_table(path, TextForm(cut_incomplete_end=True))
+    with pytest.raises(RigError, match="line 3 has '' in column 'F', which is no number"):
+        read_table(path, TextForm())

@@ -3,7 +3,7 @@
 import pytest
 
 from rig.errors import RigError
-from rig.lab.units import FACTORS, si_factor
+from rig.lab.units import FACTORS, name_and_unit, quantity_of, si_factor
 
 
 @pytest.mark.parametrize(
@@ -29,3 +29,38 @@ def test_every_unit_of_another_quantity_is_refused():
         for foreign_unit in {u for q, factors in FACTORS.items() if q != quantity for u in factors} - set(units):
             with pytest.raises(RigError, match=f"is no unit of {quantity}"):
                 si_factor(quantity, foreign_unit)
+
+
+def test_a_unit_belongs_to_one_quantity():
+    units = [unit for factors in FACTORS.values() for unit in factors]
+    assert len(units) == len(set(units))
+
+
+@pytest.mark.parametrize(
+    ("header", "name", "quantity"),
+    [
+        ("acc tip [m/s^2]", "acc tip", "acceleration"),
+        ("a (m/s²)", "a", "acceleration"),
+        ("a [ms⁻²]", "a", "acceleration"),
+        ("F (N)", "F", "force"),
+        ("x_1 / mm", "x_1", "displacement"),
+        ("acc / m/s^2", "acc", "acceleration"),
+        ("Zeit [s]", "Zeit", "time"),
+        ("Kraft in kN", "Kraft", "force"),
+        ("eps {µm/m}", "eps", "strain"),
+        ("T [°C]", "T", None),
+        ("acc (tip)", "acc (tip)", None),
+        ("acc[3]", "acc[3]", None),
+        ("run(2)", "run(2)", None),
+        ("motion in plane", "motion in plane", None),
+        ("F_N", "F_N", None),
+    ],
+)
+def test_the_unit_of_a_header(header, name, quantity):
+    plain, unit = name_and_unit(header)
+    assert (plain, quantity_of(unit)) == (name, quantity)
+
+
+def test_a_unit_after_an_underscore_is_guessed():
+    assert name_and_unit("time_s", guess=True) == ("time", "s")
+    assert name_and_unit("mass_0000mm_acceleration", guess=True) == ("mass_0000mm_acceleration", None)

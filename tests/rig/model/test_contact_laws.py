@@ -1,5 +1,7 @@
 """The dead zone's properties, whatever its parameters; what every law must be."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -7,7 +9,8 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.model.contact_laws import LAWS, DeadZone
+from rig.model.contact_laws import LAWS, DeadZone, walls_m
+from rig.model.contact_laws.base import CLEARANCES
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
 from rig.simulation.plants.compiled_laws import force_n, law_records
@@ -71,12 +74,38 @@ def test_clearance_is_half_the_play(law):
     assert 2 * law.clearance_m == pytest.approx(law.lower_clearance_m + law.upper_clearance_m)
 
 
-@pytest.mark.parametrize("field", ["lower_clearance_m", "upper_clearance_m", "stiffness_n_per_m", "damping_n_s_per_m"])
-@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        *product(CLEARANCES, [-1.0, float("nan"), -np.inf]),
+        *product(["stiffness_n_per_m", "damping_n_s_per_m"], [-1.0, float("nan"), np.inf]),
+    ],
+)
 def test_a_bad_value_is_named(field, value):
     good = {"lower_clearance_m": 1e-3, "upper_clearance_m": 1e-3, "stiffness_n_per_m": 1e4}
     with pytest.raises(RigError, match=rf"{field} is {value}; give"):
         DeadZone(**good | {field: value})
+
+
+@pytest.mark.parametrize("kind", LAWS.values())
+@given(displacements, rates, clearances, st.booleans())
+def test_a_stop_that_is_not_there_gives_no_force_and_the_other_one_its_own(kind, eta, rate, clearance, is_lower):
+    near, lacking = ("lower_clearance_m", "upper_clearance_m")[:: 1 if is_lower else -1]
+    both = kind(**{near: clearance, lacking: clearance}, stiffness_n_per_m=1e4, damping_n_s_per_m=5.0)
+    law = replace(both, **{lacking: np.inf})
+    is_beyond_the_stop = eta < -clearance if is_lower else eta > clearance
+    expected = float(both.force_n(eta, rate)) if is_beyond_the_stop else 0.0
+    assert float(law.force_n(eta, rate)) == expected
+    assert force_n(law_records([law])[0], eta, rate, 0.0) == pytest.approx(expected, rel=1e-9)
+    assert law.clearance_m == clearance
+    assert [side for _, side in walls_m(law)] == [-1 if is_lower else 1]
+
+
+def test_a_law_without_any_stop_is_refused_unless_it_rubs():
+    none = {"lower_clearance_m": np.inf, "upper_clearance_m": np.inf, "stiffness_n_per_m": 0.0}
+    with pytest.raises(RigError, match="both clearances are null"):
+        DeadZone(**none)
+    assert float(DeadZone(**none, friction_n=3.0).force_n(0.0, 1.0)) == pytest.approx(3.0)
 
 
 STOPS = {"lower_clearance_m": 1e-3, "upper_clearance_m": 2e-3, "stiffness_n_per_m": 1e4, "damping_n_s_per_m": 5.0}

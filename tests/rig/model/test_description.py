@@ -132,9 +132,9 @@ def test_a_sensor_that_cannot_be_is_refused(changes, sentence):
     ("old", "new", "place"),
     [
         (b'"sample_rate_hz"', b'"rate"', "rate"),
-        (b'"velocity"', b'"speed"', "$.sensors[0].quantity"),
-        (b'"oscillator"', b'"wheel"', "$.bodies[1].type"),
-        (b"2.0", b'"two"', "$.bodies[0].length_m"),
+        (b'"velocity"', b'"speed"', "sensors[0].quantity is 'speed'; give 'acceleration' or"),
+        (b'"oscillator"', b'"wheel"', "bodies[1].type is 'wheel'; give 'beam' or 'oscillator'"),
+        (b"2.0", b'"two"', "bodies[0].length_m is text; give a number"),
         (b"2.0", b"-2.0", "length_m is -2.0"),
         (b"}", b"", "malformed"),
         (b"{", b"", "malformed"),
@@ -211,7 +211,7 @@ def test_a_rig_cannot_be_changed():
 
 
 def test_a_list_is_no_rig():
-    with pytest.raises(RigError, match="Expected `object`"):
+    with pytest.raises(RigError, match="it is a list; give an object"):
         from_json(b"[1]", "rig.json of x")
 
 
@@ -227,5 +227,29 @@ def test_another_law_comes_back_from_json_and_an_unknown_one_is_named():
     rig = small_rig()
     rig = replace(rig, contacts=tuple(replace(c, law=law) for c in rig.contacts))
     assert from_json(to_json(rig), "rig.json of x") == rig
-    with pytest.raises(RigError, match=r"'spring'.*law"):
+    with pytest.raises(RigError, match=r"contacts\[0\]\.law\.type is 'spring'; give 'dead_zone'"):
         from_json(to_json(rig).replace(b"hunt_crossley", b"spring"), "rig.json of x")
+
+
+def test_a_stop_that_is_not_there_is_null():
+    rig = small_rig(contacts=(replace(small_rig().contacts[0], law=replace(LAW, lower_clearance_m=float("inf"))),))
+    decoded = msgspec.json.decode(to_json(rig))
+    assert decoded["contacts"][0]["law"]["lower_clearance_m"] is None
+    assert from_json(to_json(rig), "rig.json of x") == rig
+
+
+@pytest.mark.parametrize("words", [{"against": None}, {"against": "ground"}, {}])
+def test_the_ground_is_null_a_word_or_left_out(words):
+    rig = small_rig()
+    decoded = msgspec.json.decode(to_json(rig))
+    del decoded["contacts"][0]["against"]
+    decoded["contacts"][0] |= words
+    grounded = replace(rig, contacts=(replace(rig.contacts[0], against=None),))
+    assert from_json(msgspec.json.encode(decoded), "rig.json of x") == grounded
+
+
+def test_another_word_than_the_ground_is_refused():
+    decoded = msgspec.json.decode(to_json(small_rig()))
+    decoded["contacts"][0]["against"] = "grund"
+    with pytest.raises(RigError, match=r"contacts\[0\]\.against is 'grund' \(did you mean 'ground'\?\)"):
+        from_json(msgspec.json.encode(decoded), "rig.json of x")

@@ -74,5 +74,5 @@ def test_a_gauge_comes_back_from_json_and_bad_ones_are_named():
         gauge(0.3, fibre_m=0.0)
     with pytest.raises(RigError, match="fibre_m"):
         Sensor(name="a", station=Station("beam"), quantity="velocity", fibre_m=0.1)
-    with pytest.raises(RigError, match="Invalid enum value 'temperature'"):
+    with pytest.raises(RigError, match="quantity is 'temperature'; give 'acceleration' or"):
         from_json(to_json(rig).replace(b'"strain"', b'"temperature"'), "rig.json")

@@ -77,11 +77,11 @@ def test_a_basis_is_read_from_json_and_written_again():
         (b'"position_m":0.2', b'"position_m":0', "the positions of shapes do not ascend; sort them"),
         (b'"position_m":0.2', b'"position_m":0.6', "shapes are given at 0.6 m; give places from 0 to 0.5 m"),
         (b'"length_m":0.5', b'"length_m":0', "length_m is 0.0; give a finite value above zero"),
-        (b'"frequencies_hz"', b'"frequencies"', "unknown field `frequencies`"),
+        (b'"frequencies_hz"', b'"frequencies"', "has no field 'frequencies' (did you mean 'frequencies_hz'?)"),
         (b"-0.8", b"1e300", "bodies[0].shapes[1].values[1] is about 1e300, which nothing is; correct it"),
         (b"40.5", b"1e300", "bodies[0].frequencies_hz[1] is about 1e300, which nothing is; correct it"),
         (b"-0.8", b"NaN", "invalid character"),
-        (b"-0.8", b"null", "Expected `float`, got `null`"),
+        (b"-0.8", b"null", "shapes[1].values[1] is null; give a number"),
     ],
 )
 def test_a_basis_that_cannot_be_is_refused_in_one_sentence(old, new, sentence):

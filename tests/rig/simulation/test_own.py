@@ -1,43 +1,20 @@
-"""The force on a rig of one's own."""
+"""Settings and force of a recording of a rig of one's own."""
 
-import numpy as np
 import pytest
-from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.model.contact_laws.dead_zone import equal_sides
-from rig.simulation.own import RMS_TO_CLEARANCE, own_rig, plant_for, rattling_n
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.own import own_rig, plant_for
+from rig.simulation.reference import Sdof
 
 
-def test_white_noise_moves_a_mass_as_theory_says():
-    """A flat force over a band that holds the resonance: eta_rms^2 = S pi f0 / (4 zeta k^2), S = F_rms^2 / band."""
-    start = Sdof(damping_ratio=0.02)
-    (mass,) = start.rig().bodies
-    force_n = rattling_n(start.rig(), 0.0, 100.0)
-    eta_m = force_n * np.sqrt(np.pi * mass.frequency_hz / (4 * mass.damping_ratio * 100.0)) / mass.stiffness_n_per_m
-    assert eta_m == pytest.approx(RMS_TO_CLEARANCE * start.clearance_m, rel=0.2)  # to one significant digit
-
-
-@pytest.mark.parametrize("start", [Sdof(), BarrelCradle()])
-def test_the_papers_forces_are_near(start):
-    assert 0.5 < rattling_n(start.rig(), start.low_hz, start.high_hz) / start.rms_n < 2
-
-
-def test_two_equal_forces_at_one_place_may_be_weaker_by_root_two():
-    rig = Sdof().rig()
-    rig = replace(rig, contacts=tuple(replace(c, law=equal_sides(1e-3, 1e4)) for c in rig.contacts))
-    single_n, each_of_two_n = (
-        rattling_n(replace(rig, force_at=stations), 0.5, 15.0) for stations in (rig.force_at, (rig.force_at,) * 2)
-    )
-    assert each_of_two_n == pytest.approx(single_n / np.sqrt(2), rel=0.15)  # to one significant digit
-
-
-def test_a_force_where_no_contact_has_a_clearance():
-    rig = Sdof().rig()
-    (contact,) = rig.contacts
-    assert rattling_n(replace(rig, contacts=(replace(contact, law=equal_sides(0.0, 1e4)),)), 0.5, 15.0) == 1.0
-    assert rattling_n(replace(rig, contacts=()), 0.5, 15.0) == 1.0
+@pytest.mark.parametrize(
+    ("settings", "is_beyond"),
+    [({"rms_n": "1999"}, False), ({"rms_n": "2500"}, True), ({"rms_n": "2500", "excitation": "hammer"}, False)],
+)
+def test_a_force_beyond_a_large_shaker_is_warned_of(settings, is_beyond):
+    warnings = own_rig(Sdof().rig(), settings).warnings
+    assert bool(warnings) == is_beyond
+    assert all("2500 N rms is more than a large laboratory shaker gives" in w for w in warnings)
 
 
 def test_settings_follow_from_the_rig_unless_they_are_given():

@@ -19,8 +19,8 @@ from rig.model.description import (
     contact_stations,
 )
 from rig.simulation.reference import BarrelCradle, Sdof
+from rig.viewer.palette import BELIEVED_INK, SENSOR_INK
 from rig.viewer.schematic import draw
-from rig.viewer.svg import MOVING, SENSOR
 from tests.rig.lab.starting.test_starting import structure_rig
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -81,14 +81,14 @@ def test_along_the_bodies_it_is_to_scale(tmp_path, kind):
     def x_of(stations):
         return sorted({round(scale * (left_m[s.body] + s.position_m), 1) for s in stations})
 
-    marks = corners(root, "polygon", SENSOR)
+    marks = corners(root, "polygon", SENSOR_INK)
     assert len(marks) == len({s.station for s in rig.sensors})
     tips = sorted({float(mark[np.argmax(mark[:, 1]), 0]) for mark in marks})
     np.testing.assert_allclose(tips, x_of(s.station for s in rig.sensors), atol=0.11)
     (force,) = [x for text, x, _ in texts(root) if text == "force F"]
     assert force - 10 == pytest.approx(x_of([rig.force_at])[0], abs=0.1)
     if kind == "beams":
-        links = [line for line in corners(root, "polyline", MOVING) if len(line) == 4]
+        links = [line for line in corners(root, "polyline", BELIEVED_INK) if len(line) == 4]
         link_ends = sorted({float(x) for line in links for x in line[[0, -1], 0]})
         np.testing.assert_allclose(link_ends, x_of(s for c in rig.contacts for s in contact_stations(c)), atol=0.11)
 
@@ -119,3 +119,14 @@ def test_things_on_a_mass_stand_apart(tmp_path):
 def test_a_folder_that_is_not_there_is_said(tmp_path):
     with pytest.raises(RigError, match="cannot be written"):
         draw(Sdof().rig(), tmp_path / "none" / "rig.svg")
+
+
+@pytest.mark.parametrize(("field", "said"), [("lower_clearance_m", "+"), ("upper_clearance_m", "\u2212")])
+def test_a_stop_that_is_not_there_is_not_drawn(tmp_path, field, said):
+    rig = Sdof().rig()
+    (contact,) = rig.contacts
+    one_sided = replace(rig, contacts=(replace(contact, law=replace(contact.law, **{field: np.inf})),))
+    root = drawn(one_sided, tmp_path)
+    assert [text[0] for text, _, _ in texts(root) if text.endswith(" mm")] == [said]
+    assert len(list(root.iter())) < len(list(drawn(rig, tmp_path).iter()))
+    assert "inf" not in ET.tostring(root, encoding="unicode")

@@ -181,7 +181,7 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
     largest = np.abs(truth.signals["displacement"].values).max()
     leading = scene.magnification / 10.0 ** np.floor(np.log10(scene.magnification))
     assert round(leading, 9) in {1, 2, 5}
-    assert scene.extent_m / 3 / 2.5 < scene.magnification * largest <= scene.extent_m / 3
+    assert scene.extent_m / 4 / 2.5 < scene.magnification * largest <= scene.extent_m / 4
 
 
 def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
@@ -413,3 +413,19 @@ def test_what_cannot_be_shown_is_said_in_one_sentence_and_leaves_nothing(beams, 
     with pytest.raises(RigError, match="cannot be written"):
         write_rrd(recording, None, tmp_path / "nowhere" / "r.rrd")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_stop_that_is_not_there_has_no_wall(mass, tmp_path):
+    recording, truth = mass
+    rigs = []
+    for machine in (recording.rig, truth.rig):
+        (contact,) = machine.contacts
+        law = replace_struct(contact.law, lower_clearance_m=np.inf)
+        rigs.append(replace_struct(machine, contacts=(replace_struct(contact, law=law),)))
+    recording, truth = (replace(x, rig=machine) for x, machine in zip((recording, truth), rigs, strict=True))
+    write_rrd(recording, truth, tmp_path / "r.rrd")
+    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "walls"))
+    assert len(walls) == 1
+    assert walls[0] == pytest.approx(1e3 * truth.rig.contacts[0].law.upper_clearance_m)
+    _, jaws = column(tmp_path / "r.rrd", entity("model", "stop"), "LineStrips3D:strips")
+    assert np.all(np.isfinite(np.array(jaws[0], dtype=float)))

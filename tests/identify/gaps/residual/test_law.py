@@ -1,12 +1,17 @@
 """Contact forces against the rig's laws."""
 
+import numpy as np
+from msgspec.structs import replace
+
+from identify.gaps.decision.null_simulations import draw_rig, standard_normals
 from identify.gaps.residual.likelihood import misfit, nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.nominal import fit_nuisance
 from rig.effects import effect_named
+from rig.model.tolerances import LABORATORY
 from rig.simulation.excitation import force_history
-from rig.simulation.reference import BarrelCradle
+from rig.simulation.reference import BarrelCradle, Sdof
 from rig.simulation.replay import modal
 
 
@@ -20,3 +25,21 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
     assert max(springing.contacts) < 10
     assert max(floating.contacts) > 100
+
+
+def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
+    settings = Sdof(sensors="displacement+acceleration", duration_s=20.0, noise_density=1e-5)
+    rig = settings.rig()
+    (contact,) = rig.contacts
+    believed = replace(rig, contacts=(replace(contact, law=replace(contact.law, lower_clearance_m=np.inf)),))
+    wider = effect_named("contact_clearance:factor=1.3").applied_to(believed)
+    force_n = force_history(settings.force(), settings.duration_s, 1 / rig.sample_rate_hz)
+    misfits = []
+    for actual in (believed, wider):
+        record = record_of(modal(believed, actual, force_n, 1))
+        reference = nominal_variances_of(linearized(record, believed))
+        misfits.append(max(misfit(record, reference, fit_nuisance(record, believed)[1]).contacts))
+    assert misfits[0] < 10
+    assert misfits[1] > 100
+    drawn = draw_rig(believed, replace(LABORATORY, clearance=3.0), standard_normals(believed, 8)[0])
+    assert drawn.contacts[0].law.sides == (1,)

@@ -58,7 +58,9 @@ def test_a_right_rig_is_predicted_over_a_tenth_of_a_second(null):
     assert np.median(rms_by_window(errors(null, residual.corrected_rig, residual))) < 0.12
 
 
-@pytest.mark.parametrize(("name", "effect"), [("wide_clearance", CLEARANCE), ("damped", DAMPING)])
+@pytest.mark.parametrize(
+    ("name", "effect"), [("wide_clearance", CLEARANCE), pytest.param("damped", DAMPING, marks=pytest.mark.study)]
+)
 def test_the_rig_with_the_effect_predicts_better_in_most_windows(name, effect, request):
     case = request.getfixturevalue(name)
     believed, corrected = case.fitted(), case.fitted(effect)

@@ -6,8 +6,9 @@ import pytest
 
 from rig.errors import RigError
 from rig.lab.starting import write_start
-from rig.lab.starting.analytic import BeamsRig, MassRig
+from rig.lab.starting.analytic import BeamsRig, CantileverRig, MassRig
 from rig.lab.starting.base import spread
+from rig.lab.starting.masses import ChainRig, TwoMassesRig
 from rig.lab.starting.structure import StructureRig
 from rig.model.beam import Beam
 from rig.model.description import contact_stations, read_rig
@@ -125,3 +126,45 @@ def test_the_written_rig_is_the_rig(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(RigError, match="cannot be made a folder"):
         write_start(rig, start.map_text(rig), tmp_path / "file" / "lab")
+
+
+def test_a_chain_has_the_frequencies_of_theory():
+    """Equal masses, one end held: omega_j = 2 sqrt(k / m) sin((2 j - 1) pi / (4 n + 2)); free: 2 sqrt(k / m) sin(j pi /
+    (2 n)) from j = 0."""
+    count, mass_kg, spring = 4, 6.5, 2e5
+    held = ChainRig(masses_kg=(mass_kg,) * count, springs_n_per_m=(spring,), **CONTACT).rig().bodies[0]
+    free = ChainRig(masses_kg=(mass_kg,) * count, springs_n_per_m=(0.0, *[spring] * (count - 1)), **CONTACT).rig()
+    scale, j = np.sqrt(spring / mass_kg) / np.pi, np.arange(count)
+    np.testing.assert_allclose(held.natural_hz, scale * np.sin((2 * j + 1) * np.pi / (4 * count + 2)))
+    np.testing.assert_allclose(free.bodies[0].natural_hz, scale * np.sin(j * np.pi / (2 * count)), atol=1e-9)
+    assert np.sum(free.bodies[0].translation() ** 2) == pytest.approx(count * mass_kg)
+
+
+def test_a_static_force_stretches_the_springs_of_a_chain():
+    """The compliance at the last mass is that of the springs in series."""
+    springs = (1e5, 2e5, 4e5)
+    body = ChainRig(masses_kg=(1.0, 2.0, 3.0), springs_n_per_m=springs, **CONTACT).rig().bodies[0]
+    shapes = body.shapes(np.array([3.0]), 3)[0]
+    compliance = np.sum((shapes / (2 * np.pi * body.frequencies_hz(3))) ** 2)
+    assert compliance == pytest.approx(sum(1 / k for k in springs))
+
+
+def test_masses_meet_where_it_is_said():
+    rig = ChainRig(masses_kg=(1.0, 1.0, 1.0), springs_n_per_m=(1e5,), contacts=("3-1", "2-0"), **CONTACT).rig()
+    places = [(c.at.position_m, c.against.position_m if c.against else None) for c in rig.contacts]
+    assert places == [(3.0, 1.0), (2.0, None)]
+    assert rig.force_at.position_m == 3.0
+    assert {s.station.position_m for s in rig.sensors} == {1.0, 2.0, 3.0}
+
+
+def test_one_stop_alone_and_what_it_needs():
+    start = TwoMassesRig(masses_kg=(1.0, 2.0), frequencies_hz=(6.0, 0.0), stops="upper", **CONTACT)
+    rig, notes = start.described()
+    assert rig.contacts[0].law.sides == (1,)
+    assert "--quantity acceleration,displacement" in notes[0]
+    assert msgspec.structs.replace(start, quantity=("acceleration", "displacement")).notes() == ()
+    assert [b.damping_ratio for b in rig.bodies] == [0.01, 0.0]
+    beam = CantileverRig(length_m=0.5, width_m=0.03, thickness_m=0.005, **CONTACT).rig()
+    assert beam.contacts[0].law.sides == (-1, 1)
+    assert beam.contacts[0].at.position_m == 0.5
+    assert len(beam.sensors) == 6

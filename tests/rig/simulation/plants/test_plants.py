@@ -33,6 +33,29 @@ def test_there_is_no_other_plant():
         plant_named("bicycle")
 
 
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_mass_with_one_stop_alone_moves_freely_to_the_other_side(plant, side):
+    """Its equation of motion, integrated by scipy: one stop 1 mm away, none on the other side."""
+    rig, step_s = msgspec.structs.replace(Sdof().rig(), sensors=()), 2.0**-13
+    body, (contact,) = rig.bodies[0], rig.contacts
+    absent = {"lower_clearance_m" if side > 0 else "upper_clearance_m": np.inf}
+    law = msgspec.structs.replace(contact.law, **absent)
+    rig = msgspec.structs.replace(rig, contacts=(msgspec.structs.replace(contact, law=law),))
+    time_s = np.arange(2**12) * step_s
+
+    def rates(time, state):
+        depth_m = side * max(side * state[0] - law.clearance_m, 0.0)
+        linear_n = body.stiffness_n_per_m * state[0] + body.damping_n_s_per_m * state[1]
+        contact_n = law.stiffness_n_per_m * depth_m
+        return [state[1], (4.0 * np.sin(6 * np.pi * time) - linear_n - contact_n) / body.mass_kg]
+
+    exact = solve_ivp(rates, (0, time_s[-1]), [0, 0], t_eval=time_s, rtol=1e-9, atol=1e-12, max_step=1e-3).y[0]
+    assert np.ptp(exact) > 3 * law.clearance_m
+    motion = simulated(plant, rig, 4.0 * np.sin(6 * np.pi * time_s), step_s)
+    assert motion.contact_force_n.any()
+    np.testing.assert_allclose(motion.eta_m[0], exact, atol=1e-3 * np.ptp(exact))
+
+
 def test_one_mass_between_stops_converges_to_its_solution_at_least_with_the_square_of_the_step(plant):
     rig = msgspec.structs.replace(Sdof().rig(), sensors=())
     body, law = rig.bodies[0], rig.contacts[0].law

@@ -2,13 +2,16 @@
 
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import msgspec
 import pytest
 
+from rig.commands.tasks import outcomes_of_tasks, run_tasks
 from rig.errors import RigError
-from scenarios.tasks import run_tasks
 
 
 class Square(msgspec.Struct, frozen=True):
@@ -34,6 +37,15 @@ def dying(_: Square) -> Squared:
     raise AssertionError
 
 
+def deadly_at_zero(task: Square) -> Squared:
+    return Squared(task.number**2) if task.number else dying(task)
+
+
+def sleeping(task: Square) -> Squared:
+    time.sleep(task.number)
+    return Squared(task.number)
+
+
 def inverted(task: Square) -> Squared:
     return Squared(1 // task.number)
 
@@ -53,9 +65,30 @@ def test_what_is_kept_is_not_computed_again(tmp_path):
     assert {path: path.stat().st_mtime_ns for path in first} == first
 
 
-def test_a_process_that_always_dies_is_given_up(tmp_path):
-    with pytest.raises(RigError, match="processes were lost"):
-        run_tasks(dying, [Square(1)], Squared, tmp_path)
+def test_a_task_that_always_kills_its_process_takes_no_other_with_it(tmp_path):
+    """It is the first, so that every pool that has it beside others breaks."""
+    outcomes = outcomes_of_tasks(deadly_at_zero, [Square(n) for n in range(8)], Squared, tmp_path)
+    assert outcomes[1:] == [Squared(n**2) for n in range(1, 8)]
+    assert isinstance(outcomes[0], RigError)
+    assert "its process was lost 3 times" in str(outcomes[0])
+    assert len(list(tmp_path.glob("*.json"))) == 7
+
+
+def test_an_interruption_ends_the_processes_and_keeps_what_is_done(tmp_path):
+    """The first tasks are quick, the last would sleep for ten minutes; then the command goes on with these."""
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "  # ignored in the background
+    program += "from rig.commands.tasks import outcomes_of_tasks, run_tasks; from pathlib import Path; import sys; "
+    program += f"sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_tasks as t; "
+    program += f"run_tasks(t.sleeping, [t.Square(n) for n in (0, 0, 1, 600, 700)], t.Squared, Path({str(tmp_path)!r}))"
+    with subprocess.Popen([sys.executable, "-c", program], stderr=subprocess.PIPE, text=True) as process:
+        while len(list(tmp_path.glob("*.json"))) < 2:
+            time.sleep(0.05)
+        process.send_signal(signal.SIGINT)
+        started = time.monotonic()
+        error = process.communicate(timeout=60)[1]
+    assert time.monotonic() - started < 30
+    assert "StoppedError: interrupted; 3 of 5 results are kept" in error
+    assert error.count("Traceback") == 1
 
 
 def test_a_scheduler_that_is_not_there_is_one_sentence(tmp_path):

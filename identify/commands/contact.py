@@ -1,0 +1,151 @@
+"""The command `identify contact`, for a recording or for a folder of them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from identify.checks import Finding
+from identify.commands.contact_files import RESULTS, ContactSettings, identified
+from identify.commands.contact_folder import contact_folder
+from identify.commands.many import check_folder_options
+from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
+from identify.contacts.results import ContactReport, Estimate
+from identify.pages.wording import interval, number
+from identify.signals.spectra import POWERS, Averaging
+from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
+from rig.commands.tasks import Dask
+from rig.model.tolerances import tolerances_named
+
+DRAWN_FROM = 0.8
+"""Share of the progress at which results are drawn."""
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print the findings of a check, if there are any."""
+    if findings:
+        console.print("Not to be relied on:", style="bold red")
+    for finding in findings:
+        console.print(f"  {finding.sentence}", soft_wrap=True)
+
+
+def contact(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file, or a folder of them.")],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),
+    ] = None,
+    use: UseOption = "auto",
+    equation: Annotated[str | None, typer.Option(help='Main modal equation, e.g. "barrel 3".')] = None,
+    averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
+    block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
+    overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
+    window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
+    tolerances: TolerancesOption = None,
+    band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
+    segment: Annotated[
+        float | None,
+        typer.Option(help="Identify so many seconds at a time and pool them, as is done with files of over 64 MB."),
+    ] = None,
+    export: ExportOption = None,
+    details: Annotated[
+        bool, typer.Option("--details", help="Print NIFO by modal equation and the modes it finds, too.")
+    ] = False,
+    dask: Dask = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """Clearance and stiffness of every contact of a recording, or of all recordings of a folder.
+
+    A folder needs --out DIR: the results of each recording go to DIR/NAME, one table of all contacts to
+    DIR/contacts.csv and .parquet. The same command goes on after an interruption. Exit status 1 if recordings were
+    refused.
+
+    Examples: identify contact barrel_cradle.mcap --use acceleration --out results
+
+    identify contact recordings --out results
+    """
+    sensors = checked_use(use)
+    if window not in POWERS:
+        raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
+    check_export(export, out)
+    settings = ContactSettings(
+        use=sensors,
+        averaging=Averaging(averages=averages, block_s=block, overlap=overlap, window=window, band_hz=band),
+        equation=equation,
+        tolerances=tolerances_named(tolerances) if tolerances else None,
+        segment_s=segment,
+        export=export,
+    )
+    if file.is_dir():
+        contact_folder(file, check_folder_options(file, out, details=details), settings, dask, as_json, force)
+        return
+    if dask is not None:
+        raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
+    if out is not None:
+        for name in RESULTS:
+            refuse_existing(out / name, force, file, new_folder=True)
+    with progress_bar(f"identifying {file.name}") as progress:
+        identification_share = 1.0 if out is None else DRAWN_FROM
+        answer = identified(file, settings, lambda share: progress(identification_share * share))
+        if out is not None:
+            answer.save(out)
+    if as_json:
+        print_json(answer.report)
+    else:
+        print_report(answer.report, literal_console(), details)
+
+
+def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
+    """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
+    print_findings(report.findings, console)
+    table = Table(title=f"Contacts of {report.rig}, ± 95 %")
+    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
+        table.add_column(heading, justify="left" if heading == "contact" else "right")
+    for estimate in report.contacts:
+        table.add_row(
+            estimate.name,
+            _interval(estimate.clearance_m, 1e3),
+            _interval(estimate.stiffness_n_per_m),
+            _interval(estimate.damping_n_s_per_m),
+        )
+    console.print(table)
+    for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
+        console.print(f"{sentence}.", soft_wrap=True)
+    for unanswered in report.unanswered:
+        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}")
+    for note in report.notes:
+        console.print(f"note: {note}", soft_wrap=True)
+    if details and report.nifo:
+        console.print(_nifo_table(report))
+    for mode in report.modes if details else ():
+        console.print(
+            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+            + (f" ({mode.flag})" if mode.flag else "")
+        )
+
+
+def _nifo_table(report: ContactReport) -> Table:
+    spectra = Table(title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency")
+    for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
+        spectra.add_column(heading)
+    for result in report.nifo:
+        for stiffness in result.stiffness:
+            spectra.add_row(
+                result.equation,
+                stiffness.contact,
+                number(stiffness.mean_n_per_m.value),
+                f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
+                "nearly invisible" if stiffness.contact in result.nearly_invisible else "",
+            )
+        answered = {s.contact for s in result.stiffness}
+        for name in (n for n in result.nearly_invisible if n not in answered):
+            spectra.add_row(result.equation, name, "", "", "on a node: not told")
+    return spectra
+
+
+def _interval(estimate: Estimate, scale: float = 1.0) -> str:
+    return interval(scale * estimate.value, scale * estimate.standard_error, "1")

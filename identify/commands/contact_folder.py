@@ -1,0 +1,123 @@
+"""`identify contact` of a folder: contacts.csv and .parquet, a row for each recording and contact."""
+
+from pathlib import Path
+
+import msgspec
+from rich.table import Table
+
+from identify.commands.contact_files import RESULTS, ContactSettings, identified
+from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
+from identify.contacts.refusals import ContactRefusedError
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Unanswered
+from identify.pages.wording import interval
+from rig.commands.command_line import literal_console
+from rig.errors import RigError
+
+TABLE = "contacts"
+QUANTITIES = {"clearance": "m", "lower_clearance": "m", "upper_clearance": "m", "stiffness": "n_per_m"}
+QUANTITIES |= {"damping": "n_s_per_m"}
+COLUMNS = (
+    "recording",
+    "rig",
+    "contact",
+    "verdict",
+    *(f"{name}{error}_{unit}" for name, unit in QUANTITIES.items() for error in ("", "_standard_error")),
+    "law",
+    "exponent",
+    "exponent_standard_error",
+    "reference_depth_m",
+    "closed_share",
+    "code",
+    "reason",
+    "findings",
+)
+"""Columns of the table. Verdicts: identified, not_to_be_relied_on (there are findings), not_told, refused, failed."""
+
+
+def contact_folder(
+    folder: Path, out: Path, settings: ContactSettings, dask: str | None, as_json: bool, force: bool
+) -> None:
+    """Identify every recording of a folder, each with its files in DIR/NAME, and write the table of all contacts."""
+    tasks = tasks_of(folder, out, settings, RESULTS, force)
+    answers = answer_all(contact_rows, [tasks], out, settings, RESULTS[0], dask, force)
+    if not as_json:
+        _print(answers)
+    finish(answers, COLUMNS, out, TABLE, as_json)
+
+
+def contact_rows(task: RecordingTask) -> TableRows:
+    """Rows of a recording, whose files are written; one row with the reason if it is refused."""
+    settings = msgspec.json.decode(task.settings, type=ContactSettings)
+    try:
+        answer = identified(task.path, settings)
+    except ContactRefusedError as error:
+        return refused_row(task.path, error, code=error.refusal.code)
+    except RigError as error:
+        return refused_row(task.path, error)
+    answer.save(task.folder)
+    return TableRows(tuple(_rows(task.path.name, answer.report)))
+
+
+def _rows(recording: str, report: ContactReport) -> list[dict[str, str | float | None]]:
+    findings = " | ".join(finding.sentence for finding in report.findings)
+    verdict = "not_to_be_relied_on" if findings else "identified"
+    cells = [(_estimate_cells(contact), contact.name, verdict) for contact in report.contacts]
+    cells += [(_reason_cells(contact), contact.name, "not_told") for contact in report.unanswered]
+    return [
+        {
+            "recording": recording,
+            "rig": report.rig,
+            "contact": name,
+            "verdict": told,
+            "law": "",
+            "code": "",
+            "reason": "",
+            "findings": findings,
+            **own,
+        }
+        for own, name, told in cells
+    ]
+
+
+def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
+    cells: dict[str, str | float | None] = {
+        "law": contact.law,
+        "reference_depth_m": contact.reference_depth_m,
+        "closed_share": contact.closed_share,
+    }
+    for name, unit in QUANTITIES.items():
+        estimate: Estimate | None = getattr(contact, f"{name}_{unit}")
+        if estimate is not None:
+            cells[f"{name}_{unit}"] = estimate.value
+            cells[f"{name}_standard_error_{unit}"] = estimate.standard_error
+    if contact.exponent is not None:
+        cells["exponent"], cells["exponent_standard_error"] = contact.exponent.value, contact.exponent.standard_error
+    return cells
+
+
+def _reason_cells(contact: Unanswered) -> dict[str, str | float | None]:
+    return {"code": contact.code or "", "reason": contact.reason}
+
+
+def _print(answers: list[TableRows]) -> None:
+    """Table of all contacts, then what is not told or was refused, one line each."""
+    table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
+    reasons = []
+    for row in (row for answer in answers for row in answer.rows):
+        shown = (_interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0))
+        verdict = str(row["verdict"]).replace("_", " ")
+        table.add_row(str(row["recording"]), str(row.get("contact", "")), *shown, verdict * (verdict != "identified"))
+        if row.get("reason"):
+            of_contact = f", {row['contact']}" if row.get("contact") else ""
+            reasons.append(f"{row['recording']}{of_contact}: {verdict}: {row['reason']}")
+    console = literal_console()
+    console.print(table)
+    for reason in reasons:
+        console.print(reason, soft_wrap=True)
+
+
+def _interval(row: dict[str, str | float | None], name: str, unit: str, scale: float) -> str:
+    value, error = row.get(f"{name}_{unit}"), row.get(f"{name}_standard_error_{unit}")
+    if not isinstance(value, float) or not isinstance(error, float):
+        return ""
+    return interval(scale * value, scale * error, "1")

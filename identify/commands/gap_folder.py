@@ -1,0 +1,178 @@
+"""`identify gap` of a folder: gaps.csv and .parquet, a row for each recording, which is diagnosed by itself."""
+
+import hashlib
+from pathlib import Path
+
+import msgspec
+from rich.table import Table
+
+from identify.api import gap as diagnosed
+from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
+from identify.contacts.refusals import ContactRefusedError
+from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
+from identify.gaps.page.report import curves
+from identify.gaps.results import Gap, Matters
+from identify.pages.tables import save_tables
+from identify.pages.wording import COVERED, percent
+from identify.results import GapResult
+from rig.commands.command_line import literal_console, working
+from rig.errors import RigError
+from rig.files import make_folder
+from rig.model.description import from_json, to_json
+from rig.model.tolerances import Tolerances
+from rig.recording.segments import segments
+
+TABLE, NULL_REFERENCES = "gaps", "null_references"
+RESULTS = ("gap.json", "gap.html", "rig.json")
+COLUMNS = (
+    "recording",
+    "rig",
+    "verdict",
+    "sentence",
+    "named",
+    "effects",
+    "places",
+    "probability",
+    "inclusion_probabilities",
+    "probability_nothing",
+    "probability_unknown",
+    "p_value",
+    "p_value_after",
+    "unexplained_share",
+    "unexplained_share_after",
+    "explained",
+    "code",
+    "reason",
+    "findings",
+)
+"""Columns of every table; behind them stand the parameters of the likeliest causes, EFFECT.FIELD, and half the widths
+of their 95 % intervals, EFFECT.FIELD_within_95."""
+FIRST_S = 1.0
+"""Length of the segment from which a recording's rig is read."""
+
+
+class GapSettings(msgspec.Struct, frozen=True, kw_only=True):
+    """Settings of `identify gap`, as its options have them; rig is the text of the rig.json that is believed."""
+
+    simulator: str
+    tolerances: Tolerances | None
+    matters: Matters
+    next_experiment: bool
+    rig: str | None
+    null_reference: str | None
+    export: str | None
+
+
+def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None, as_json: bool, force: bool) -> None:
+    """Diagnose every recording of a folder, each with its files in DIR/NAME, and write the table of all.
+
+    Recordings of one rig.json share a file of null references: the first of each rig makes it, then the others follow.
+    """
+    firsts: dict[str, RecordingTask] = {}
+    tasks = []
+    with working(f"reading {folder}"):
+        for task in tasks_of(folder, out, settings, RESULTS, force):
+            shared = settings.null_reference or str(_null_references(out, task.path, settings.rig))
+            tasks.append(msgspec.structs.replace(task, shared=shared))
+            firsts.setdefault(shared, tasks[-1])
+    make_folder(out / NULL_REFERENCES)
+    stages = [list(firsts.values()), [task for task in tasks if task not in firsts.values()]]
+    answers = answer_all(gap_rows, stages, out, settings, RESULTS[0], dask, force)
+    order = {task.path.name: number for number, task in enumerate(tasks)}
+    answers.sort(key=lambda answer: order[str(answer.rows[0]["recording"])])
+    if not as_json:
+        _print(answers)
+    parameters = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
+    finish(answers, (*COLUMNS, *parameters), out, TABLE, as_json)
+
+
+def gap_rows(task: RecordingTask) -> TableRows:
+    """Row of a recording, whose files are written, or with the reason if it is refused."""
+    settings = msgspec.json.decode(task.settings, type=GapSettings)
+    try:
+        result = diagnosed(
+            task.path,
+            simulator=settings.simulator,
+            null_reference=task.shared,
+            tolerances=settings.tolerances,
+            matters=settings.matters,
+            next_experiment=settings.next_experiment,
+            rig=None if settings.rig is None else from_json(settings.rig.encode(), "--rig"),
+        )
+    except ContactRefusedError as error:
+        return refused_row(task.path, error, code=error.refusal.code)
+    except RigError as error:
+        return refused_row(task.path, error)
+    result.save(task.folder)
+    if settings.export is not None:
+        save_tables(curves(result.report), task.folder, settings.export)
+    return TableRows((_row(task.path.name, result),))
+
+
+def _row(recording: str, result: GapResult) -> dict[str, str | float | None]:
+    gap = result.report
+    row: dict[str, str | float | None] = {
+        "recording": recording,
+        "rig": result.corrected.name,
+        "verdict": gap.verdict,
+        "sentence": gap.sentence,
+        "named": " | ".join(gap.criteria.named),
+        "effects": "",
+        "places": "",
+        "inclusion_probabilities": "",
+        "probability_nothing": gap.probability_nothing,
+        "probability_unknown": gap.probability_unknown,
+        "p_value": gap.evidence.p_value,
+        "p_value_after": gap.evidence.p_value_after,
+        "unexplained_share": gap.before.share,
+        "unexplained_share_after": gap.after.share,
+        "code": "",
+        "reason": "",
+        "findings": " | ".join(finding.sentence for finding in result.findings),
+    }
+    return row | _cause_cells(gap)
+
+
+def _cause_cells(gap: Gap) -> dict[str, str | float | None]:
+    """Cells of the likeliest cause, that of the named effects where there are any."""
+    if not gap.causes:
+        return {}
+    cause = gap.causes[0]
+    cells: dict[str, str | float | None] = {
+        "effects": " | ".join(cause.labels),
+        "places": " | ".join(f"{field}={place}" for field, place in cause.places.items()),
+        "probability": cause.probability,
+        "inclusion_probabilities": " | ".join(f"{s.inclusion_probability:.6g}" for s in cause.strengths),
+        "explained": cause.explained,
+    }
+    for name, value in cause.parameters.items():
+        cells[name], cells[f"{name}_within_95"] = value.value, COVERED * value.standard_error
+    return cells
+
+
+def _null_references(out: Path, recording: Path, rig: str | None) -> Path:
+    """File of the null references of a recording's rig, named after the rig's description."""
+    try:
+        described = rig.encode() if rig else to_json(next(iter(segments(recording, FIRST_S, 0.0))).rig)
+    except RigError:
+        described = b""  # its own task says what is wrong
+    return (out / NULL_REFERENCES / f"{hashlib.sha256(described).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
+
+
+def _print(answers: list[TableRows]) -> None:
+    """Table of verdicts and likeliest causes, then the sentences."""
+    table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
+    sentences = []
+    for row in (row for answer in answers for row in answer.rows):
+        probability = row.get("probability")
+        table.add_row(
+            str(row["recording"]),
+            str(row["verdict"]).replace("_", " "),
+            str(row.get("effects", "")),
+            percent(probability) if isinstance(probability, float) else "",
+        )
+        sentences.append(f"{row['recording']}: {row.get('sentence') or row['reason']}")
+    console = literal_console()
+    console.print(table)
+    for sentence in sentences:
+        console.print(sentence, soft_wrap=True)

@@ -1,0 +1,185 @@
+"""Folder of recordings: each is a task of its own, the results of former runs are kept, one table holds all of them."""
+
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import msgspec
+import typer
+
+from identify.commands.options import print_json
+from identify.history.observations import by_name
+from identify.pages.tables import Row, save_rows
+from rig.commands.command_line import refuse_existing, say
+from rig.commands.tasks import kept_path, outcomes_of_tasks
+from rig.errors import RigError, one_line
+from rig.files import contents, make_folder, sha256_of, write_json
+from rig.recording import recordings_in
+
+SETTINGS, KEPT = "settings.json", "tasks"
+REFUSED, FAILED = "refused", "failed"
+"""Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
+WORDS = frozenset(
+    {
+        "recording",
+        "rig",
+        "contact",
+        "verdict",
+        "law",
+        "sentence",
+        "named",
+        "effects",
+        "places",
+        "inclusion_probabilities",
+        "code",
+        "reason",
+        "findings",
+    }
+)
+"""Columns of text, empty where there is none."""
+
+
+class RecordingTask(msgspec.Struct, frozen=True):
+    """Recording to be answered, its content, and the folder of its files; `settings` are the command's, as JSON.
+
+    shared is a file that tasks use together and one of them makes; empty where there is none.
+    """
+
+    file: str
+    sha256: str
+    out: str
+    settings: msgspec.Raw
+    shared: str = ""
+
+    @property
+    def path(self) -> Path:
+        return Path(self.file)
+
+    @property
+    def folder(self) -> Path:
+        return Path(self.out)
+
+
+class TableRows(msgspec.Struct, frozen=True):
+    """Rows of a recording in the table, and the verdict on the recording."""
+
+    rows: tuple[dict[str, str | float | None], ...]
+    is_refused: bool = False
+
+
+def refused_row(path: Path, error: BaseException, verdict: str = REFUSED, code: str = "") -> TableRows:
+    """Row of a recording without a result, with the reason."""
+    reason = one_line(str(error) if isinstance(error, RigError) else f"{type(error).__name__}: {error}")
+    row: dict[str, str | float | None] = {"recording": path.name, "verdict": verdict, "code": code, "reason": reason}
+    return TableRows((row,), is_refused=True)
+
+
+def check_folder_options(folder: Path, out: Path | None, **of_one_file: object) -> Path:
+    """Folder of the results; raises RigError without one, and for options that a single recording alone takes."""
+    for option, value in of_one_file.items():
+        if value:
+            raise RigError(f"--{option.replace('_', '-')} is for recordings given by name; leave it out for a folder")
+    if out is None:
+        raise RigError(f"{folder}: is a folder of recordings; give --out DIR for their results")
+    return out
+
+
+def tasks_of(
+    folder: Path, out: Path, settings: msgspec.Struct, results: Sequence[str], force: bool
+) -> list[RecordingTask]:
+    """Task of every recording in a folder, by name, after a check that nothing else would be overwritten.
+
+    A folder of results goes on with the settings that it began with, which it keeps in SETTINGS; with `force` it begins
+    anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
+    """
+    recordings = by_name(recordings_in(folder))
+    if not recordings:
+        raise RigError(f"{folder}: holds no recordings (*.mcap); give another folder")
+    text, path = msgspec.json.encode(settings), out / SETTINGS
+    begun = path.exists() and not force
+    if begun and not _is_same_json(contents(path), text):
+        raise RigError(f"{path}: {out} holds results by other settings; give another folder, or --force to begin anew")
+    tasks = [
+        RecordingTask(str(r.absolute()), _sha256(r), str((out / r.stem).absolute()), msgspec.Raw(text))
+        for r in recordings
+    ]
+    for task in tasks if not begun else ():
+        for name in results:
+            refuse_existing(task.folder / name, force, task.path, new_folder=True)
+    return tasks
+
+
+def answer_all(
+    function: Callable[[RecordingTask], TableRows],
+    stages: Sequence[Sequence[RecordingTask]],
+    out: Path,
+    settings: msgspec.Struct,
+    result: str,
+    dask: str | None,
+    force: bool,
+) -> list[TableRows]:
+    """Rows of every task, stage after stage, those of former runs included where their files are still there.
+
+    `result` is the file of a recording's folder that is written last.
+    """
+    make_folder(out)
+    write_json(settings, out / SETTINGS)
+    answers: list[TableRows] = []
+    for tasks in stages:
+        for task in tasks:
+            path = kept_path(function, task, out / KEPT)
+            if path.exists() and (force or not _is_whole(path, task.folder / result)):
+                path.unlink()
+            if not path.exists():
+                (task.folder / result).unlink(missing_ok=True)  # of a run that was cut short, or of other samples
+        outcomes = outcomes_of_tasks(function, tasks, TableRows, out / KEPT, dask)
+        answers += [
+            refused_row(task.path, outcome, FAILED) if isinstance(outcome, BaseException) else outcome
+            for task, outcome in zip(tasks, outcomes, strict=True)
+        ]
+    return answers
+
+
+def finish(answers: Sequence[TableRows], columns: Sequence[str], out: Path, name: str, as_json: bool) -> None:
+    """Write the table and print where it is, or print its rows as JSON; exit with 1 if recordings were refused."""
+    rows: list[Row] = [
+        {column: row.get(column, "" if column in WORDS else None) for column in columns}
+        for answer in answers
+        for row in answer.rows
+    ]
+    note = save_rows(rows, columns, out, name)
+    refused = sum(answer.is_refused for answer in answers)
+    if as_json:
+        print_json(rows)
+    else:
+        say(f"{out / name}.csv{'' if note else ' and .parquet'}: {len(rows)} rows of {len(answers)} recordings")
+        if note:
+            say(f"note: {note}")
+    if refused:
+        print(
+            f"identify: {refused} of {len(answers)} recordings were refused; {out / name}.csv says why", file=sys.stderr
+        )
+        raise typer.Exit(1)
+
+
+def _is_same_json(text: bytes, other: bytes) -> bool:
+    try:
+        return bool(msgspec.json.decode(text) == msgspec.json.decode(other))
+    except msgspec.DecodeError:
+        return False
+
+
+def _is_whole(kept: Path, result: Path) -> bool:
+    """True if the kept answer can be read and the files that belong to it are there."""
+    try:
+        return msgspec.json.decode(kept.read_bytes(), type=TableRows).is_refused or result.exists()
+    except msgspec.DecodeError:
+        return False
+
+
+def _sha256(path: Path) -> str:
+    """SHA-256 of a file; empty where it cannot be read, which its task then says."""
+    try:
+        return sha256_of(path)
+    except OSError:
+        return ""

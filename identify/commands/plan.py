@@ -1,0 +1,94 @@
+"""The command `identify plan`."""
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+
+from identify.api import plan as planned
+from identify.commands.options import TolerancesOption, print_json
+from identify.planning import page
+from identify.planning.ranking import MOST_CHANGES
+from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
+
+SHOWN_CHANGES = 8
+"""Number of ranked changes on the terminal."""
+MOST_WORKERS = 8
+"""Most processes, each of which takes some 0.4 GB."""
+
+
+def plan(
+    source: Annotated[
+        Path, typer.Argument(metavar="RIG", help="The rig.json, or a recording whose rig and force are planned again.")
+    ],
+    duration: Annotated[
+        float | None, typer.Option(help="Length of the record, s; otherwise 60, or that of the recording.")
+    ] = None,
+    force_rms: Annotated[
+        float | None,
+        typer.Option(help="Force, N rms, of each if there are several; otherwise as `rig record` chooses it."),
+    ] = None,
+    band: Annotated[
+        tuple[float, float] | None, typer.Option(help="Band of the force, Hz; otherwise as `rig record` chooses it.")
+    ] = None,
+    tolerances: TolerancesOption = None,
+    changes: Annotated[
+        int, typer.Option(min=0, help="How many changes of the test to try at most; 0: expected intervals alone.")
+    ] = MOST_CHANGES,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="How many processes; otherwise one for each core, at most 8.")
+    ] = None,
+    simulator: Annotated[str, typer.Option(help="Simulator of the planned test, by its entry point.")] = "modal",
+    out: Annotated[Path | None, typer.Option(help="Folder for plan.html, a page, and plan.json.")] = None,
+    as_json: Json = False,
+    force: Force = False,
+) -> None:
+    """What a test will tell, before it is run: the expected 95 % intervals, and what would shorten them most.
+
+    The rig is simulated as described, with its sensors, noise and tolerances, and the records are identified. Then one
+    thing is changed at a time: sensors, force, band, place, duration, noise, tolerances.
+
+    Example: identify plan rig.json --duration 30 --force-rms 14 --band 0.5 100 --out plan
+    """
+    if out is not None:
+        for name in ("plan.html", "plan.json"):
+            refuse_existing(out / name, force, source, new_folder=True)
+    with progress_bar(f"planning {source.name}") as progress:
+        result = planned(
+            source,
+            duration_s=duration,
+            force_rms_n=force_rms,
+            band_hz=band,
+            tolerances=tolerances,
+            simulator=simulator,
+            most_changes=changes,
+            workers=workers or min(os.cpu_count() or 1, MOST_WORKERS),
+            progress=progress,
+        )
+    if out is not None:
+        result.save(out)
+    if as_json:
+        print_json(result.to_dict())
+        return
+    report, console = result.report, literal_console()
+    say(f"Planned: {page.test_sentence(report)}.")
+    if report.contacts:
+        console.print(_table(page.HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %"))
+    for contact in report.undetermined:
+        say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
+    if report.changes:
+        rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
+        console.print(_table(page.CHANGE_HEAD, rows, "What would help, ranked by the widest interval"))
+    for text in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
+        say(text)
+
+
+def _table(head: tuple[str, ...], rows: Iterable[Sequence[str]], title: str) -> Table:
+    table = Table(*head, title=title, box=SIMPLE_HEAD)
+    for row in rows:
+        table.add_row(*row)
+    return table

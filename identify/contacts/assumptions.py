@@ -1,0 +1,136 @@
+"""Assumptions behind an identification, the sources of its errors, and what would make it surer, in sentences."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from identify.contacts.identification import Identification
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import STIFFNESS
+from identify.contacts.separation import is_unforced
+from identify.pages.wording import percent
+from rig.model.description import Station
+from rig.model.tolerances import EXACT
+
+SHORTEST_QUIET_S = 0.3
+"""Time before the force that is needed to measure the noise."""
+DOMINANT_SHARE = 0.5
+"""Share of an estimate's variance from which its source is named."""
+_VARIANCE_REMEDIES = {
+    "tolerances": "what rig.json may have wrong (gains, positions, frequencies, damping): calibrate the sensors, "
+    "measure their positions and fit the modes; a longer record would not help",
+    "drift": "the slow motion that accelerometers miss: add displacement sensors at the contact, or take quieter "
+    "accelerometers",
+    "law": "what the contact's law leaves: forces that press in and let go, or deep and shallow ones, ask for other "
+    "numbers; look at the force over the relative displacement, and take identify law",
+    "scatter": "the record's own scatter: record longer (four times as long halves it) or excite more strongly",
+}
+
+
+def assumptions(result: Identification) -> Iterator[str]:
+    """Sentences on the law's form, the bodies, the tolerances of rig.json, and the sensors and bands used."""
+    report, motion, rig, tolerances = result.report, result.motion, result.rig, result.tolerances
+    yield (
+        "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
+        "velocity. Beside it, of a contact that is alone between its places, a power of the penetration and a stop "
+        "that cannot pull were tried: the record has to ask for them. Both stops of a contact are equally stiff, and "
+        "nothing wears during the record."
+    )
+    yield (
+        "The bodies are those of rig.json, linear: "
+        + "; ".join(
+            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}" for b in rig.bodies
+        )
+        + "."
+    )
+    if tolerances != EXACT:
+        yield (
+            "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
+            f"{100 * tolerances.gain:.2g} %, their positions {1e3 * tolerances.position_m:.2g} mm, delays "
+            f"{1e3 * tolerances.delay_s:.2g} ms and high-pass {tolerances.high_pass_hz:.2g} Hz, each force's gain "
+            f"{100 * tolerances.force_gain:.2g} %, masses {100 * tolerances.mass:.2g} %, natural frequencies "
+            f"{100 * tolerances.frequency:.2g} %, damping {100 * tolerances.damping:.2g} %."
+        )
+    else:
+        yield "rig.json is believed exactly: no tolerances."
+    places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
+    yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
+    if idle := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+        yield f"Channels not used: {', '.join(idle)}."
+    low, high = report.trusted_hz
+    yield (
+        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
+        f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
+        + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
+    )
+    for place in result.same_place:
+        if len(place.members) > 1:
+            yield (
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
+                "has the knee that comes nearest to its clearance and stiffness in rig.json."
+            )
+    if is_unforced(motion):
+        yield (
+            "No force was recorded: none acts during the record but those of the contacts, whose size rests on the "
+            "masses of rig.json."
+        )
+    yield f"The accelerations' noise is taken from {report.noise_from}."
+    if result.outcomes.refusals or not _sides_known(result):
+        yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
+
+
+def recommendations(result: Identification) -> Iterator[str]:
+    """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
+    for name, refusal in result.outcomes.refusals.items():
+        yield f"{name}: {refusal.advice}."
+    dominated: dict[str, list[str]] = {}
+    for name, estimate in result.outcomes.estimates.items():
+        for quantity, shares in variance_shares(estimate).items():
+            for source, share in shares.items():
+                if share >= DOMINANT_SHARE:
+                    dominated.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in dominated.items():
+        yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
+    if not _sides_known(result):
+        yield (
+            "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
+            "sides of a contact, would tell its two sides apart."
+        )
+    if not is_unforced(result.motion) and result.motion.excited_from < SHORTEST_QUIET_S * result.motion.sample_rate_hz:
+        yield (
+            f"The sensors' noise is taken from {result.report.noise_from}: let the record begin with a second or more "
+            "without force to measure it."
+        )
+    yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
+
+
+def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
+    """Shares of the variance of clearance and stiffness by source, which sum to one."""
+    covariances = {"tolerances": estimate.of_tolerances, "drift": estimate.of_drift, "law": estimate.of_misfit}
+    shares_by_quantity = {}
+    for quantity, gradient in (("clearance", estimate.clearance), ("stiffness", STIFFNESS)):
+        variance = float(gradient @ estimate.covariance @ gradient)
+        shares = (
+            {source: float(gradient @ covariance @ gradient) / variance for source, covariance in covariances.items()}
+            if variance > 0
+            else {}
+        )
+        shares_by_quantity[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
+    return shares_by_quantity
+
+
+def _sides_known(result: Identification) -> bool:
+    """True if all estimates tell the two sides of their contacts apart."""
+    return all(estimate.sides_known for estimate in result.outcomes.estimates.values())
+
+
+def _places(body: str, stations: tuple[Station, ...]) -> str:
+    return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
+
+
+def _frequencies(hz: np.ndarray) -> str:
+    return ", ".join(f"{f:.4g}" for f in hz if f > 0) + " Hz"
+
+
+def _enumeration(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

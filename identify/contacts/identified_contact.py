@@ -1,0 +1,71 @@
+"""Identified contact with its quantities, each with value, unit, standard error and 95 % interval."""
+
+from dataclasses import dataclass
+
+from identify.contacts.results import ContactEstimate, Estimate
+from identify.pages.wording import COVERED, interval
+
+
+@dataclass(frozen=True)
+class EstimatedQuantity:
+    """Value with its unit and standard error; prints as value ± half its 95 % interval."""
+
+    value: float
+    """Estimate, in `unit`."""
+    standard_error: float
+    """Standard error by scatter, noise and the tolerances of rig.json, in `unit`."""
+    unit: str
+    """SI unit, as "N/m"; "1" of a number without one."""
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Both ends of the 95 % interval, value ∓ 1.96 standard errors, in `unit`."""
+        half = COVERED * self.standard_error
+        return self.value - half, self.value + half
+
+    def __str__(self) -> str:
+        return interval(self.value, self.standard_error, self.unit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IdentifiedContact:
+    """Clearance, stiffness and damping of a contact; `identify.contact(...)["contact_1"]` is one."""
+
+    name: str
+    """Name of the contact in rig.json."""
+    clearance: EstimatedQuantity
+    """Half the total play, or the clearance of the only touched stop, m."""
+    stiffness: EstimatedQuantity
+    """Stiffness of a closed stop, N/m; of a power law, force over depth at the reference depth."""
+    damping: EstimatedQuantity
+    """Damping of a closed stop, N s/m."""
+    lower_clearance: EstimatedQuantity | None
+    """Clearance of the lower stop, m; None where only the total play is known."""
+    upper_clearance: EstimatedQuantity | None
+    """Clearance of the upper stop, m; None where only the total play is known."""
+    law: str
+    """Form of the law that the record supports: "dead zone", "power law" or "cannot pull"."""
+
+    def __str__(self) -> str:
+        return f"{self.name}: clearance {self.clearance}, stiffness {self.stiffness}, damping {self.damping}"
+
+
+def identified_contact(contact: ContactEstimate) -> IdentifiedContact:
+    """Contact of contact.json with the units that its fields have in their names."""
+    return IdentifiedContact(
+        name=contact.name,
+        clearance=_with_unit(contact.clearance_m, "m"),
+        stiffness=_with_unit(contact.stiffness_n_per_m, "N/m"),
+        damping=_with_unit(contact.damping_n_s_per_m, "N s/m"),
+        lower_clearance=_side(contact.lower_clearance_m),
+        upper_clearance=_side(contact.upper_clearance_m),
+        law=contact.law,
+    )
+
+
+def _with_unit(estimate: Estimate, unit: str) -> EstimatedQuantity:
+    return EstimatedQuantity(estimate.value, estimate.standard_error, unit)
+
+
+def _side(clearance_m: Estimate | None) -> EstimatedQuantity | None:
+    return None if clearance_m is None else _with_unit(clearance_m, "m")

@@ -1,0 +1,54 @@
+"""Short view of a result: sentences and a table, as text for the screen and as HTML for a notebook."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+
+from identify.pages.page import table
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Rows of a table by their column names, all rows with the same ones, and the sentences above and below it."""
+
+    rows: tuple[Mapping[str, str], ...] = ()
+    above: tuple[str, ...] = ()
+    below: tuple[str, ...] = ()
+
+    @property
+    def text(self) -> str:
+        """Lines of text with the columns aligned."""
+        return "\n".join([*self.above, *_aligned(self.rows), *self.below])
+
+    @property
+    def html(self) -> str:
+        """HTML without a style of its own."""
+        tables = [table(tuple(self.rows[0]), [tuple(row.values()) for row in self.rows])] if self.rows else []
+        return "\n".join([*map(_paragraph, self.above), *tables, *map(_paragraph, self.below)])
+
+
+class Summarized(ABC):
+    """Result that prints as its summary, and that a notebook shows as a table."""
+
+    @abstractmethod
+    def summary(self) -> Summary:
+        """Sentences and short table of the result."""
+
+    def __str__(self) -> str:
+        return self.summary().text
+
+    def _repr_html_(self) -> str:
+        return self.summary().html
+
+
+def _aligned(rows: tuple[Mapping[str, str], ...]) -> list[str]:
+    if not rows:
+        return []
+    lines = [tuple(rows[0]), *(tuple(row.values()) for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+
+
+def _paragraph(sentence: str) -> str:
+    return f"<p>{escape(sentence)}</p>"

@@ -1,0 +1,175 @@
+"""Plan of a test as sentences, rows of tables, and the page plan.html."""
+
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+
+from identify.pages import page
+from identify.pages.machine import machine
+from identify.pages.wording import COVERED, interval, number, percent
+from identify.planning.expectation import ExpectedQuantity
+from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, PlanReport, TriedChange
+from rig.model.description import Rig
+
+WORDS = {
+    "clearance_m": ("clearance", "mm", 1e3),
+    "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
+    "damping_n_s_per_m": ("damping", "N s/m", 1.0),
+}
+LIMITS = {
+    "scatter": "the scatter of one record: a longer record shortens it",
+    "slow motion": "the slow motion that accelerometers miss: displacement sensors shorten it",
+    "tolerances": "the tolerances of rig.json: calibration shortens it, a longer record does not",
+    "law": "what the contact's law leaves",
+}
+ADVISED = 3
+"""Number of changes in the sentence."""
+HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
+CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
+SENSOR_HEAD = ("without", "widest interval", "times", "changes most")
+
+
+def sentence(plan: PlanReport) -> str:
+    """Sentence on what the test determines, and on the best change."""
+    names = [contact.name for contact in plan.contacts]
+    widest = widest_share(plan)
+    parts = []
+    if names:
+        parts.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
+    parts += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
+    if plan.advice:
+        parts.append(f"what helps most: {change_sentence(plan.advice[0])}")
+    elif plan.changes:
+        parts.append("of the changes that were tried, none shortens the widest interval by a tenth")
+    return "; ".join(parts) + "."
+
+
+def change_sentence(change: TriedChange) -> str:
+    """Change, and what it does to the widest interval or to contacts that are not determined."""
+    if change.gained:
+        return f"{change.words}, which tells {', '.join(change.gained)}, too"
+    return f"{change.words}, which makes the widest interval {number(change.widest_factor, 2)} times as long"
+
+
+def widest_share(plan: PlanReport) -> float:
+    """Widest expected 95 % interval of a clearance or stiffness over its value."""
+    quantities = [q for c in plan.contacts for q in (c.clearance_m, c.stiffness_n_per_m) if q.value]
+    return max((COVERED * q.standard_error / q.value for q in quantities), default=1.0)
+
+
+def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
+    """Row of each contact: its name and expected 95 % intervals."""
+    for contact in plan.contacts:
+        quantities = zip(WORDS.values(), contact.quantities, strict=True)
+        yield contact.name, *(_interval(quantity, scale, "1") for (_, _, scale), quantity in quantities)
+
+
+def _interval(quantity: ExpectedQuantity, scale: float, unit: str) -> str:
+    return interval(scale * quantity.value, scale * quantity.standard_error, unit)
+
+
+def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
+    """Row of each change: what, the widest interval, its factor, and the interval that changes most."""
+    for change in changes:
+        notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
+        if change.largest and abs(change.largest.factor - 1) > 0.01:
+            notes.append(_factor(change.largest))
+        share = f"± {number(100 * change.widest_share, 2)} %"
+        yield change.words, share, number(change.widest_factor, 3), "; ".join(notes)
+
+
+def _factor(largest: IntervalFactor) -> str:
+    return f"{largest.contact}: {WORDS[largest.quantity][0]} times {number(largest.factor, 2)}"
+
+
+def idle_sentence(plan: PlanReport) -> str:
+    """Sentence on the sensors that add nothing; empty if there are none or none was left out."""
+    if not plan.idle_sensors:
+        return ""
+    return (
+        f"Without any one of these sensors no clearance or stiffness is told worse by more than "
+        f"{100 * (ADDS_NOTHING_FACTOR - 1):.0f} %: {', '.join(plan.idle_sensors)}; plan again before leaving out two."
+    )
+
+
+def test_sentence(plan: PlanReport) -> str:
+    """Sentence on the test that is planned."""
+    low_hz, high_hz = plan.force.band_hz
+    levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
+    kind = "a Gaussian force" if len(plan.force.rms_n) == 1 else f"{len(plan.force.rms_n)} Gaussian forces, each"
+    return f"{plan.duration_s:g} s of {kind} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
+
+
+def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
+    for contact in plan.contacts:
+        for (name, unit, scale), quantity in zip(WORDS.values(), contact.quantities, strict=True):
+            yield (
+                f"{name} of {contact.name}",
+                _interval(quantity, scale, unit),
+                f"{number(quantity.spread_factor, 3)}",
+                LIMITS[quantity.limited_by],
+            )
+
+
+def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] = ()) -> None:
+    """Write plan.html."""
+    lines: dict[str, Sequence[str]] = {
+        contact.name: (_interval(contact.clearance_m, 1e3, "mm"), _interval(contact.stiffness_n_per_m, 1.0, "N/m"))
+        for contact in plan.contacts
+    }
+    lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}
+    caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
+    best = [f"{change_sentence(change)[:1].upper()}{change_sentence(change)[1:]}." for change in plan.advice[:ADVISED]]
+    best += [f"{c.name}: {c.remedy}." for c in plan.undetermined]
+    advice = page.listed(best) if best else "<p>No change that was tried shortens the widest interval by a tenth.</p>"
+    verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
+    page.write(
+        path,
+        title=f"{plan.rig}: plan of a test",
+        answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, sentence(plan)),
+        first=[f"<figure>{machine(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
+        sections=_sections(plan),
+        folded=_folded(plan),
+        foot="Made by identify plan; the numbers are in plan.json.",
+        sources=sources,
+    )
+
+
+def _sections(plan: PlanReport) -> list[tuple[str, str]]:
+    note = (
+        f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times with "
+        f"other forces for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
+    )
+    sections = [("Expected intervals", note + page.table(HEAD, contact_rows(plan)))]
+    if plan.undetermined:
+        rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
+        sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
+    if plan.notes:
+        sections.append(("To note", page.listed(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
+    if plan.changes:
+        text = (
+            "<p>Each change was simulated and identified under the same forces. Widest interval: the widest of all "
+            "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
+            f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
+            "change.</p>"
+        )
+        sections.append(("What would help, ranked", text + page.table(CHANGE_HEAD, change_rows(plan.changes))))
+    if plan.sensors:
+        idle = f"<p>{escape(idle_sentence(plan))}</p>" if plan.idle_sensors else ""
+        sections.append(("Each sensor left out", idle + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
+    return sections
+
+
+def _folded(plan: PlanReport) -> list[tuple[str, str]]:
+    if not plan.contacts:
+        return []
+    text = (
+        "<p>Factor: by which the interval of one record may be longer or shorter, one standard deviation over the "
+        "simulated records.</p>"
+    )
+    return [
+        (
+            "What limits each interval",
+            text + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
+        )
+    ]

@@ -1,0 +1,53 @@
+"""Result of `identify.plan`: as text, dictionary, rows of a table, and files."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from identify.pages.summary import Summarized, Summary
+from identify.pages.wording import COVERED
+from identify.planning import page
+from identify.planning.expectation import QUANTITIES
+from identify.planning.results import PlanReport
+from rig.files import make_folder, write_json
+from rig.model.description import Rig
+
+
+@dataclass(frozen=True)
+class PlanResult(Summarized):
+    """Plan of a test: what it will tell of every contact, and what would shorten the intervals."""
+
+    report: PlanReport
+    """Expected standard errors, ranked changes and sensors: the contents of plan.json."""
+    rig: Rig = field(repr=False)
+    """Rig that was planned with."""
+    sources: tuple[Path, ...] = ()
+    """File of the rig or recording."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Dictionary as in plan.json."""
+        return dict(msgspec.to_builtins(self.report))
+
+    def table(self) -> list[dict[str, str | float]]:
+        """Row of each contact: believed values, and half their expected 95 % intervals."""
+        rows: list[dict[str, str | float]] = []
+        for contact in self.report.contacts:
+            row: dict[str, str | float] = {"contact": contact.name}
+            for name, quantity in zip(QUANTITIES, contact.quantities, strict=True):
+                row[name], row[f"{name}_within"] = quantity.value, COVERED * quantity.standard_error
+            rows.append(row)
+        return rows
+
+    def save(self, folder: str | Path) -> None:
+        """Write plan.html, a self-contained page, and plan.json."""
+        out = Path(folder)
+        make_folder(out)
+        page.write_page(self.report, self.rig, out / "plan.html", self.sources)
+        write_json(self.report, out / "plan.json")
+
+    def summary(self) -> Summary:
+        """Sentence on what the test will tell and what helps most, and the expected interval of each contact."""
+        rows = tuple(dict(zip(page.HEAD, row, strict=True)) for row in page.contact_rows(self.report))
+        return Summary(rows, above=(page.sentence(self.report),), below=self.report.notes)

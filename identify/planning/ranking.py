@@ -1,0 +1,248 @@
+"""Planning: the unchanged test and each change of it simulated, identified, compared and ranked.
+
+Notes for maintainers
+1. A change is compared with the unchanged test under the same seeds, on records of at most
+   `MOST_TRIED_SAMPLES`: where the motion stays as it is (tolerances, noise, sensors), chance cancels.
+2. Where it does not (force, band, place, duration), one record's interval may be short by chance: all changes are tried
+   under the force whose intervals are usual among several, and the best ones under the others, too.
+3. Medians are taken: a part of one record may tell so little that its interval is several times as long.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import get_context
+
+import numpy as np
+
+from identify.contacts.separation import check_described
+from identify.gaps.decision.prepare import simulator_named
+from identify.pages.wording import COVERED
+from identify.planning.changes import PlannedChange, changes_of
+from identify.planning.expectation import (
+    MISS_ERRORS,
+    QUANTITIES,
+    ExpectedContact,
+    SimulatedTest,
+    Undetermined,
+    expected_contacts,
+    largest_miss,
+    simulated_test,
+)
+from identify.planning.planned_test import PlannedTest
+from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
+
+LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
+"""Longest simulated record, s, and most samples of one that compares a change. Effort."""
+SEEDS = (1, 2, 3)
+SIMULATIONS = len(SEEDS)
+"""Number of simulated records for the expected intervals, and for the best changes; odd, as medians are taken."""
+FINALISTS = 4
+"""Number of changes that get further simulations. Effort."""
+MOST_CHANGES = 40
+"""Default of the largest number of changes, sensors left out included."""
+RANKED = ("clearance_m", "stiffness_n_per_m")
+"""Quantities whose intervals rank changes: a damping of zero has no share."""
+
+Run = tuple[PlannedTest, str, int, float]
+"""Test, name of the simulator, seed, and longest simulated time, s."""
+Shares = Mapping[tuple[str, str], float]
+"""Half of the 95 % interval over the value by contact and quantity."""
+
+
+def planned(
+    test: PlannedTest,
+    simulator: str = "modal",
+    most_changes: int = MOST_CHANGES,
+    workers: int = 1,
+    progress: Callable[[float], None] = lambda _: None,
+) -> PlanReport:
+    """Plan of a test by the named simulator.
+
+    Raises RigError if the rig has no contacts or nothing that the identification knows, or if it cannot be simulated.
+    """
+    check_described(test.rig)
+    simulator_named(simulator)
+    all_changes = list(changes_of(test))
+    changes = all_changes[:most_changes]
+    finalist_count = min(FINALISTS, sum(change.kind != "leave out sensor" for change in changes))
+    run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1)
+    with _mapped(workers) as mapped:
+        expected = mapped(
+            [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], lambda done: progress(done / run_count)
+        )
+        results = _tried(
+            test,
+            changes,
+            simulator,
+            lambda runs, done: mapped(runs, lambda n: progress((SIMULATIONS + done + n) / run_count)),
+        )
+    contacts = expected_contacts(test.rig, expected)
+    without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
+    return PlanReport(
+        rig=test.rig.name,
+        duration_s=test.duration_s,
+        force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz),
+        contacts=tuple(c for c in contacts if isinstance(c, ExpectedContact)),
+        undetermined=tuple(c for c in contacts if isinstance(c, Undetermined)),
+        changes=tuple(sorted((r for r in results if r.kind != "leave out sensor"), key=_rank)),
+        sensors=tuple(without),
+        simulations=SIMULATIONS,
+        simulated_s=min(test.duration_s, LONGEST_SIMULATED_S),
+        notes=tuple(_notes(test, expected, len(changes) < len(all_changes))),
+    )
+
+
+def _tried(
+    test: PlannedTest,
+    changes: Sequence[PlannedChange],
+    simulator: str,
+    mapped: Callable[[Sequence[Run], int], list[SimulatedTest]],
+) -> list[TriedChange]:
+    """Changes against the unchanged test, in their order. `mapped` takes runs, and how many were done before them."""
+    if not changes:
+        return []
+    unchanged = mapped([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
+    order = sorted(range(SIMULATIONS), key=lambda index: _widest(unchanged[index]))
+    usual, *others = (order[SIMULATIONS // 2], *(index for index in order if index != order[SIMULATIONS // 2]))
+    first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual]) for change in changes]
+    outcomes = [[outcome] for outcome in mapped(first_runs, SIMULATIONS)]
+    reference = [unchanged[usual], *(unchanged[index] for index in others)]
+    results = [_compared(change, reference[:1], of_change) for change, of_change in zip(changes, outcomes, strict=True)]
+    finalists = _finalists(results)
+    runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in others]
+    further = iter(mapped(runs, SIMULATIONS + len(changes)))
+    for k in finalists:
+        outcomes[k] += [next(further) for _ in others]
+        results[k] = _compared(changes[k], reference, outcomes[k])
+    return results
+
+
+def _tried_run(test: PlannedTest, changed: PlannedTest, simulator: str, seed: int) -> Run:
+    """Run of a changed test for as long as that of the unchanged one; of one that lasts longer, longer in
+    proportion."""
+    longest_s = min(test.duration_s, LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES / test.rig.sample_rate_hz)
+    return changed, simulator, seed, longest_s * changed.duration_s / test.duration_s
+
+
+def _run(run: Run) -> SimulatedTest:
+    test, simulator, seed, longest_s = run
+    return simulated_test(test, simulator_named(simulator).simulate, seed, longest_s)
+
+
+Mapped = Callable[[Sequence[Run], Callable[[int], None]], list[SimulatedTest]]
+
+
+@contextmanager
+def _mapped(workers: int) -> Iterator[Mapped]:
+    """Function that runs simulated tests in order, over processes if there are several workers, and tells how many are
+    done."""
+    if workers <= 1:
+
+        def one_by_one(runs: Sequence[Run], done: Callable[[int], None]) -> list[SimulatedTest]:
+            outcomes = []
+            for run in runs:
+                outcomes.append(_run(run))
+                done(len(outcomes))
+            return outcomes
+
+        yield one_by_one
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+
+    def over_processes(runs: Sequence[Run], done: Callable[[int], None]) -> list[SimulatedTest]:
+        futures: list[Future[SimulatedTest]] = [pool.submit(_run, run) for run in runs]
+        pending: set[Future[SimulatedTest]] = set(futures)
+        while pending:
+            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in finished:
+                future.result()  # an error ends the planning at once
+            done(len(futures) - len(pending))
+        return [future.result() for future in futures]
+
+    try:
+        yield over_processes
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _shares(outcome: SimulatedTest) -> Shares:
+    return {
+        (name, quantity): COVERED * parts.standard_error / abs(parts.value)
+        for name, all_parts in outcome.errors.items()
+        for quantity, parts in zip(QUANTITIES, all_parts, strict=True)
+        if quantity in RANKED and parts.value
+    }
+
+
+def _compared(
+    change: PlannedChange, unchanged: Sequence[SimulatedTest], changed: Sequence[SimulatedTest]
+) -> TriedChange:
+    """Change against the unchanged test under the same seeds: medians over these."""
+    pairs = [(_shares(before), _shares(after)) for before, after in zip(unchanged, changed, strict=True)]
+    determined_before, determined_after = (_determined(outcomes) for outcomes in (unchanged, changed))
+    both = set.intersection(*(set(before) & set(after) for before, after in pairs))
+    logarithms = {key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in both}
+    widest = np.array([[_widest(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
+    largest = max(logarithms, key=lambda key: (abs(logarithms[key]), key), default=None)
+    return TriedChange(
+        kind=change.kind,
+        words=change.words,
+        widest_share=float(np.median(widest[1])),
+        widest_factor=float(np.median(widest[1] / widest[0])),
+        largest=None
+        if largest is None
+        else IntervalFactor(contact=largest[0], quantity=largest[1], factor=float(np.exp(logarithms[largest]))),
+        gained=tuple(sorted(determined_after - determined_before)),
+        lost=tuple(sorted(determined_before - determined_after)),
+        simulations=len(changed),
+        largest_growth=float(np.exp(max(logarithms.values(), default=0.0))),
+    )
+
+
+def _determined(outcomes: Sequence[SimulatedTest]) -> set[str]:
+    """Contacts that at least half of the records determine."""
+    names = {name for outcome in outcomes for name in outcome.errors}
+    return {name for name in names if sum(name in outcome.errors for outcome in outcomes) >= len(outcomes) / 2}
+
+
+def _widest(outcome: SimulatedTest) -> float:
+    """Widest share; 1 if a contact is not determined."""
+    return max([*_shares(outcome).values(), *(1.0 for _ in outcome.refused)], default=1.0)
+
+
+def _rank(change: TriedChange) -> tuple[int, float]:
+    return len(change.lost) - len(change.gained), change.widest_factor
+
+
+def _need(change: TriedChange) -> tuple[int, float]:
+    """Need of a sensor that is left out."""
+    return len(change.lost) - len(change.gained), change.largest_growth
+
+
+def _finalists(results: Sequence[TriedChange]) -> list[int]:
+    """Indices of the best changes."""
+    candidates = [index for index, result in enumerate(results) if result.kind != "leave out sensor"]
+    return sorted(candidates, key=lambda index: _rank(results[index]))[:FINALISTS]
+
+
+def _notes(test: PlannedTest, expected: Sequence[SimulatedTest], is_cut: bool) -> Iterator[str]:
+    """Sentences on what the plan could not take into account."""
+    if not any(sensor.noise_density or sensor.bits for sensor in test.rig.sensors):
+        yield (
+            "no sensor of rig.json states a noise_density or bits: the intervals are those of sensors without noise; "
+            "state them"
+        )
+    if test.duration_s > LONGEST_SIMULATED_S:
+        yield (
+            f"{LONGEST_SIMULATED_S:g} s were simulated; for {test.duration_s:g} s scatter and slow motion are taken to "
+            "average, and tolerances are not"
+        )
+    miss, name = largest_miss(expected)
+    if miss > MISS_ERRORS:
+        yield (
+            f"an estimate of {name} from a simulated record missed what was simulated by {miss:.1f} standard errors: "
+            "do not rely on its expected interval"
+        )
+    if is_cut:
+        yield "not every change was tried; raise --changes for more"

@@ -1,0 +1,93 @@
+"""The command `rig view`: a recording for the rerun viewer, with what was identified and diagnosed."""
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from rig.commands.command_line import Force, check_ending, progress_bar, refuse_existing, working
+from rig.extras import needs_extra
+from rig.files import check_source
+from rig.recording import read, read_truth, truth_path
+
+
+def view(
+    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
+    truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
+    contact: Annotated[
+        Path | None,
+        typer.Option(
+            help="A contact.json of `identify contact`, or its folder: its walls; where there is no truth file, with "
+            "`--export csv` or `parquet` also its relative displacements and separated forces."
+        ),
+    ] = None,
+    gap: Annotated[
+        Path | None,
+        typer.Option(
+            help="A gap.json of `identify gap`, or its folder: where and when the gap acts, with the verdict; with the "
+            "corrected rig.json beside it also how both rigs predict the motion."
+        ),
+    ] = None,
+    station: Annotated[
+        str | None,
+        typer.Option(
+            help="With --gap: sensor, contact or body whose predicted displacement is shown; otherwise the station "
+            "where the believed rig errs most."
+        ),
+    ] = None,
+    magnification: Annotated[float | None, typer.Option(help="Of the beams' deflection; otherwise chosen.")] = None,
+    web: Annotated[bool, typer.Option("--web", help="Serve it to a browser on this computer; Ctrl-C ends it.")] = False,
+    force: Force = False,
+) -> None:
+    """Write a recording for the rerun viewer, and open it where there is a display.
+
+    Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
+    """
+    from rig.simulation.prediction import modal
+
+    with needs_extra("view", "rig view (rerun)"):
+        from rig.viewer.deflection import deflection
+        from rig.viewer.gap import read_corrected, read_gap
+        from rig.viewer.identified import NOTHING_IDENTIFIED, read_identified
+        from rig.viewer.prediction import WINDOW_S, predicted_motion
+        from rig.viewer.viewing import open_viewer, write_rrd
+        from rig.viewer.web import serve
+
+    if magnification is not None and not 0 < magnification < np.inf:
+        raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
+    check_source(file)
+    target = out or file.with_suffix(".rrd")
+    truth_file = truth or truth_path(file)
+    refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
+    check_ending(target, (".rrd",), "a view")
+    recording = read(file)
+    truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
+    identified = NOTHING_IDENTIFIED
+    if contact is not None:
+        identified = read_identified(contact, recording.rig, recording.duration_s)
+    diagnosed, predicted = None, None
+    if gap is not None:
+        diagnosed = read_gap(gap, recording.rig, recording.duration_s)
+        if (corrected := read_corrected(gap, recording.rig)) is not None:
+            motion, window_s = deflection(recording, truth_recording), diagnosed.horizon_s or WINDOW_S
+            with working("predicting the believed and the corrected rig"):
+                predicted = predicted_motion(recording, motion, corrected, modal, window_s, station)
+    with progress_bar(f"writing {target.name}") as progress:
+        write_rrd(
+            recording,
+            truth_recording,
+            target,
+            magnification,
+            identified=identified,
+            gap=diagnosed,
+            predicted=predicted,
+            progress=progress,
+        )
+    print(f"{target}: written", flush=True)
+    if web:
+        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
+    elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        open_viewer(target)

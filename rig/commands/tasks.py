@@ -1,0 +1,194 @@
+"""Running many tasks: pure functions of their parameters, spread over processes, each result kept on disk."""
+
+import hashlib
+import importlib.metadata
+import multiprocessing
+import os
+import signal
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, as_completed, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import typer
+from threadpoolctl import threadpool_limits
+
+from rig.commands.command_line import StoppedError, progress_bar
+from rig.errors import RigError
+from rig.extras import needs_extra
+from rig.files import make_folder, write_bytes
+
+Parameters = TypeVar("Parameters", bound=msgspec.Struct)
+Result = TypeVar("Result", bound=msgspec.Struct)
+Completed = Generator[tuple[int, Future[Any]], None, None]
+Dask = Annotated[
+    str | None, typer.Option("--dask", help="Address of a dask scheduler, or local; by default a process a core.")
+]
+LOSSES = 3
+"""So many times the process of a task may be lost before the task is given up."""
+
+
+def run_tasks(
+    function: Callable[[Parameters], Result],
+    parameters: Sequence[Parameters],
+    result_type: type[Result],
+    folder: Path,
+    dask: str | None = None,
+) -> list[Result]:
+    """The results of a function for each set of parameters, in their order, by `outcomes_of_tasks`.
+
+    A task that fails does not stop the others; the first failure is raised at the end.
+    """
+    results: list[Result] = []
+    for outcome in outcomes_of_tasks(function, parameters, result_type, folder, dask):
+        if isinstance(outcome, BaseException):
+            raise outcome
+        results.append(outcome)
+    return results
+
+
+def outcomes_of_tasks(
+    function: Callable[[Parameters], Result],
+    parameters: Sequence[Parameters],
+    result_type: type[Result],
+    folder: Path,
+    dask: str | None = None,
+) -> list[Result | BaseException]:
+    """Result, or the error in its place, of a function for each set of parameters, in their order.
+
+    A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
+    not computed again; an error is not kept. Processes of one thread each run the tasks: one a core, or those of
+    `dask`. A task whose process is lost is tried again by itself, at most LOSSES times; the others go on. Raises
+    RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
+    """
+    make_folder(folder)
+    paths = [kept_path(function, p, folder) for p in parameters]
+    missing = [number for number, path in enumerate(paths) if not path.exists()]
+    tasks = [parameters[number] for number in missing]
+    completed = _on_dask(function, tasks, dask) if dask else _on_processes(function, tasks)
+    errors: dict[int, BaseException] = {}
+    done = 0
+    try:
+        with closing(completed), progress_bar(f"{len(missing)} of {len(parameters)} tasks") as progress:
+            for index, future in completed if tasks else ():
+                if error := future.exception():
+                    errors[missing[index]] = error
+                else:
+                    write_bytes(msgspec.json.encode(future.result()), paths[missing[index]])
+                done += 1
+                progress(done / len(missing))
+    except KeyboardInterrupt:
+        kept = sum(path.exists() for path in paths)
+        raise StoppedError(
+            f"interrupted; {kept} of {len(paths)} results are kept in {folder}; run the command again to go on"
+        ) from None
+    return [
+        errors[number] if number in errors else msgspec.json.decode(path.read_bytes(), type=result_type)
+        for number, path in enumerate(paths)
+    ]
+
+
+def kept_path(function: Callable[[Parameters], Result], parameters: Parameters, folder: Path) -> Path:
+    """File in which the result of a task is kept."""
+    name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
+    return folder / f"{hashlib.sha256(name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
+
+
+def _on_dask(function: Callable[[Parameters], Result], tasks: Sequence[Parameters], dask: str) -> Completed:
+    """Yield index and future of each task as it completes; dask itself repeats a task whose worker is lost."""
+    with needs_extra("cluster", "--dask"):
+        from distributed import Client
+    local = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "dashboard_address": None}
+    try:
+        client = Client(**local) if dask == "local" else Client(dask, timeout=10)
+    except (OSError, ValueError) as error:
+        raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
+    with client, client.get_executor(retries=LOSSES) as executor:
+        indices = {executor.submit(_alone, function, task): index for index, task in enumerate(tasks)}
+        for future in as_completed(indices):
+            yield indices[future], future
+
+
+def _on_processes(function: Callable[[Parameters], Result], tasks: Sequence[Parameters]) -> Completed:
+    """Yield index and future of each task as it completes, on a process a core.
+
+    A process that is lost breaks its pool, and which of the running tasks it had is unknown: each of these runs again
+    when the others are done, in a pool of its own.
+    """
+    suspects: list[int] = []
+    waiting = deque(range(len(tasks)))
+    while waiting:
+        for index, future in _in_a_pool(function, tasks, waiting, os.cpu_count() or 1):
+            if _is_lost(future):
+                suspects.append(index)
+            else:
+                yield index, future
+    for index in suspects:
+        for _ in range(LOSSES - 1):
+            ((_, future),) = _in_a_pool(function, tasks, deque([index]), 1)
+            if not _is_lost(future):
+                break
+        else:
+            future = Future()
+            future.set_exception(
+                RigError(f"its process was lost {LOSSES} times (out of memory?); run the command again to go on")
+            )
+        yield index, future
+
+
+def _in_a_pool(
+    function: Callable[[Parameters], Result], tasks: Sequence[Parameters], waiting: deque[int], processes: int
+) -> Completed:
+    """Yield index and future of waiting tasks, of which as many run as there are processes, until the pool breaks."""
+    others = set(multiprocessing.active_children())
+    pool = ProcessPoolExecutor(processes, initializer=_prepare_process)
+    running: dict[Future[Any], int] = {}
+    broken = False
+    try:
+        while True:
+            try:
+                while waiting and not broken and len(running) < processes:
+                    running[pool.submit(_alone, function, tasks[waiting[0]])] = waiting[0]
+                    waiting.popleft()
+            except BrokenProcessPool:
+                broken = True
+            if not running:
+                return
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                broken = broken or _is_lost(future)
+                yield running.pop(future), future
+    except BaseException:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _is_lost(future: Future[Any]) -> bool:
+    return isinstance(future.exception(), BrokenProcessPool)
+
+
+def _prepare_process() -> None:
+    """Let signals end the process at once, without a traceback, and let it end with the one that started it."""
+    for ending in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) != signal.SIG_IGN:
+            signal.signal(getattr(signal, ending), signal.SIG_DFL)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    if parent := multiprocessing.parent_process():
+        parent.join()
+        os._exit(1)
+
+
+def _alone(function: Callable[[Parameters], Result], parameters: Parameters) -> Result:
+    """On one thread: as many tasks as cores run beside one another."""
+    with threadpool_limits(1):
+        return function(parameters)

@@ -1,0 +1,192 @@
+"""Import map: which column of a file is which sensor, its unit, and its place where rig.json does not say it."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+from msgspec.structs import replace
+
+from rig.errors import RigError, meant
+from rig.files import check_target
+from rig.lab.csv_text import TextForm
+from rig.model.description import Rig, Sensor, Station, read_rig
+from rig.model.quantities import QuantityName
+from rig.model.toml_file import read_toml
+from rig.recording import RIG_NAME
+
+PLACEHOLDER = "?"
+"""Value that a proposed map leaves where only the owner knows it."""
+
+
+class Source(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Column of a file, by name or number from 1, with its unit (if the file has none) and an extra factor.
+
+    body and position_m place a sensor or force; without them rig.json does. quantity is that of a sensor which rig.json
+    does not have.
+    """
+
+    column: str | int
+    unit: str | None = None
+    scale: float = 1.0
+    quantity: QuantityName | None = None
+    body: str | None = None
+    position_m: float | None = None
+
+    @property
+    def station(self) -> Station | None:
+        """Place that the map gives; None if rig.json does."""
+        return None if self.body is None else Station(self.body, self.position_m or 0.0)
+
+    def __post_init__(self) -> None:
+        if (self.body is None) != (self.position_m is None):
+            raise RigError(f"column {self.column!r}: only one of body and position_m is given; give both or none")
+        if not (np.isfinite(self.scale) and self.scale != 0):
+            raise RigError(f"column {self.column!r}: scale is {self.scale}; give a finite value other than zero")
+
+
+class Map(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Import map of measured data, a TOML file. rig is a path relative to the map's folder.
+
+    force is a list if several act at once, in the order of rig.json, and "none" for a free decay without a force
+    column. If any of the sensors has a place, the recording has the sensors of the map, and no others of rig.json.
+    """
+
+    rig: str = RIG_NAME
+    force: Source | tuple[Source, ...] | Literal["none"]
+    sensors: dict[str, Source]
+    time: Source | None = None
+    sample_rate_hz: float | None = None
+    resample: bool = False
+    csv: TextForm = TextForm()
+
+    def __post_init__(self) -> None:
+        if self.time is not None and self.sample_rate_hz is not None:
+            raise RigError("time and sample_rate_hz are both given; leave one out")
+        if self.sample_rate_hz is not None and not 0 < self.sample_rate_hz < np.inf:
+            raise RigError(f"sample_rate_hz is {self.sample_rate_hz}; give a value above zero")
+
+    @property
+    def forces(self) -> tuple[Source, ...]:
+        if isinstance(self.force, str):
+            return ()
+        return self.force if isinstance(self.force, tuple) else (self.force,)
+
+
+def read_map(path: Path, out: Path) -> tuple[Map, Rig]:
+    """Map, and its rig with the sensors and forces where the map places them.
+
+    Raises RigError if a placeholder is left, if either file is invalid, or if their sensors or forces differ.
+    """
+    mapping = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
+    rig_path = path.parent / mapping.rig
+    check_target(out, rig_path)
+    if not rig_path.exists():
+        raise RigError(
+            f"{rig_path}: cannot be opened (No such file or directory), and {path} names it as the description of the "
+            f"machine; write it by `rig init` (rig init mass --help), or correct rig = {mapping.rig!r}"
+        )
+    try:
+        return mapping, _placed(mapping, read_rig(rig_path), path)
+    except RigError as error:
+        raise error if str(error).startswith((str(path), str(rig_path))) else RigError(f"{path}: {error}") from error
+
+
+def _placed(mapping: Map, rig: Rig, path: Path) -> Rig:
+    forces = mapping.forces
+    placed = bool(forces) and all(force.station for force in forces)
+    if mapping.force != "none" and len(forces) != len(rig.forces) and not placed:
+        raise RigError(
+            f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
+            "give each column body and position_m"
+        )
+    force_at = (
+        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+        or rig.forces
+    )
+    if any(source.body for source in mapping.sensors.values()):
+        sensors = tuple(_sensor(name, source, rig) for name, source in mapping.sensors.items())
+    else:
+        sensors = rig.sensors
+        names, mapped = {s.name for s in sensors}, set(mapping.sensors)
+        for differing, fault in ((mapped - names, "is no sensor of the rig"), (names - mapped, "is missing")):
+            if differing:
+                raise RigError(
+                    f"{path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(names))}, or give "
+                    "each column body, position_m and quantity"
+                )
+    if sensors == rig.sensors and force_at == rig.forces:
+        return rig
+    return replace(rig, sensors=sensors, force_at=force_at if len(force_at) > 1 else force_at[0])
+
+
+def _sensor(name: str, source: Source, rig: Rig) -> Sensor:
+    """Sensor of rig.json by this name, at the map's place if it gives one; or else a new one at that place.
+
+    A new one has the noise that all sensors of its quantity in rig.json have in common.
+    """
+    known = next((s for s in rig.sensors if s.name == name), None)
+    station = source.station
+    if known is not None:
+        if source.quantity not in (None, known.quantity):
+            raise RigError(
+                f"sensor {name!r} measures {known.quantity} in rig.json and {source.quantity} in the map; give it "
+                "another name here"
+            )
+        return replace(known, station=station or known.station)
+    if station is None:
+        raise RigError(
+            f"sensor {name!r} is no sensor of the rig{meant(name, [s.name for s in rig.sensors])}, and has no place; "
+            "give it body, position_m and quantity"
+        )
+    if source.quantity is None:
+        raise RigError(f"sensor {name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
+    noises = {s.noise_density for s in rig.sensors if s.quantity == source.quantity}
+    return Sensor(
+        name=name,
+        station=station,
+        quantity=source.quantity,
+        noise_density=noises.pop() if len(noises) == 1 else 0.0,
+    )
+
+
+def _check_filled(path: Path, values: dict[str, Any]) -> None:
+    """Raise RigError, with every entry, if placeholders are left in a map."""
+    entries: dict[str, list[str]] = {}
+    for entry, key in _placeholders(values):
+        entries.setdefault(entry, []).append(key)
+    if entries:
+        listed = "; ".join(
+            f"{_enumerated(keys)} of {entry}" if entry else _enumerated(keys) for entry, keys in entries.items()
+        )
+        count = sum(map(len, entries.values()))
+        raise RigError(
+            f"{path}: {count} {'value is' if count == 1 else 'values are'} left to fill in, marked {PLACEHOLDER!r}: "
+            f"{listed}; a sensor that is not needed may be deleted"
+        )
+
+
+def _enumerated(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _placeholders(values: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Entry ("sensor 'acc'", "force", or empty for a value of its own) and key of every placeholder."""
+    for key, value in values.items():
+        if value == PLACEHOLDER:
+            yield "", key
+        elif key == "sensors" and isinstance(value, dict):
+            for name, entry in value.items():
+                yield from ((f"sensor {name!r}", k) for k in _open_keys(entry))
+        elif isinstance(value, list):
+            for number, entry in enumerate(value, start=1):
+                yield from ((f"{key} {number}", k) for k in _open_keys(entry))
+        else:
+            yield from ((key, k) for k in _open_keys(value))
+
+
+def _open_keys(entry: object) -> list[str]:
+    if isinstance(entry, dict):
+        return [key for key, value in entry.items() if value == PLACEHOLDER and key != "column"]
+    return ["column"] if entry == PLACEHOLDER else []

@@ -1,0 +1,107 @@
+"""Columns of a file as a look shows them: name, unit, range, and what keeps one from being a measured channel."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.lab.column import Blocks, Column, Refused, UnreadableError
+from rig.lab.csv_text import TextForm
+from rig.lab.recorded import rate_in
+from rig.limits import MAX_ITEMS
+
+
+@dataclass(frozen=True)
+class SeenColumn:
+    """A column: its number from 1, and its name, unit, rate and date as the file has them.
+
+    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; resolution is the last
+    digit written of them. fault says in words why no channel can be made of it; empty if one can.
+    """
+
+    number: int
+    name: str
+    unit: str | None
+    samples: int
+    lowest: float
+    highest: float
+    distinct: int
+    """Different values, counted to three."""
+    rate_hz: float | None = None
+    recorded: str = ""
+    stamps: Float[np.ndarray, " samples"] | None = None
+    resolution: float = 0.0
+    is_date: bool = False
+    fault: str = ""
+
+    @property
+    def is_counter(self) -> bool:
+        """Whether the values are 0, 1, 2, ... or 1, 2, 3, ..."""
+        stamps = self.stamps
+        return stamps is not None and stamps[0] in (0, 1) and bool((np.diff(stamps) == 1).all())
+
+
+@dataclass(frozen=True)
+class SeenFile:
+    """A file: its columns, its form if it is text, what was seen in words, and the rate that its header states."""
+
+    path: Path
+    columns: tuple[SeenColumn, ...]
+    facts: tuple[str, ...] = ()
+    form: TextForm = field(default_factory=TextForm)
+    rate_hz: float | None = None
+    rate_origin: str = "the header"
+
+
+def seen_column(
+    number: int, column: Column, resolution: float = 0.0, is_date: bool = False, fault: str = ""
+) -> SeenColumn:
+    """Column with its range and, if they never decrease, its values."""
+    values = column.values
+    finite = values[np.isfinite(values)]
+    if not fault and finite.size < values.size:
+        fault = (
+            f"it has no finite number at sample {int(np.argmin(np.isfinite(values)))}"
+            if finite.size
+            else "it has no numbers"
+        )
+    increases = not fault and values.size > 1 and values[-1] > values[0] and bool((np.diff(values) >= 0).all())
+    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
+    distinct = 1 + (highest > lowest) + bool(((finite > lowest) & (finite < highest)).any())
+    return SeenColumn(
+        number=number,
+        name=column.name,
+        unit=column.unit,
+        samples=values.size,
+        lowest=lowest,
+        highest=highest,
+        distinct=distinct,
+        rate_hz=column.sample_rate_hz,
+        recorded=column.recorded,
+        stamps=values if increases else None,
+        resolution=resolution,
+        is_date=is_date,
+        fault=fault,
+    )
+
+
+def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
+    """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
+    columns: list[SeenColumn] = []
+    refused: list[str] = []
+    rate_hz, rate_origin = None, ""
+    for block in blocks:
+        if isinstance(block, Refused):
+            refused.append(f"left out: {block.sentence}")
+        elif block.samples == 1 and len(block.names) == 1:
+            (column,) = block.read([0])
+            stated_hz = rate_in([[column.name.rpartition(".")[2], repr(float(column.values[0]))]], ".")
+            if stated_hz is not None and rate_hz is None:
+                rate_hz, rate_origin = stated_hz, repr(column.name)
+        else:
+            for k in range(len(block.names)):
+                columns.append(seen_column(len(columns) + 1, block.read([k])[0]))
+                if len(columns) > MAX_ITEMS:
+                    raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
+    return SeenFile(path, tuple(columns), tuple(refused), rate_hz=rate_hz, rate_origin=rate_origin)

@@ -1,0 +1,89 @@
+"""What each column of a file is taken for: a force, a sensor of some quantity, or nothing that a rig has."""
+
+import re
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from rig.lab.looking.clock import is_time
+from rig.lab.looking.columns import SeenColumn
+from rig.lab.units import SCALED_UNITS, name_and_unit, quantity_of
+
+_NAMED = {
+    "force": r"force|kraft|load|last|hammer|shaker|impact|(?<![a-z])f(?![a-z])|(?<![a-z])f[xyz]?\d*(?![a-z])",
+    "acceleration": r"acc|beschl|accel",
+    "velocity": r"vel|geschw|speed",
+    "displacement": r"disp|weg|auslenk|posit|lvdt|laser",
+    "strain": r"strain|dehn|dms",
+}
+"""Words in names, by the quantity that they suggest."""
+
+
+@dataclass(frozen=True)
+class Role:
+    """A column taken as force or sensor: its quantity (None: unknown) and whether only its name suggests it."""
+
+    column: SeenColumn
+    name: str
+    quantity: str | None
+    by_name: bool
+
+
+def candidates_in(columns: Sequence[SeenColumn]) -> tuple[tuple[SeenColumn, ...], tuple[tuple[SeenColumn, str], ...]]:
+    """Columns that vary over the samples most of them have, and the others with the reason in words."""
+    left_out = {column.number: reason for column in columns if (reason := _unfit(column))}
+    usable = [column for column in columns if column.number not in left_out]
+    shapes = Counter((column.samples, column.rate_hz) for column in usable)
+    if shapes:
+        (samples, rate_hz), _ = shapes.most_common(1)[0]
+        for column in usable:
+            if column.samples != samples:
+                left_out[column.number] = f"it has {column.samples} samples, most have {samples}"
+            elif column.rate_hz != rate_hz:
+                left_out[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {rate_hz or 0:g}"
+    return (
+        tuple(column for column in usable if column.number not in left_out),
+        tuple((column, left_out[column.number]) for column in columns if column.number in left_out),
+    )
+
+
+def roles_of(columns: Sequence[SeenColumn]) -> tuple[Role, ...]:
+    """Role of each column that is none of time; names are distinct."""
+    used: set[str] = set()
+    return tuple(_role(column, used) for column in columns)
+
+
+def _role(column: SeenColumn, used: set[str]) -> Role:
+    bare = name_and_unit(column.name, guess=True)[0].strip()
+    plain = bare if bare.isprintable() and 0 < len(bare) <= 200 else f"channel_{column.number}"
+    name = next(candidate for candidate in _variants(plain) if candidate not in used)
+    used.add(name)
+    if quantity := quantity_of(column.unit):
+        return Role(column, name, quantity, by_name=False)
+    if column.unit in SCALED_UNITS:
+        return Role(column, name, None, by_name=False)
+    suggested = next((q for q, words in _NAMED.items() if re.search(words, bare, re.IGNORECASE)), None)
+    return Role(column, name, suggested, by_name=True)
+
+
+def _variants(name: str) -> Iterator[str]:
+    yield name
+    number = 2
+    while True:
+        yield f"{name}_{number}"
+        number += 1
+
+
+def _unfit(column: SeenColumn) -> str:
+    """Reason why a column is no measured channel; empty if it may be one."""
+    foreign = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
+    reasons = (
+        (column.is_date, "dates"),
+        (bool(column.fault), column.fault),
+        (column.distinct == 1, f"it is {column.lowest:g} throughout"),
+        (column.distinct == 2, f"it is {column.lowest:g} or {column.highest:g}, as a trigger is"),
+        (column.stamps is not None and column.is_counter, "it counts the samples"),
+        (column.stamps is not None and is_time(column), "it is a time"),
+        (foreign, f"it is in {column.unit}, which no sensor of a rig measures"),
+    )
+    return next((reason for applies, reason in reasons if applies), "")

@@ -1,0 +1,79 @@
+"""Level and band of a force that makes the contacts of a rig rattle, by its linear modes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.description import Rig, Station
+from rig.model.modes import mode_count, modes_of
+
+LOWEST_HZ = 0.5
+"""Lower end of the excited band, Hz, as in the reference rigs."""
+BAND_TO_SAMPLE_RATE = 1 / 40
+"""Upper end of the excited band over the sampling rate, as in the reference rigs."""
+RMS_TO_CLEARANCE = 4.0
+"""Rms motion of the least moved contact, without its stops, over its clearance; 2.6 to 6 in the reference rigs."""
+FARTHEST_STOP_M = 0.1
+"""A stop farther away counts as out of reach: even shakers of long stroke (APS 113, 158 mm) move by some 80 mm only to
+either side."""
+FAR_STOP_RATIO = 10.0
+"""So does the farther stop of a contact whose nearer one is so many times nearer, and met long before."""
+MODES, LINES, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
+
+
+@dataclass(frozen=True)
+class Level:
+    """Level of a force, N rms, and why it was chosen."""
+
+    rms_n: float
+    why: str
+
+
+def rattling(rig: Rig, low_hz: float, high_hz: float) -> Level:
+    """Force (N rms, flat from low to high) that would move the least moved contact, without stops, by 4 clearances rms.
+
+    With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
+    eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w). Rounded to one significant digit; 1 N if no contact has a
+    clearance in reach or none responds to the force. The clearance of a contact is the mean over its stops in reach.
+    """
+    omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINES)
+    squares = np.sum([_squares_by(rig, station, omega) for station in rig.forces], axis=0)
+    needed: list[tuple[float, str, float]] = []
+    for contact, square in zip(rig.contacts, squares, strict=True):
+        rms_m_per_n, clearance_m = float(np.sqrt(square)), reachable_clearance_m(contact.law)
+        if rms_m_per_n > 0 and clearance_m:
+            needed.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
+    largest_n, name, clearance_m = max(needed, default=(np.inf, "", 0.0))
+    if not np.isfinite(largest_n):
+        why = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
+        return Level(1.0, why if rig.contacts else "as there is no contact")
+    least = ", which moves least," if len(needed) > 1 else ""
+    motion = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
+    return Level(float(f"{largest_n:.1g}"), f"by which {name!r}{least} would move by {motion}")
+
+
+def reachable_clearance_m(law: ContactLaw) -> float:
+    """Mean clearance, m, of the stops of a contact that a laboratory's force can reach; zero if there are none."""
+    clearances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
+    farthest_m = min([FARTHEST_STOP_M, *(FAR_STOP_RATIO * c for c in clearances_m[:1] if c)])
+    in_reach_m = [c for c in clearances_m if c <= farthest_m]
+    return sum(in_reach_m) / len(in_reach_m) if in_reach_m else 0.0
+
+
+def _squares_by(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
+    """Mean square receptance over the lines from a force at a station to every relative displacement, m^2/N^2."""
+    driven_body = rig.body(force_at.body)
+    modes, count = modes_of(rig, driven_body), mode_count(driven_body, MODES)
+    natural = 2 * np.pi * modes.frequencies_hz(count)[:, None]
+    ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)[:, None]
+
+    def shape(station: Station | None) -> np.ndarray:
+        if station is None or station.body != driven_body.name:
+            return np.zeros(count)
+        return modes.shapes(np.array([station.position_m]), count)[0]
+
+    receptances = shape(force_at)[:, None] / (natural**2 - omega**2 + 2j * ratios * natural * omega)
+    contact_shapes = (shape(contact.at) - shape(contact.against) for contact in rig.contacts)
+    return np.array([np.mean(np.abs(row @ receptances) ** 2) for row in contact_shapes])

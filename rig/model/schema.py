@@ -1,0 +1,44 @@
+"""JSON Schema of rig.json, from the types that it is read into, for editors that complete and check it."""
+
+from inspect import cleandoc
+from typing import Any
+
+import msgspec
+
+from rig.model.contact_laws import DeadZone
+from rig.model.contact_laws.base import CLEARANCES
+from rig.model.description import GROUND, SCHEMA_KEY, Contact, Rig
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+
+
+def schema_of(kind: type[msgspec.Struct], title: str) -> dict[str, Any]:
+    """JSON Schema of a type's JSON, with the object itself at the top."""
+    schema = msgspec.json.schema(kind)
+    definitions = schema["$defs"]
+    for definition in definitions.values():
+        if "description" in definition:
+            definition["description"] = cleandoc(definition["description"])
+    top = definitions.pop(kind.__name__)
+    return {SCHEMA_KEY: DIALECT, **top, "title": title, "$defs": definitions}
+
+
+def rig_schema() -> dict[str, Any]:
+    """JSON Schema of rig.json.
+
+    The types leave out what `rig.model.description.from_json` takes besides: null for a stop that is not there,
+    "ground", a law without a type, and the key that names the schema.
+    """
+    schema = schema_of(Rig, "rig.json")
+    definitions = schema["$defs"]
+    for definition in definitions.values():
+        for name, clearance in definition.get("properties", {}).items():
+            if name in CLEARANCES:
+                clearance["type"] = ["number", "null"]
+                clearance["description"] = "Clearance, m; null where there is no stop on that side."
+    definitions[DeadZone.__name__]["required"].remove("type")
+    against = definitions[Contact.__name__]["properties"]["against"]
+    against["anyOf"].append({"const": GROUND})
+    against["default"] = GROUND
+    schema["properties"][SCHEMA_KEY] = {"type": "string"}
+    return schema

@@ -1,0 +1,129 @@
+"""Motion of the believed and of the corrected rig beside the measured one, predicted anew from it in short windows.
+
+Motion with contacts is chaotic: a model can be compared with the machine over some tenths of a second only. Each window
+begins with the measured displacement and velocity of the stations; both rigs then continue under the measured force.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.signal import savgol_filter
+
+from rig.errors import RigError
+from rig.model.description import Rig, Station
+from rig.model.layout import station_named
+from rig.recording import Recording
+from rig.viewer.deflection import TAPER_S, Deflection
+
+WINDOW_S = 0.2
+"""Length of the windows where gap.json has no horizon of its own, s; some two contacts."""
+MAX_PREDICTED_S = 120.0
+"""Longest part of a record that is predicted, s; it bounds memory and time."""
+SMOOTHED, ORDER = 9, 3
+"""Samples and order of the polynomials whose derivative is the velocity: exact to a quarter of the sampling rate."""
+Predict = Callable[
+    [
+        Rig,
+        Float[np.ndarray, "forces samples"],
+        Int[np.ndarray, " windows"],
+        int,
+        tuple[Station, ...],
+        Float[np.ndarray, "windows 2 stations"],
+    ],
+    Float[np.ndarray, "windows 2 stations times"],
+]
+"""Predictor as `rig.simulation.prediction.modal`: displacement and velocity at stations over a number of samples, of a
+rig under the forces of a record from the states at the first sample of each window."""
+
+
+@dataclass(frozen=True)
+class PredictedMotion:
+    """Displacements of both rigs at the stations, m, in windows one after another from first_sample on.
+
+    shown is the row of the station whose displacement is plotted; a prediction that diverges is not finite.
+    """
+
+    stations: tuple[Station, ...]
+    window_samples: int
+    first_sample: int
+    measured_m: Float[np.ndarray, "stations samples"]
+    believed_m: Float[np.ndarray, "stations samples"]
+    corrected_m: Float[np.ndarray, "stations samples"]
+    shown: int
+
+    @property
+    def samples(self) -> slice:
+        """Predicted samples of the record."""
+        return slice(self.first_sample, self.first_sample + self.measured_m.shape[1])
+
+    def errors_m(self, predicted_m: Float[np.ndarray, "stations samples"]) -> Float[np.ndarray, " samples"]:
+        """Root mean square over the stations of predicted less measured displacement, m."""
+        return np.asarray(np.sqrt(np.mean((predicted_m - self.measured_m) ** 2, axis=0)))
+
+    def window_errors_m(self, predicted_m: Float[np.ndarray, "stations samples"]) -> Float[np.ndarray, " windows"]:
+        """Root-mean-square error of all stations in each window, m; infinite for one that diverges."""
+        squares = self.errors_m(predicted_m).reshape(-1, self.window_samples) ** 2
+        return np.nan_to_num(np.sqrt(squares.mean(axis=1)), nan=np.inf)
+
+
+def predicted_motion(
+    recording: Recording,
+    motion: Deflection,
+    corrected: Rig,
+    predict: Predict,
+    window_s: float = WINDOW_S,
+    station_name: str | None = None,
+) -> PredictedMotion | None:
+    """Predict the rig of the recording and the corrected one from the `motion` that is shown.
+
+    station_name is that of a sensor, contact or body; otherwise the station where the believed rig errs most is shown.
+    None if the record is shorter than a window.
+
+    Raises RigError if the name has no recorded station or a rig cannot be predicted.
+    """
+    rate_hz = recording.rig.sample_rate_hz
+    chosen = None if station_name is None else _chosen(recording.rig, motion, station_name)
+    window = max(2, round(window_s * rate_hz))
+    first = round(TAPER_S * rate_hz) if motion.approximate else 0
+    end = min(motion.displacement_m.shape[1] - first, round(MAX_PREDICTED_S * rate_hz))
+    starts = np.arange(first, end - window + 1, window)
+    if not starts.size:
+        return None
+    velocity = savgol_filter(motion.displacement_m, SMOOTHED, ORDER, deriv=1, delta=1 / rate_hz, axis=1)
+    states = np.stack([motion.displacement_m[:, starts], velocity[:, starts]]).transpose(2, 0, 1)
+    forces_n = recording.forces_n[:, : int(starts[-1]) + window]
+    believed_m, corrected_m = (
+        _joined(predict(rig, forces_n, starts, window, motion.stations, states)[:, 0])
+        for rig in (recording.rig, corrected)
+    )
+    measured_m = motion.displacement_m[:, first : first + starts.size * window]
+    errors = np.nan_to_num(believed_m - measured_m).std(axis=1)
+    shown = int(np.argmax(errors)) if chosen is None else chosen
+    return PredictedMotion(motion.stations, window, first, measured_m, believed_m, corrected_m, shown)
+
+
+def summary(predicted: PredictedMotion, window_s: float) -> str:
+    """Median errors of both rigs over the windows, in Markdown."""
+    believed_mm, corrected_mm = (
+        1e3 * float(np.median(predicted.window_errors_m(displacement_m)))
+        for displacement_m in (predicted.believed_m, predicted.corrected_m)
+    )
+    change = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
+    return (
+        f"Every {window_s:.2g} s both rigs start anew from the measured motion and continue under the measured force. "
+        f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} mm**{change}."
+    )
+
+
+def _chosen(rig: Rig, motion: Deflection, name: str) -> int:
+    station = station_named(rig, name)
+    if station not in motion.stations:
+        allowed = ", ".join(sorted({s.name for s in rig.sensors if s.station in motion.stations}))
+        raise RigError(f"no motion is recorded at {name!r}; give one of the sensors {allowed}")
+    return motion.stations.index(station)
+
+
+def _joined(windows: Float[np.ndarray, "windows stations times"]) -> Float[np.ndarray, "stations samples"]:
+    return np.asarray(windows.transpose(1, 0, 2).reshape(windows.shape[1], -1))

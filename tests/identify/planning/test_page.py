@@ -1,0 +1,83 @@
+"""A plan as a sentence, rows of tables and a page."""
+
+import pytest
+
+from identify.planning import page
+from identify.planning.expectation import ExpectedContact, ExpectedQuantity, Undetermined
+from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
+from rig.simulation.reference import BarrelCradle
+
+
+def quantity(value, standard_error):
+    return ExpectedQuantity(value=value, standard_error=standard_error, spread_factor=1.1, limited_by="tolerances")
+
+
+def change(kind, words, factor, **fields):
+    largest = IntervalFactor(contact="contact_1", quantity="clearance_m", factor=factor)
+    return TriedChange(
+        kind=kind, words=words, widest_share=0.01 * factor, widest_factor=factor, largest=largest, **fields
+    )
+
+
+@pytest.fixture
+def plan():
+    return PlanReport(
+        rig="barrel_cradle",
+        duration_s=30.0,
+        force=PlannedForce(rms_n=(14.0,), band_hz=(0.5, 100.0)),
+        contacts=(
+            ExpectedContact(
+                name="contact_1",
+                determined_share=1.0,
+                clearance_m=quantity(5e-3, 5e-6),
+                stiffness_n_per_m=quantity(1e5, 500.0),
+                damping_n_s_per_m=quantity(0.0, 0.1),
+            ),
+        ),
+        undetermined=(
+            Undetermined(
+                name="contact_2", determined_share=0.0, reason="it never closes", remedy="hit it", code="hardly_closes"
+            ),
+        ),
+        changes=(
+            change("force", "excite with 28 N rms <2 times>", 0.8, gained=("contact_2",)),
+            change("noise", "take quieter sensors", 0.99),
+        ),
+        sensors=(
+            change("leave out sensor", "needed", 1.5, largest_growth=1.5),
+            change("leave out sensor", "spare", 1.01, largest_growth=1.01),
+        ),
+        simulations=3,
+        simulated_s=30.0,
+    )
+
+
+def test_the_sentence_says_what_will_be_told_and_what_helps(plan):
+    text = page.sentence(plan)
+    assert "contact_1 will be told, clearance and stiffness within ± 1.0 %" in text  # 1.96 x 500 / 1e5
+    assert "contact_2 will not be told (it never closes)" in text
+    assert "excite with 28 N rms <2 times>, which tells contact_2, too" in text
+
+
+def test_rows_have_values_and_half_intervals_in_the_units_of_the_heading(plan):
+    assert list(page.contact_rows(plan)) == [("contact_1", "5.0000 ± 0.0098", "100000 ± 980", "0.00 ± 0.20")]
+    first, _ = page.change_rows(plan.changes)
+    assert first[1:3] == ("± 0.80 %", "0.800")
+    assert "tells contact_2" in first[3]
+
+
+def test_advice_and_idle_sensors(plan):
+    assert [c.kind for c in plan.advice] == ["force"]
+    assert plan.idle_sensors == ("spare",)
+    assert "spare" in page.idle_sentence(plan)
+    assert "needed" not in page.idle_sentence(plan)
+
+
+def test_the_page_needs_no_other_file_and_writes_words_as_words(plan, tmp_path):
+    page.write_page(plan, BarrelCradle().rig(), tmp_path / "plan.html")
+    html = (tmp_path / "plan.html").read_text(encoding="utf-8")
+    assert html.endswith("</html>\n")
+    assert "&lt;2 times&gt;" in html
+    assert "<2 times>" not in html
+    for text in ("5.0000 ± 0.0098 mm", "will not be told", "plan.json", "spare", "calibration"):
+        assert text in html

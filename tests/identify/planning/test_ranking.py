@@ -1,0 +1,119 @@
+"""Plans of tests against theory, and against tests that are then made."""
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+import identify
+from identify.contacts import identify_contact
+from identify.planning.expectation import QUANTITIES
+from identify.planning.planned_test import planned_test
+from identify.planning.ranking import planned
+from rig.errors import RigError
+from rig.model.tolerances import EXACT
+from rig.recording import read
+from rig.simulation.reference import BarrelCradle, Sdof
+
+MASS = Sdof(sensors="acceleration", noise_density=1e-3, rms_n=0.7, low_hz=0.5)
+
+
+@pytest.fixture(scope="module")
+def scaled():
+    """Plan of a test where nothing but mass and force gain is uncertain."""
+    tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
+    return planned(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), most_changes=8)
+
+
+def test_a_stiffness_is_as_uncertain_as_the_scale_of_the_forces(scaled):
+    """The motion gives k / m and the force's gain over m without a scale; the two priors give that:
+    sigma^-2 = sigma_m^-2 + sigma_F^-2. Half the mass's tolerance leaves sqrt((1 + 1) / (4 + 1)) of it."""
+    (stop,) = scaled.contacts
+    share = stop.stiffness_n_per_m.standard_error / stop.stiffness_n_per_m.value
+    assert 0.95 < share / (0.02 / np.sqrt(2)) < 2.0  # a single mass: times sqrt(1 + p^2) by the mass's pull p
+    assert stop.stiffness_n_per_m.limited_by == "tolerances"
+    (known_mass,) = (change for change in scaled.changes if "mass" in change.words and change.kind == "tolerance")
+    assert known_mass.widest_factor == pytest.approx(np.sqrt(2 / 5), rel=0.1)
+    assert known_mass.helps
+
+
+def test_changes_are_ranked_and_those_that_change_nothing_do_not_help(scaled):
+    factors = [change.widest_factor for change in scaled.changes]
+    assert factors == sorted(factors)
+    assert all(change.widest_factor <= 0.9 for change in scaled.advice)
+    (quieter,) = (change for change in scaled.changes if change.kind == "noise")
+    assert quieter.widest_factor == pytest.approx(1.0, abs=0.05)
+    assert not quieter.helps
+
+
+def test_a_force_that_closes_no_contact_is_foretold_and_its_advice_closes_it():
+    plan = planned(planned_test(MASS.rig(), duration_s=20.0, force_rms_n=0.06), most_changes=4)
+    assert not plan.contacts
+    (stop,) = plan.undetermined
+    assert stop.name == "stop"
+    assert "strongly" in stop.remedy
+    assert plan.changes[0].gained == ("stop",)
+    (stronger,) = (change for change in plan.changes if "(4 times)" in change.words)
+    assert stronger.gained == ("stop",)
+    assert stronger in plan.advice
+    (weaker,) = (change for change in plan.changes if "(0.5 times)" in change.words)
+    assert weaker not in plan.advice
+
+
+def test_a_noisy_sensor_beside_a_better_one_adds_nothing():
+    rig = Sdof(sensors="displacement+acceleration", noise_density=1e-3).rig()
+    better = rig.sensors[-1]
+    rig = replace(rig, sensors=(*rig.sensors, replace(better, name="spare", noise_density=1.0)))
+    plan = planned(planned_test(rig, duration_s=12.0, tolerances=EXACT))
+    assert len(plan.sensors) == 3
+    assert "spare" in plan.idle_sensors
+
+
+def test_a_rig_without_contacts_has_no_plan():
+    with pytest.raises(RigError, match="no contacts"):
+        identify.plan(replace(MASS.rig(), contacts=()))
+
+
+def test_processes_give_the_same_plan():
+    test = planned_test(MASS.rig(), duration_s=10.0)
+    assert planned(test, most_changes=1, workers=2) == planned(test, most_changes=1)
+
+
+def standard_errors(report) -> np.ndarray:
+    return np.array([[getattr(c, name).standard_error for name in QUANTITIES] for c in report.contacts])
+
+
+def fresh_ratios(settings, simulate, folder) -> np.ndarray:
+    """Standard errors that identify contact states on five recordings over the planned ones, recordings x contacts x
+    quantities."""
+    test = planned_test(settings.rig(), settings.duration_s, settings.rms_n, (settings.low_hz, settings.high_hz))
+    plan = planned(test, most_changes=0)
+    planned_errors = np.array([[quantity.standard_error for quantity in c.quantities] for c in plan.contacts])
+    stated = []
+    for seed in range(21, 26):
+        path = simulate(replace(settings, seed=seed), folder / f"{seed}.mcap")
+        stated.append(standard_errors(identify_contact(read(path)).report))
+    ratios = np.array(stated) / planned_errors
+    print("\n", np.round(ratios, 2).tolist())
+    return ratios
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param(replace(MASS, duration_s=60.0, step_s=2.0**-12), id="mass"),
+        pytest.param(
+            BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=30.0),
+            id="beams",
+            marks=pytest.mark.study,
+        ),
+    ],
+)
+def test_fresh_recordings_have_the_planned_standard_errors(settings, simulate, tmp_path):
+    """By other seeds, another drawing of the force and another step. Damping, whose error is scatter alone, scatters
+    more."""
+    ratios = fresh_ratios(settings, simulate, tmp_path)
+    middle = np.median(ratios, axis=0)
+    assert np.all((middle[:, :2] > 0.7) & (middle[:, :2] < 1.4))
+    assert np.all((middle[:, 2] > 0.5) & (middle[:, 2] < 2.0))
+    in_range = (ratios[..., :2] > 0.7) & (ratios[..., :2] < 1.4)
+    assert np.mean(in_range) >= 0.8
