@@ -41,7 +41,7 @@ class CheckResult(Summarized):
 
     @property
     def sound(self) -> bool:
-        """Whether nothing wrong was found."""
+        """True if nothing wrong was found."""
         return not self.findings
 
     def to_dict(self) -> dict[str, Any]:

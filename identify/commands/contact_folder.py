@@ -68,14 +68,14 @@ def _rows(recording: str, report: ContactReport) -> list[dict[str, str | float |
             "recording": recording,
             "rig": report.rig,
             "contact": name,
-            "verdict": told,
+            "verdict": row_verdict,
             "law": "",
             "code": "",
             "reason": "",
             "findings": findings,
-            **own,
+            **estimate_cells,
         }
-        for own, name, told in cells
+        for estimate_cells, name, row_verdict in cells
     ]
 
 
@@ -104,9 +104,11 @@ def _print(answers: list[TableRows]) -> None:
     table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
     reasons = []
     for row in (row for answer in answers for row in answer.rows):
-        shown = (_interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0))
+        interval_cells = (_interval(row, "clearance", "m", 1e3), _interval(row, "stiffness", "n_per_m", 1.0))
         verdict = str(row["verdict"]).replace("_", " ")
-        table.add_row(str(row["recording"]), str(row.get("contact", "")), *shown, verdict * (verdict != "identified"))
+        table.add_row(
+            str(row["recording"]), str(row.get("contact", "")), *interval_cells, verdict * (verdict != "identified")
+        )
         if row.get("reason"):
             of_contact = f", {row['contact']}" if row.get("contact") else ""
             reasons.append(f"{row['recording']}{of_contact}: {verdict}: {row['reason']}")

@@ -162,17 +162,17 @@ def finish(answers: Sequence[TableRows], columns: Sequence[str], out: Path, name
         raise typer.Exit(1)
 
 
-def _is_same_json(text: bytes, other: bytes) -> bool:
+def _is_same_json(json_text: bytes, other_text: bytes) -> bool:
     try:
-        return bool(msgspec.json.decode(text) == msgspec.json.decode(other))
+        return bool(msgspec.json.decode(json_text) == msgspec.json.decode(other_text))
     except msgspec.DecodeError:
         return False
 
 
-def _is_whole(kept: Path, result: Path) -> bool:
+def _is_whole(answer_path: Path, result_path: Path) -> bool:
     """True if the kept answer can be read and the files that belong to it are there."""
     try:
-        return msgspec.json.decode(kept.read_bytes(), type=TableRows).is_refused or result.exists()
+        return msgspec.json.decode(answer_path.read_bytes(), type=TableRows).is_refused or result_path.exists()
     except msgspec.DecodeError:
         return False
 

@@ -47,7 +47,7 @@ def plan(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """What a test will tell, before it is run: the expected 95 % intervals, and what would shorten them most.
+    """Say what a test will tell, before it is run: the expected 95 % intervals, and what would shorten them most.
 
     The rig is simulated as described, with its sensors, noise and tolerances, and the records are identified. Then one
     thing is changed at a time: sensors, force, band, place, duration, noise, tolerances.

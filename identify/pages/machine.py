@@ -30,7 +30,7 @@ MAX_LETTERS = 40
 
 @dataclass(frozen=True)
 class DrawnMark:
-    """What acts at a station, in words."""
+    """Mark of an effect or force at a station, with its words."""
 
     station: Station
     words: str
@@ -42,17 +42,17 @@ class _Rows:
 
     spans: list[list[tuple[float, float]]] = field(default_factory=list)
 
-    def line_for(self, left: float, right: float, count: int = 1) -> int:
+    def line_for(self, left_px: float, right_px: float, count: int = 1) -> int:
         first = 0
         while any(
-            left < other_right and other_left < right
+            left_px < taken_right_px and taken_left_px < right_px
             for spans in self.spans[first : first + count]
-            for other_left, other_right in spans
+            for taken_left_px, taken_right_px in spans
         ):
             first += 1
         self.spans += [[] for _ in range(first + count - len(self.spans))]
         for spans in self.spans[first : first + count]:
-            spans.append((left, right))
+            spans.append((left_px, right_px))
         return first
 
 
@@ -107,20 +107,20 @@ def machine(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequenc
     left_m = left_ends(rig)
     extent_m = max(left_m[b.name] + b.length_m for b in rig.bodies) - min(left_m.values())
     layout = _Layout(rig, left_m, (WIDTH - LEFT - RIGHT) / extent_m if extent_m > 0 else 0.0)
-    below, above = ({body.name: _Rows() for body in rig.bodies} for _ in range(2))
+    rows_below, rows_above = ({body.name: _Rows() for body in rig.bodies} for _ in range(2))
     contact_texts: list[tuple[Contact, _Text]] = []
     for contact in rig.contacts:
         lines = [contact.name, *contact_lines.get(contact.name, ())]
-        rows = below[layout.upper_body(contact).name]
-        contact_texts.append((contact, _beside(layout.contact_x(contact), lines, rows)))
+        rows = rows_below[layout.upper_body(contact).name]
+        contact_texts.append((contact, _contact_text(layout.contact_x(contact), lines, rows)))
     mark_texts: list[tuple[DrawnMark, _Text]] = []
     for mark in sorted(marks, key=lambda mark: layout.x(mark.station)):
         lines = wrap(mark.words, MAX_LETTERS)
-        mark_texts.append((mark, _above(layout.x(mark.station), lines, above[mark.station.body])))
+        mark_texts.append((mark, _mark_text(layout.x(mark.station), lines, rows_above[mark.station.body])))
     y = 0.0
     for body in reversed(rig.bodies):
-        layout.tops[body.name] = y = y + ROOM + LINE * len(above[body.name].spans)
-        y += _height(body) + LINE * len(below[body.name].spans)
+        layout.tops[body.name] = y = y + ROOM + LINE * len(rows_above[body.name].spans)
+        y += _height(body) + LINE * len(rows_below[body.name].spans)
     parts = [
         *(part for body in rig.bodies for part in _support(layout, body)),
         *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
@@ -140,7 +140,7 @@ def _height(body: Body) -> float:
     return BLOCK[1] if body.is_mass else BAR
 
 
-def _beside(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
+def _contact_text(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
     """Lines of text beside a contact, on the side that has room for them."""
     offset, width = REACH + 8, LETTER * max(map(len, lines))
     if x + offset + width <= WIDTH:
@@ -148,7 +148,7 @@ def _beside(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
     return _Text(x - offset, "end", lines, rows.line_for(x - offset - width, x + REACH, len(lines)))
 
 
-def _above(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
+def _mark_text(x: float, lines: Sequence[str], rows: _Rows) -> _Text:
     """Lines of text centred about x, as far as the drawing's edges allow."""
     half = LETTER * max(map(len, lines)) / 2
     middle = min(max(x, half + 4), WIDTH - half - 4)

@@ -75,7 +75,7 @@ def _displacement_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
     """Displacement sensors on both sides of each contact, and of all contacts."""
     measured = {sensor.station for sensor in sensors_of(test.rig, "displacement")}
     added_for_all: dict[Station, Sensor] = {}
-    helped = []
+    contact_names = []
     for contact in test.rig.contacts:
         added = {
             station: _added(test.rig, station, "displacement", DISPLACEMENT_NOISE_M)
@@ -83,11 +83,11 @@ def _displacement_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
             if station not in measured
         }
         if added and not added.keys() <= added_for_all.keys():
-            helped.append(contact.name)
+            contact_names.append(contact.name)
             added_for_all |= added
             yield _addition(test, f"{_count(added)} at {contact.name} ({_places_text(added)})", tuple(added.values()))
-    if len(helped) > 1:
-        words = f"{_count(added_for_all)} at {', '.join(helped)} ({_places_text(added_for_all)})"
+    if len(contact_names) > 1:
+        words = f"{_count(added_for_all)} at {', '.join(contact_names)} ({_places_text(added_for_all)})"
         yield _addition(test, words, tuple(added_for_all.values()))
 
 
@@ -196,5 +196,5 @@ def _places(test: PlannedTest) -> Iterator[PlannedChange]:
 def _without_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
     sensors = test.rig.sensors
     for sensor in sensors if len(sensors) > 1 else ():
-        others = tuple(other for other in sensors if other != sensor)
-        yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, others))
+        remaining_sensors = tuple(kept for kept in sensors if kept != sensor)
+        yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

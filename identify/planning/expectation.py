@@ -66,13 +66,13 @@ class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def source(self) -> Source:
         """Largest part of the variance."""
-        parts: dict[Source, float] = {
+        variances: dict[Source, float] = {
             "scatter": self.scatter,
             "slow motion": self.slow_motion,
             "tolerances": self.tolerances,
             "law": self.law,
         }
-        return max(parts, key=lambda source: parts[source])
+        return max(variances, key=lambda source: variances[source])
 
     def over(self, length_ratio: float) -> "ErrorParts":
         """Parts for a record that is longer by a ratio."""
@@ -185,13 +185,13 @@ def _error_parts(
     law: ContactLaw, estimate: JointEstimate, stated: JointEstimate, length_ratio: float
 ) -> tuple[ErrorParts, ...]:
     simulated = law_numbers(law)
-    parts = []
+    parts_by_quantity = []
     for gradient in (estimate.clearance, STIFFNESS, DAMPING):
         total, tolerances, slow_motion, misfit = (
             float(gradient @ covariance @ gradient)
             for covariance in (estimate.covariance, estimate.of_tolerances, estimate.of_drift, estimate.of_misfit)
         )
-        whole = ErrorParts(
+        simulated_parts = ErrorParts(
             value=float(gradient @ simulated),
             estimate=float(gradient @ estimate.values),
             scatter=max(0.0, total - tolerances - slow_motion - misfit),
@@ -200,8 +200,8 @@ def _error_parts(
             law=misfit,
             widened=stated.error(gradient) / float(np.sqrt(total)) if total > 0 else 1.0,
         )
-        parts.append(whole.over(length_ratio))
-    return tuple(parts)
+        parts_by_quantity.append(simulated_parts.over(length_ratio))
+    return tuple(parts_by_quantity)
 
 
 def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedContact | Undetermined:

@@ -69,13 +69,14 @@ def planned(
     run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1)
     with _mapped(workers) as mapped:
         expected = mapped(
-            [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], lambda done: progress(done / run_count)
+            [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS],
+            lambda finished: progress(finished / run_count),
         )
         results = _tried(
             test,
             changes,
             simulator,
-            lambda runs, done: mapped(runs, lambda n: progress((SIMULATIONS + done + n) / run_count)),
+            lambda runs, finished: mapped(runs, lambda n: progress((SIMULATIONS + finished + n) / run_count)),
         )
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
@@ -104,16 +105,16 @@ def _tried(
         return []
     unchanged = mapped([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
     order = sorted(range(SIMULATIONS), key=lambda index: _widest(unchanged[index]))
-    usual, *others = (order[SIMULATIONS // 2], *(index for index in order if index != order[SIMULATIONS // 2]))
-    first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual]) for change in changes]
+    usual_index = order.pop(SIMULATIONS // 2)
+    first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
     outcomes = [[outcome] for outcome in mapped(first_runs, SIMULATIONS)]
-    reference = [unchanged[usual], *(unchanged[index] for index in others)]
+    reference = [unchanged[usual_index], *(unchanged[index] for index in order)]
     results = [_compared(change, reference[:1], of_change) for change, of_change in zip(changes, outcomes, strict=True)]
     finalists = _finalists(results)
-    runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in others]
+    runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in order]
     further = iter(mapped(runs, SIMULATIONS + len(changes)))
     for k in finalists:
-        outcomes[k] += [next(further) for _ in others]
+        outcomes[k] += [next(further) for _ in order]
         results[k] = _compared(changes[k], reference, outcomes[k])
     return results
 
@@ -135,29 +136,31 @@ Mapped = Callable[[Sequence[Run], Callable[[int], None]], list[SimulatedTest]]
 
 @contextmanager
 def _mapped(workers: int) -> Iterator[Mapped]:
-    """Function that runs simulated tests in order, over processes if there are several workers, and tells how many are
-    done."""
+    """Function that runs simulated tests in order, over processes if there are several workers.
+
+    It reports how many are finished.
+    """
     if workers <= 1:
 
-        def one_by_one(runs: Sequence[Run], done: Callable[[int], None]) -> list[SimulatedTest]:
+        def one_by_one(runs: Sequence[Run], report_finished: Callable[[int], None]) -> list[SimulatedTest]:
             outcomes = []
             for run in runs:
                 outcomes.append(_run(run))
-                done(len(outcomes))
+                report_finished(len(outcomes))
             return outcomes
 
         yield one_by_one
         return
     pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
 
-    def over_processes(runs: Sequence[Run], done: Callable[[int], None]) -> list[SimulatedTest]:
+    def over_processes(runs: Sequence[Run], report_finished: Callable[[int], None]) -> list[SimulatedTest]:
         futures: list[Future[SimulatedTest]] = [pool.submit(_run, run) for run in runs]
         pending: set[Future[SimulatedTest]] = set(futures)
         while pending:
             finished, pending = wait(pending, return_when=FIRST_COMPLETED)
             for future in finished:
                 future.result()  # an error ends the planning at once
-            done(len(futures) - len(pending))
+            report_finished(len(futures) - len(pending))
         return [future.result() for future in futures]
 
     try:

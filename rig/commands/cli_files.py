@@ -97,16 +97,16 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
     if write_map is not None:
         write_bytes(proposal.text.encode(), write_map)
     if as_json:
-        print(json.dumps({"map": proposal.text, "seen": proposal.seen, "left": proposal.left}))
+        print(json.dumps({"map": proposal.text, "seen": proposal.facts, "left": proposal.placeholder_count}))
         return
     map_name = write_map or source.with_suffix(".toml")
-    fill = f"fill in its {proposal.left} values marked ?, then " if proposal.left else ""
+    fill = f"fill in its {proposal.placeholder_count} values marked ?, then " if proposal.placeholder_count else ""
     command = f"{fill}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
     if write_map is None:
         print(proposal.text, end="")
         say(f"# next: save this as {map_name}, {command}")
         return
-    for fact in proposal.seen:
+    for fact in proposal.facts:
         say(fact)
     say(f"{write_map}: written; next: {command}")
 

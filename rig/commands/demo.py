@@ -73,12 +73,12 @@ def demo(
     columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
     with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
 
-        def shown(task: Any) -> Show:
+        def task_description(task: Any) -> Show:
             return lambda text: progress.update(task, description=text)
 
         with ThreadPoolExecutor(2) as pool:
             chains = [
-                pool.submit(_run_all, commands, shown(progress.add_task("")))
+                pool.submit(_run_all, commands, task_description(progress.add_task("")))
                 for commands in (identification, diagnosis)
             ]
             chains[0].result()

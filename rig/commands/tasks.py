@@ -72,7 +72,7 @@ def outcomes_of_tasks(
     tasks = [parameters[number] for number in missing]
     completed = _on_dask(function, tasks, dask) if dask else _on_processes(function, tasks)
     errors: dict[int, BaseException] = {}
-    done = 0
+    finished_count = 0
     try:
         with closing(completed), progress_bar(f"{len(missing)} of {len(parameters)} tasks") as progress:
             for index, future in completed if tasks else ():
@@ -80,12 +80,12 @@ def outcomes_of_tasks(
                     errors[missing[index]] = error
                 else:
                     write_bytes(msgspec.json.encode(future.result()), paths[missing[index]])
-                done += 1
-                progress(done / len(missing))
+                finished_count += 1
+                progress(finished_count / len(missing))
     except KeyboardInterrupt:
-        kept = sum(path.exists() for path in paths)
+        kept_count = sum(path.exists() for path in paths)
         raise StoppedError(
-            f"interrupted; {kept} of {len(paths)} results are kept in {folder}; run the command again to go on"
+            f"interrupted; {kept_count} of {len(paths)} results are kept in {folder}; run the command again to go on"
         ) from None
     return [
         errors[number] if number in errors else msgspec.json.decode(path.read_bytes(), type=result_type)
@@ -109,7 +109,7 @@ def _on_dask(function: Callable[[Parameters], Result], tasks: Sequence[Parameter
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
     with client, client.get_executor(retries=LOSSES) as executor:
-        indices = {executor.submit(_alone, function, task): index for index, task in enumerate(tasks)}
+        indices = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
         for future in as_completed(indices):
             yield indices[future], future
 
@@ -145,7 +145,7 @@ def _in_a_pool(
     function: Callable[[Parameters], Result], tasks: Sequence[Parameters], waiting: deque[int], processes: int
 ) -> Completed:
     """Yield index and future of waiting tasks, of which as many run as there are processes, until the pool breaks."""
-    others = set(multiprocessing.active_children())
+    earlier_processes = set(multiprocessing.active_children())
     pool = ProcessPoolExecutor(processes, initializer=_prepare_process)
     running: dict[Future[Any], int] = {}
     broken = False
@@ -153,7 +153,7 @@ def _in_a_pool(
         while True:
             try:
                 while waiting and not broken and len(running) < processes:
-                    running[pool.submit(_alone, function, tasks[waiting[0]])] = waiting[0]
+                    running[pool.submit(_on_one_thread, function, tasks[waiting[0]])] = waiting[0]
                     waiting.popleft()
             except BrokenProcessPool:
                 broken = True
@@ -163,7 +163,7 @@ def _in_a_pool(
                 broken = broken or _is_lost(future)
                 yield running.pop(future), future
     except BaseException:
-        for process in set(multiprocessing.active_children()) - others:
+        for process in set(multiprocessing.active_children()) - earlier_processes:
             process.terminate()
         raise
     finally:
@@ -188,7 +188,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _alone(function: Callable[[Parameters], Result], parameters: Parameters) -> Result:
-    """On one thread: as many tasks as cores run beside one another."""
+def _on_one_thread(function: Callable[[Parameters], Result], parameters: Parameters) -> Result:
+    """Result of a task, computed on one thread, as a task runs on every core."""
     with threadpool_limits(1):
         return function(parameters)

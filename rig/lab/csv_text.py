@@ -149,7 +149,7 @@ def _columns(
         if form.decimal != ".":
             _check_decimal(path, form, names, column_indices, lines)
         if form.cut_incomplete_end:
-            lines = _whole(path, form, column_indices, lines, lines_left)
+            lines = _complete_lines(path, form, column_indices, lines, lines_left)
         plain = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
         if not plain:
             continue
@@ -178,7 +178,7 @@ def _unit_of(name: str) -> str | None:
     return unit if quantity_of(unit) else None
 
 
-def _whole(
+def _complete_lines(
     path: Path,
     form: TextForm,
     chosen: Sequence[int],

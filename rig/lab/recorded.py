@@ -78,7 +78,7 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
         if day is not None:
             clock_lines = [line, *(other for other in header if _TIMED.search(other))]
             times = (match for text in clock_lines if (match := _TIME.search(text)))
-            return _at(day, next(times, None)), doubtful
+            return _date_and_time(day, next(times, None)), doubtful
     return None, doubtful
 
 
@@ -137,7 +137,7 @@ def _is_date(day: tuple[int, int, int]) -> bool:
         return False
 
 
-def _at(day: tuple[int, int, int], time: re.Match[str] | None) -> datetime:
+def _date_and_time(day: tuple[int, int, int], time: re.Match[str] | None) -> datetime:
     """Date and time of day; the date alone if the time is none."""
     if time is None:
         return datetime(*day)

@@ -53,7 +53,7 @@ def explained(error: msgspec.ValidationError, decoded: Any, kind: Any) -> str:
     place = path.removeprefix(".").replace("[...]", "")
     if isinstance(error.__cause__, RigError):
         return f"{error.__cause__}" + (f" (at {place})" if place else "")
-    info, value = _at(inspect.type_info(kind), decoded, path)
+    info, value = _type_and_value_at(inspect.type_info(kind), decoded, path)
     quoted = _QUOTED.findall(text)
     if text.startswith("Invalid ") and (allowed := _values(info)):
         return f"{place or 'it'} is {value!r}{nearest(value, allowed)}; give {_listed(allowed)}"
@@ -78,8 +78,8 @@ def _about_fields(owner: str, info: Any, text: str, field: str) -> str:
 def nearest(word: Any, candidates: Iterable[str]) -> str:
     """Suggestion as `rig.errors.meant` gives it, also for a word that other programs use."""
     names = [str(c) for c in candidates]
-    known = OTHER_NAMES.get(str(word).lower(), "")
-    return f" (did you mean {known!r}?)" if known in names else meant(str(word), names)
+    synonym = OTHER_NAMES.get(str(word).lower(), "")
+    return f" (did you mean {synonym!r}?)" if synonym in names else meant(str(word), names)
 
 
 def _owner(place: str, info: Any) -> str:
@@ -87,7 +87,7 @@ def _owner(place: str, info: Any) -> str:
     return f"{kind} {place}".strip() or "it"
 
 
-def _at(info: Any, value: Any, path: str) -> tuple[Any, Any]:
+def _type_and_value_at(info: Any, value: Any, path: str) -> tuple[Any, Any]:
     """Type and value at a path as msgspec writes it, such as .bodies[0].ends."""
     for key, number in _STEP.findall(path):
         info = _chosen(info, value)

@@ -14,7 +14,7 @@ Colour = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class Meaning:
-    """What a colour stands for, and the colour on a dark screen and, where it is drawn there, on white paper."""
+    """Meaning of a colour, and the colour on a dark screen and, where it is drawn there, on white paper."""
 
     words: str
     on_dark: Colour

@@ -42,7 +42,7 @@ rig under the forces of a record from the states at the first sample of each win
 class PredictedMotion:
     """Displacements of both rigs at the stations, m, in windows one after another from first_sample on.
 
-    shown is the row of the station whose displacement is plotted; a prediction that diverges is not finite.
+    shown_row is the row of the station whose displacement is plotted; a prediction that diverges is not finite.
     """
 
     stations: tuple[Station, ...]
@@ -51,7 +51,7 @@ class PredictedMotion:
     measured_m: Float[np.ndarray, "stations samples"]
     believed_m: Float[np.ndarray, "stations samples"]
     corrected_m: Float[np.ndarray, "stations samples"]
-    shown: int
+    shown_row: int
 
     @property
     def samples(self) -> slice:
@@ -100,8 +100,8 @@ def predicted_motion(
     )
     measured_m = motion.displacement_m[:, first : first + starts.size * window]
     errors = np.nan_to_num(believed_m - measured_m).std(axis=1)
-    shown = int(np.argmax(errors)) if chosen is None else chosen
-    return PredictedMotion(motion.stations, window, first, measured_m, believed_m, corrected_m, shown)
+    shown_row = int(np.argmax(errors)) if chosen is None else chosen
+    return PredictedMotion(motion.stations, window, first, measured_m, believed_m, corrected_m, shown_row)
 
 
 def summary(predicted: PredictedMotion, window_s: float) -> str:

@@ -32,7 +32,7 @@ def send_prediction(stream: rr.RecordingStream, predicted: PredictedMotion, scen
     for name, (displacement_m, colour) in displacements.items():
         breaks = begins if name != "measured" else begins[:0]
         for origin, values_m in (
-            ("displacement", displacement_m[predicted.shown]),
+            ("displacement", displacement_m[predicted.shown_row]),
             ("error", predicted.errors_m(displacement_m)),
         ):
             if origin == "error" and name == "measured":

@@ -165,10 +165,10 @@ class Stage:
             jaws[:, tip_corner] = jaws[:, carrier_corner]
         return jaws
 
-    def _between(self, at: str, against: str) -> tuple[float, float]:
+    def _between(self, body_name: str, other_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
-        middle_m, to_other_m = self.left_m[at], self.left_m[against] - self.left_m[at]
-        half = np.copysign(self._half(self.rig.body(at)), to_other_m)
+        middle_m, to_other_m = self.left_m[body_name], self.left_m[other_name] - self.left_m[body_name]
+        half = np.copysign(self._half(self.rig.body(body_name)), to_other_m)
         return middle_m + half, to_other_m - 2 * half
 
     def _half(self, body: Body) -> float:

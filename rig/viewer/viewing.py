@@ -93,7 +93,7 @@ def write_rrd(
         ),
         diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
-        predicted_at=None if predicted is None else station_words(recording.rig, predicted.stations[predicted.shown]),
+        predicted_at=station_words(recording.rig, predicted.stations[predicted.shown_row]) if predicted else None,
     )
     with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
         stream.send_blueprint(blueprint(layout))

@@ -62,7 +62,7 @@ def peers(
                 )
                 continue
             outcomes = [outcome_of(PeerTrial(name, rig, seed), out) for seed in range(1, seeds + 1)]
-            rows.append(row(chosen.title, chosen.told, outcomes))
+            rows.append(row(chosen.title, chosen.prior_knowledge, outcomes))
             print(" | ".join((TITLES[rig], *rows[-1][1:])), flush=True)
     text = io.StringIO()
     csv.writer(text).writerows([HEADINGS, *rows])

@@ -1,4 +1,4 @@
-"""What peers are given of a recording, and the form of their answers."""
+"""Arrays of a recording for the peers, and the form of their answers."""
 
 from dataclasses import dataclass
 

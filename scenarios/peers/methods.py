@@ -25,7 +25,7 @@ class Method:
     title: str
     modules: tuple[str, ...]
     packages: tuple[str, ...]
-    told: str
+    prior_knowledge: str
     answers: Callable[[Recording], tuple[ContactAnswer, ...]]
     rigs: tuple[str, ...] = ("sdof", "barrel_cradle")
 

@@ -27,21 +27,21 @@ COVERED = 1.96
 
 @dataclass(frozen=True)
 class Windows:
-    """What the residuals of all windows follow from."""
+    """Windows of a recording: forces, measured outputs and initial states, and the model that simulates them."""
 
     system: Stepper
     scales: Float[np.ndarray, "contacts 3"]
     force_n: Float[np.ndarray, "windows times"]
     measured: Float[np.ndarray, "windows samples outputs"]
     starts: Float[np.ndarray, "windows states"]
-    every: int
+    steps_per_output: int
 
     def residuals(
         self, laws: Float[np.ndarray, " parameters"], states: Float[np.ndarray, "windows states"]
     ) -> Float[np.ndarray, "windows residuals"]:
         """Simulated less measured outputs over the size of these; laws are shares of the scales."""
         values = self.scales * laws.reshape(self.scales.shape)
-        outputs = rolled_out(self.system, values, states, self.force_n, self.every)
+        outputs = rolled_out(self.system, values, states, self.force_n, self.steps_per_output)
         return np.asarray((outputs - self.measured).reshape(len(states), -1) / np.std(self.measured))
 
 
@@ -76,15 +76,15 @@ def _windows(recording: Given, scales: Float[np.ndarray, "contacts 3"], window_s
     contacts, model = len(recording.names), recording.model
     one_mass = model.omega.size == 1
     of_bodies = {body: np.flatnonzero(np.array(model.bodies) == body) for body in model.bodies}
-    kept = np.zeros(model.omega.size, dtype=bool)
+    is_moving = np.zeros(model.omega.size, dtype=bool)
     for modes in of_bodies.values():
-        kept[modes[:MODES_A_BEAM]] = True
+        is_moving[modes[:MODES_A_BEAM]] = True
     every_sample = round(recording.sample_rate_hz / OUTPUTS_HZ[contacts])
     outputs = (recording.acceleration_m_per_s2 if one_mass else recording.displacement_m)[:, ::every_sample]
-    length, every = round(window_s * OUTPUTS_HZ[contacts]), STEPS_HZ[contacts] // OUTPUTS_HZ[contacts]
+    length, steps_per_output = round(window_s * OUTPUTS_HZ[contacts]), STEPS_HZ[contacts] // OUTPUTS_HZ[contacts]
     firsts = np.arange(0, outputs.shape[1] - length, length)
     samples_s = np.arange(recording.force_n.size) / recording.sample_rate_hz
-    times_s = firsts[:, None] / OUTPUTS_HZ[contacts] + np.arange(length * every + 1) / STEPS_HZ[contacts]
+    times_s = firsts[:, None] / OUTPUTS_HZ[contacts] + np.arange(length * steps_per_output + 1) / STEPS_HZ[contacts]
     starts = np.zeros((2, firsts.size, model.omega.size))
     for body, modes in of_bodies.items():
         stations = np.flatnonzero(np.array(recording.station_bodies) == body)
@@ -93,12 +93,12 @@ def _windows(recording: Given, scales: Float[np.ndarray, "contacts 3"], window_s
         for order, signal in enumerate((recording.displacement_m, recording.velocity_m_per_s)):
             starts[order][:, lowest] = (to_modes @ signal[np.ix_(stations, firsts * every_sample)]).T
     return Windows(
-        system=stepper(model, kept, 1 / STEPS_HZ[contacts], one_mass),
+        system=stepper(model, is_moving, 1 / STEPS_HZ[contacts], one_mass),
         scales=scales,
         force_n=CubicSpline(samples_s, recording.force_n)(times_s),
         measured=np.moveaxis(outputs[:, firsts[:, None] + np.arange(length + 1)], 0, -1),
-        starts=np.hstack([starts[0][:, kept], starts[1][:, kept]]),
-        every=every,
+        starts=np.hstack([starts[0][:, is_moving], starts[1][:, is_moving]]),
+        steps_per_output=steps_per_output,
     )
 
 
@@ -139,9 +139,10 @@ def _fitted(
     )
     fitted, starts = unpacked(optimum.x)
     by_state, by_law = _derivatives(windows, fitted, starts, directions)
-    own, _ = np.linalg.qr(by_state)
-    alone = by_law - own @ (np.swapaxes(own, 1, 2) @ by_law)  # what no initial state can take over
-    information = np.einsum("wri,wrj->ij", alone, alone)
+    state_basis, _ = np.linalg.qr(by_state)
+    # what no initial state can take over
+    by_law_alone = by_law - state_basis @ (np.swapaxes(state_basis, 1, 2) @ by_law)
+    information = np.einsum("wri,wrj->ij", by_law_alone, by_law_alone)
     variance = 2 * optimum.cost / (optimum.fun.size - optimum.x.size)
     return fitted, np.sqrt(variance * np.diag(np.linalg.inv(information)))
 
@@ -153,10 +154,13 @@ def _derivatives(
     directions: Float[np.ndarray, "windows states states"],
 ) -> tuple[Float[np.ndarray, "windows residuals states"], Float[np.ndarray, "windows residuals parameters"]]:
     """Differences of the residuals along every state's direction, in all windows at once, and along every law."""
-    here = windows.residuals(laws, starts)
+    residuals = windows.residuals(laws, starts)
     step = DIFFERENCE * np.abs(starts).max() / np.abs(directions).max()
     by_state = [
-        (windows.residuals(laws, starts + step * directions[:, :, i]) - here) / step for i in range(starts.shape[1])
+        (windows.residuals(laws, starts + step * directions[:, :, i]) - residuals) / step
+        for i in range(starts.shape[1])
     ]
-    by_law = [(windows.residuals(laws + DIFFERENCE * row, starts) - here) / DIFFERENCE for row in np.eye(laws.size)]
+    by_law = [
+        (windows.residuals(laws + DIFFERENCE * row, starts) - residuals) / DIFFERENCE for row in np.eye(laws.size)
+    ]
     return np.stack(by_state, axis=-1), np.stack(by_law, axis=-1)

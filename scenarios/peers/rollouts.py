@@ -31,9 +31,9 @@ class Stepper(NamedTuple):
     output_by_force: Float[np.ndarray, " outputs"]
 
 
-def stepper(model: LinearModel, kept: Float[np.ndarray, " modes"], step_s: float, accelerations: bool) -> Stepper:
+def stepper(model: LinearModel, is_moving: Float[np.ndarray, " modes"], step_s: float, accelerations: bool) -> Stepper:
     """Stepper that keeps some modes (a mask); its outputs are the stations' accelerations or displacements."""
-    omega, zeta = model.omega[kept], model.zeta[kept]
+    omega, zeta = model.omega[is_moving], model.zeta[is_moving]
     augmented = np.zeros((omega.size, 4, 4))  # (q, q', p, dp/dt * step): p rises over the step by its last
     augmented[:, 0, 1] = step_s
     augmented[:, 1, 0], augmented[:, 1, 1], augmented[:, 1, 2] = (
@@ -44,22 +44,25 @@ def stepper(model: LinearModel, kept: Float[np.ndarray, " modes"], step_s: float
     augmented[:, 2, 3] = 1
     advance = np.array([scipy.linalg.expm(a) for a in augmented])
     by_start, by_slope = advance[:, :2, 2].T, advance[:, :2, 3].T
-    flexible = ~kept & (model.omega > 0)
+    flexible = ~is_moving & (model.omega > 0)
     compliance = np.where(flexible, 1 / np.where(flexible, model.omega, 1) ** 2, 0)
     rows, across = model.sensor_rows, model.contact_rows
     if accelerations:
-        by_state = np.hstack([-rows[:, kept] * omega**2, -rows[:, kept] * 2 * zeta * omega])
-        by_contact, by_force = -rows[:, kept] @ across[:, kept].T, rows[:, kept] @ model.force_row[kept]
+        by_state = np.hstack([-rows[:, is_moving] * omega**2, -rows[:, is_moving] * 2 * zeta * omega])
+        by_contact, by_force = (
+            -rows[:, is_moving] @ across[:, is_moving].T,
+            rows[:, is_moving] @ model.force_row[is_moving],
+        )
     else:
-        by_state = np.hstack([rows[:, kept], 0 * rows[:, kept]])
+        by_state = np.hstack([rows[:, is_moving], 0 * rows[:, is_moving]])
         by_contact, by_force = -(rows * compliance) @ across.T, (rows * compliance) @ model.force_row
-    across_kept, respond = np.ascontiguousarray(across[:, kept]), np.array([by_start - by_slope, by_slope])
+    across_moving, respond = np.ascontiguousarray(across[:, is_moving]), np.array([by_start - by_slope, by_slope])
     return Stepper(
         propagate=np.ascontiguousarray(np.moveaxis(advance[:, :2, :2], 0, -1)),
         respond=respond,
-        force_row=np.ascontiguousarray(model.force_row[kept]),
-        contact_rows=across_kept,
-        loop=-np.einsum("jm,xm,km->xjk", across_kept, respond[1], across_kept),
+        force_row=np.ascontiguousarray(model.force_row[is_moving]),
+        contact_rows=across_moving,
+        loop=-np.einsum("jm,xm,km->xjk", across_moving, respond[1], across_moving),
         eta_by_contact=-(across * compliance) @ across.T,
         eta_by_force=(across * compliance) @ model.force_row,
         output_by_state=by_state,
@@ -73,17 +76,19 @@ def rolled_out(
     laws: Float[np.ndarray, "contacts 3"],
     starts: Float[np.ndarray, "windows states"],
     force_n: Float[np.ndarray, "windows times"],
-    every: int,
+    steps_per_output: int,
 ) -> Float[np.ndarray, "windows samples outputs"]:
     """Outputs at every so manyth step, from the start on; laws are clearance, stiffness and damping of each contact."""
-    outputs = np.empty((len(starts), (force_n.shape[1] - 1) // every + 1, len(system.output_by_state)))
-    _roll(np.array(starts), np.ascontiguousarray(force_n), np.ascontiguousarray(laws), system, every, outputs)
+    outputs = np.empty((len(starts), (force_n.shape[1] - 1) // steps_per_output + 1, len(system.output_by_state)))
+    _roll(
+        np.array(starts), np.ascontiguousarray(force_n), np.ascontiguousarray(laws), system, steps_per_output, outputs
+    )
     return outputs
 
 
 @numba.njit(cache=True, fastmath=True)
 @no_type_check
-def _roll(states, force_n, laws, system, every, outputs):
+def _roll(states, force_n, laws, system, steps_per_output, outputs):
     contacts, modes = system.contact_rows.shape
     for w in range(states.shape[0]):
         q, v = states[w, :modes], states[w, modes:]
@@ -100,8 +105,8 @@ def _roll(states, force_n, laws, system, every, outputs):
                 for i in range(modes):
                     q[i] -= system.contact_rows[j, i] * system.respond[1, 0, i] * contact_n[j]
                     v[i] -= system.contact_rows[j, i] * system.respond[1, 1, i] * contact_n[j]
-            for o in range(outputs.shape[2] if n % every == 0 else 0):
-                outputs[w, n // every, o] = (
+            for o in range(outputs.shape[2] if n % steps_per_output == 0 else 0):
+                outputs[w, n // steps_per_output, o] = (
                     system.output_by_force[o] * force_n[w, n]
                     + _product(system.output_by_state[o], states[w])
                     + _product(system.output_by_contact[o], contact_n)
@@ -135,17 +140,17 @@ def _advance(q, v, start_n, end_n, contact_n, system):
 
 @numba.njit(cache=True, fastmath=True, inline="always")
 @no_type_check
-def _sweep(contact_n, eta, rate, laws, system, within):
-    """Contact forces by their laws, each given the others; within is 0 at a window's start, else 1."""
+def _sweep(contact_n, eta, rate, laws, system, step_share):
+    """Contact forces by their laws, each given the others; step_share is 0 at a window's start, else 1."""
     for j in range(contact_n.size):
         e, r = eta[j], rate[j]
         for k in range(contact_n.size):
-            e += (system.eta_by_contact[j, k] + within * system.loop[0, j, k]) * contact_n[k]
-            r += within * system.loop[1, j, k] * contact_n[k]
+            e += (system.eta_by_contact[j, k] + step_share * system.loop[0, j, k]) * contact_n[k]
+            r += step_share * system.loop[1, j, k] * contact_n[k]
         depth = max(e - laws[j, 0], 0.0) + min(e + laws[j, 0], 0.0)
-        target, own = 0.0, 1.0
+        target, force_slope = 0.0, 1.0
         if depth != 0.0:
             target = laws[j, 1] * depth + laws[j, 2] * r
-            own -= laws[j, 1] * (system.eta_by_contact[j, j] + within * system.loop[0, j, j])
-            own -= laws[j, 2] * within * system.loop[1, j, j]
-        contact_n[j] += (target - contact_n[j]) / own
+            force_slope -= laws[j, 1] * (system.eta_by_contact[j, j] + step_share * system.loop[0, j, j])
+            force_slope -= laws[j, 2] * step_share * system.loop[1, j, j]
+        contact_n[j] += (target - contact_n[j]) / force_slope

@@ -51,7 +51,7 @@ def covering(outcomes: Sequence[PeerOutcome]) -> tuple[int, int]:
     return sum(inside), len(inside)
 
 
-def row(title: str, told: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ...]:
+def row(title: str, prior_knowledge: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ...]:
     """Row of one method on one rig: median and largest errors, intervals, mean seconds of the CPU."""
     answered = [o for o in outcomes if not o.failure]
     clearance, stiffness = errors_percent(answered)
@@ -64,7 +64,7 @@ def row(title: str, told: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ..
         _median_and_largest(stiffness),
         f"{covered} of {intervals}" if intervals else "none",
         f"{float(f'{np.mean([o.cpu_s for o in answered]):.2g}'):g}" if answered else "",
-        told,
+        prior_knowledge,
     )
 
 

@@ -29,7 +29,7 @@ from rig.simulation.reference import Sdof
 
 DURATION_S = 300.0
 ENOUGH_S = 150.0
-"""From this on a recording of the one-mass rig is long enough for an answer."""
+"""Duration from which a recording of the one-mass rig is long enough for an answer."""
 CLEARANCE_M = Sdof().clearance_m
 
 
@@ -45,17 +45,17 @@ def main() -> None:
         process = _record(path)
         _, said = process.communicate()
         assert process.returncode == 0, said
-        whole, size = read(path), path.stat().st_size
-        print(f"whole: {whole.samples} samples, {size} bytes", flush=True)
+        undisturbed, size = read(path), path.stat().st_size
+        print(f"whole: {undisturbed.samples} samples, {size} bytes", flush=True)
         for number in range(asked.kills):
             place = folder / f"{number}"
             place.mkdir()
-            print(f"kill {number + 1}: {_killed(place / 'r.mcap', int(rng.uniform(0, size)), whole)}", flush=True)
-        print(f"full disk: {_out_of_disk(folder / 'full.mcap', size // 2, whole)}", flush=True)
-        print(f"Ctrl-C: {_interrupted(folder / 'stopped.mcap', size // 2, whole)}", flush=True)
+            print(f"kill {number + 1}: {_killed(place / 'r.mcap', int(rng.uniform(0, size)), undisturbed)}", flush=True)
+        print(f"full disk: {_out_of_disk(folder / 'full.mcap', size // 2, undisturbed)}", flush=True)
+        print(f"Ctrl-C: {_interrupted(folder / 'stopped.mcap', size // 2, undisturbed)}", flush=True)
 
 
-def _killed(path: Path, after_bytes: int, whole: Recording) -> str:
+def _killed(path: Path, after_bytes: int, undisturbed: Recording) -> str:
     process = _record(path)
     _wait_for(path, after_bytes, process)
     process.kill()
@@ -63,52 +63,52 @@ def _killed(path: Path, after_bytes: int, whole: Recording) -> str:
     assert process.returncode in (0, -signal.SIGKILL)
     if path.exists():
         back = read(path)
-        _check_same(back, whole)
-        assert back.samples == whole.samples
+        _check_same(back, undisturbed)
+        assert back.samples == undisturbed.samples
         return f"after {after_bytes} bytes: it was complete already"
-    return f"after {after_bytes} bytes: {_saved(_part_of(path), whole)}"
+    return f"after {after_bytes} bytes: {_saved(_part_of(path), undisturbed)}"
 
 
-def _out_of_disk(path: Path, most_bytes: int, whole: Recording) -> str:
+def _out_of_disk(path: Path, most_bytes: int, undisturbed: Recording) -> str:
     process = _record(path, most_bytes)
     _, said = process.communicate()
     assert process.returncode == 1
     assert "cannot be written to its end (File too large)" in said
     assert said.count("\n") == 1
     assert not path.exists()
-    return _saved(_part_of(path), whole)
+    return _saved(_part_of(path), undisturbed)
 
 
-def _interrupted(path: Path, after_bytes: int, whole: Recording) -> str:
+def _interrupted(path: Path, after_bytes: int, undisturbed: Recording) -> str:
     process = _record(path)
     _wait_for(path, after_bytes, process)
     process.send_signal(signal.SIGINT)
     _, said = process.communicate()
     assert (process.returncode, said) == (130, f"rig: interrupted; {path} holds what was recorded until then\n"), said
     back = read(path)
-    _check_same(back, whole)
+    _check_same(back, undisturbed)
     return f"{back.samples} samples kept, complete file"
 
 
-def _saved(part: Path, whole: Recording) -> str:
-    """What of a file without its end comes back, all of it checked."""
-    stored, saved = _stored(part), part.with_name("saved.mcap")
-    if not stored or len(stored) < len(whole.signals):
-        done = _run("rig.commands.cli", "recover", part, "--out", saved)
+def _saved(part_path: Path, undisturbed: Recording) -> str:
+    """Check of what comes back of a file without its end, and its result in words."""
+    stored, saved = _stored(part_path), part_path.with_name("saved.mcap")
+    if not stored or len(stored) < len(undisturbed.signals):
+        done = _run("rig.commands.cli", "recover", part_path, "--out", saved)
         assert done.returncode == 1
         assert done.stderr.count("\n") == 1
         return f"no complete chunk of every group; {done.stderr.strip()}"
-    done = _run("rig.commands.cli", "recover", part, "--out", saved, "--json")
+    done = _run("rig.commands.cli", "recover", part_path, "--out", saved, "--json")
     assert done.returncode == 0, done.stderr
     groups = {group["group"]: group for group in json.loads(done.stdout)["groups"]}
     back = read(saved)
-    _check_same(back, whole)
+    _check_same(back, undisturbed)
     assert back.samples == min(samples.shape[1] for samples in stored.values())
     for name, samples in stored.items():
-        np.testing.assert_array_equal(samples, whole.signals[name].values[:, : samples.shape[1]])
+        np.testing.assert_array_equal(samples, undisturbed.signals[name].values[:, : samples.shape[1]])
         assert (groups[name]["found"], groups[name]["kept"]) == (samples.shape[1], back.samples)
     assert _run("rig.commands.cli", "check", saved).returncode == 0
-    kept = f"{back.samples} of {whole.samples} samples kept"
+    kept = f"{back.samples} of {undisturbed.samples} samples kept"
     if back.duration_s < ENOUGH_S:
         return kept
     done = _run("identify.commands.cli", "contact", saved, "--json")
@@ -119,10 +119,10 @@ def _saved(part: Path, whole: Recording) -> str:
     return f"{kept}, clearance {1e3 * clearance_m:.4f} mm"
 
 
-def _stored(part: Path) -> dict[str, np.ndarray]:
-    """The samples of every group in the complete chunks, as mcap's reader finds them."""
+def _stored(part_path: Path) -> dict[str, np.ndarray]:
+    """Samples of every group in the complete chunks, as mcap's reader finds them."""
     found: dict[str, list[np.ndarray]] = {}
-    with part.open("rb") as content:
+    with part_path.open("rb") as content:
         try:
             for _, channel, message in NonSeekingReader(content, validate_crcs=True).iter_messages(
                 log_time_order=False
@@ -134,10 +134,10 @@ def _stored(part: Path) -> dict[str, np.ndarray]:
     return {group: np.concatenate(blocks, axis=1) for group, blocks in found.items()}
 
 
-def _check_same(back: Recording, whole: Recording) -> None:
-    assert back.rig == whole.rig
-    assert set(back.signals) == set(whole.signals)
-    for name, signals in whole.signals.items():
+def _check_same(back: Recording, undisturbed: Recording) -> None:
+    assert back.rig == undisturbed.rig
+    assert set(back.signals) == set(undisturbed.signals)
+    for name, signals in undisturbed.signals.items():
         np.testing.assert_array_equal(back.signals[name].values, signals.values[:, : back.samples])
 
 
@@ -160,11 +160,11 @@ def _run(module: str, *words: object) -> subprocess.CompletedProcess[str]:
 
 
 def _wait_for(path: Path, size: int, process: subprocess.Popen[str]) -> None:
-    """Until so many bytes are written, or all."""
-    part = _part_of(path)
+    """Wait until so many bytes are written, or all."""
+    part_path = _part_of(path)
     while process.poll() is None:
         with suppress(FileNotFoundError):
-            if part.stat().st_size > size:
+            if part_path.stat().st_size > size:
                 return
         time.sleep(0.0005)
 

@@ -72,11 +72,13 @@ def write_page(
     """
     figures = dict(figures)
     decisive = next((name for name in DECISIVE_FIGURES[gap.verdict] if name in figures), None)
-    left = page.listed(findings) if findings else ""
+    first_column = page.listed(findings) if findings else ""
     if drawing:
-        left += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
-    left += f"<h2>What to do next</h2>{next_steps_list(gap)}"
-    right = page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PX) if decisive else ""
+        first_column += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
+    first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
+    second_column = (
+        page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PX) if decisive else ""
+    )
     unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
     experiments = _figures_html(figures, "next")
     folded = [
@@ -95,7 +97,7 @@ def write_page(
         answer=page.Answer(
             "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), gap.sentence
         ),
-        first=[left, right],
+        first=[first_column, second_column],
         sections=[("Which further recording?", experiments)] if experiments else [],
         folded=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in folded],
         foot="Every number of this page stands in gap.json, unrounded.",

@@ -1,4 +1,4 @@
-"""When the samples of a file were taken: its column of time, its rate, and what is wrong with either."""
+"""Clock of the samples of a file: its column of time, its rate, and what is wrong with either."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

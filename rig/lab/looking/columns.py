@@ -37,7 +37,7 @@ class SeenColumn:
 
     @property
     def is_counter(self) -> bool:
-        """Whether the values are 0, 1, 2, ... or 1, 2, 3, ..."""
+        """True if the values are 0, 1, 2, ... or 1, 2, 3, ..."""
         stamps = self.stamps
         return stamps is not None and stamps[0] in (0, 1) and bool((np.diff(stamps) == 1).all())
 

@@ -29,8 +29,8 @@ class Proposal:
     """Text of a map (TOML), its comments that say what was seen, and how many values are left to fill in."""
 
     text: str
-    seen: tuple[str, ...]
-    left: int
+    facts: tuple[str, ...]
+    placeholder_count: int
 
 
 def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal:
@@ -39,7 +39,7 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
     rig_name is the path of rig.json that the map names. Raises RigError with one sentence if no map can import
     the file.
     """
-    file = with_blocks(source, TextForm(), lambda blocks: _seen(source, blocks))
+    file = with_blocks(source, TextForm(), lambda blocks: _file_content(source, blocks))
     channels, left_out = candidates_in(file.columns)
     if not channels:
         reasons = "; ".join(f"{_label(c)}: {reason}" for c, reason in left_out[:6]) or "it has no columns of numbers"
@@ -50,7 +50,7 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         left_out = tuple((c, reason) for c, reason in left_out if c.number != clock.column.number)
     roles = roles_of(channels)
     date, origin = recorded_date(source, file.form, [column.recorded for column in channels])
-    seen = (
+    facts = (
         *file.facts,
         f"{channels[0].samples if channels else 0} samples of {len(channels)} channels; {clock.note}",
         f"recorded {date} by {origin}",
@@ -67,15 +67,20 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         *_sensor_lines(roles, keys, rig),
         *(f"# left out: {_label(column)} ({reason})" for column, reason in left_out),
     ]
-    left = sum(line.partition("  # ")[0].count(f'= "{PLACEHOLDER}"') for line in lines if not line.startswith("#"))
-    heading = [f"{source.name}: {seen[0]}", *seen[1:]]
-    if left:
-        heading.append(f'{left} values are left to fill in, marked "{PLACEHOLDER}"; delete a sensor that is not needed')
+    placeholder_count = sum(
+        line.partition("  # ")[0].count(f'= "{PLACEHOLDER}"') for line in lines if not line.startswith("#")
+    )
+    heading = [f"{source.name}: {facts[0]}", *facts[1:]]
+    if placeholder_count:
+        heading.append(
+            f'{placeholder_count} values are left to fill in, marked "{PLACEHOLDER}"; '
+            "delete a sensor that is not needed"
+        )
     text = "\n".join([*(f"# {one_line(fact)}" for fact in heading), *map(one_line, lines), ""])
-    return Proposal(text, tuple(map(one_line, seen)), left)
+    return Proposal(text, tuple(map(one_line, facts)), placeholder_count)
 
 
-def _seen(source: Path, blocks: Blocks) -> SeenFile:
+def _file_content(source: Path, blocks: Blocks) -> SeenFile:
     suffix = source.suffix.lower()
     if suffix in TEXT_SUFFIXES:
         return seen_csv(source)
@@ -152,18 +157,22 @@ def _force_lines(roles: Sequence[Role], keys: dict[int, str | int], rig: Rig | N
 
 
 def _sensor_lines(roles: Sequence[Role], keys: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
-    known = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
     sensors = [role for role in roles if role.quantity != "force"]
-    if rig is not None and any(role.name not in known for role in sensors):
+    if rig is not None and any(role.name not in sensor_by_name for role in sensors):
         places = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
-        named = f"; sensors of rig.json need no place if they are named as there: {', '.join(known)}" if known else ""
+        named = (
+            f"; sensors of rig.json need no place if they are named as there: {', '.join(sensor_by_name)}"
+            if sensor_by_name
+            else ""
+        )
         yield f"# bodies: {places}{named}"
     for role in sensors:
         name = json.dumps(role.name, ensure_ascii=False)
         fields = _unit_keys(role)
         note = _range(role)
-        if role.name in known:
-            station = known[role.name].station
+        if role.name in sensor_by_name:
+            station = sensor_by_name[role.name].station
             note += f", at {station.position_m:g} m of {station.body}"
         else:
             fields |= {"quantity": role.quantity or PLACEHOLDER} | _place(rig)

@@ -1,4 +1,4 @@
-"""What each column of a file is taken for: a force, a sensor of some quantity, or nothing that a rig has."""
+"""Role that each column of a file is taken for: a force, a sensor of some quantity, or nothing that a rig has."""
 
 import re
 from collections import Counter

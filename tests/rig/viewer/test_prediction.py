@@ -109,5 +109,5 @@ def test_a_station_without_a_sensor_is_refused_and_a_short_record_has_no_predict
     motion = deflection(recording, truth)
     with pytest.raises(RigError, match="no motion is recorded at 'nowhere'; give one of the sensors mass"):
         predicted_motion(recording, motion, true, coasting, station_name="nowhere")
-    assert predicted_motion(recording, motion, true, coasting, station_name="stop").shown == 0
+    assert predicted_motion(recording, motion, true, coasting, station_name="stop").shown_row == 0
     assert predicted_motion(recording, motion, true, coasting, window_s=7.0) is None

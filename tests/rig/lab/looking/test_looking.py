@@ -72,10 +72,10 @@ def test_the_proposed_map_imports_what_the_logger_wrote(folder, name):
     proposal = look_at(source, RIG)
     text = filled(proposal.text, *OWNER.get(name, ()))
     map_path.write_text(text, encoding="utf-8")
-    if proposal.left:
+    if proposal.placeholder_count:
         unfilled = folder / "unfilled.toml"
         unfilled.write_text(proposal.text, encoding="utf-8")
-        with pytest.raises(RigError, match=f"{proposal.left} value.* left to fill in, marked '\\?'"):
+        with pytest.raises(RigError, match=f"{proposal.placeholder_count} value.* left to fill in, marked '\\?'"):
             import_file(source, unfilled, folder / "r.mcap")
     steps = import_file(source, map_path, folder / "r.mcap")
     recording = read(folder / "r.mcap")
@@ -141,7 +141,7 @@ def test_of_several_bodies_the_owner_gives_the_place_and_known_names_need_none(t
     table = np.column_stack([TABLE[:, 1:], TABLE[:, 2] * 2])
     source.write_text(names + rows(np.column_stack([np.arange(SAMPLES) / rig.sample_rate_hz, table]), digits="%.12g"))
     proposal = look_at(source, rig)
-    assert proposal.left == 2
+    assert proposal.placeholder_count == 2
     text = proposal.text.replace('body = "?", position_m = "?"', 'body = "barrel", position_m = 0.75')
     map_path.write_text(text)
     import_file(source, map_path, tmp_path / "r.mcap")
