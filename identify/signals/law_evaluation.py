@@ -36,16 +36,27 @@ def oversampling(sample_rate_hz: float) -> int:
     return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), MAX_OVERSAMPLING)
 
 
+def product_multiple(sample_rate_hz: float, factor: int) -> int:
+    """Multiple of the rate of every `factor`-th sample at which products of two signals of that rate are exact.
+
+    It divides the factor, or that of the rate at which a law is evaluated; 1 where both are 1.
+    """
+    times = oversampling(sample_rate_hz)
+    return next((m for m in range(2, max(factor, times) + 1) if not factor % m or not times % m), 1)
+
+
 def evaluated(
-    law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, factor: int = 1
+    law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, factor: int = 1, multiple: int = 1
 ) -> Float[np.ndarray, "*results fewer"]:
     """law(*signals), for a law without memory, low-passed to every `factor`-th sample.
 
-    A law may return several results along leading axes. It is evaluated block by block, which bounds the memory. Each
-    block is resampled by Fourier transforms under tapers that are one inside the block, so that it need not be
-    periodic.
+    `multiple`, of `product_multiple`, gives so many results for each of these. A law may return several results along
+    leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier transforms
+    under tapers that are one inside the block, so that it need not be periodic.
     """
     times, samples = oversampling(sample_rate_hz), signals.shape[1]
+    if not factor % multiple:
+        factor, multiple = factor // multiple, 1
     if times == 1:
         return decimated(law(*signals), factor)
     count = -(-samples // BLOCK_SAMPLES)
@@ -57,14 +68,13 @@ def evaluated(
         _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES),
         _taper(PADDED_SAMPLES * times, MARGIN_SAMPLES * times, MARGIN_SAMPLES * times),
     )
+    inside = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
     results = []
     for first in range(0, count, batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * times))):
         fine = law(*_finer(blocks[:, first : first + batch] * signal_taper, times))
-        results.append(
-            _coarser(fine * result_taper, times)[..., 2 * MARGIN_SAMPLES : 2 * MARGIN_SAMPLES + BLOCK_SAMPLES]
-        )
+        results.append(_coarser(fine * result_taper, times, multiple)[..., inside])
     rows = np.concatenate(results, axis=-2)
-    return decimated(rows.reshape(*rows.shape[:-2], -1)[..., :samples], factor)
+    return decimated(rows.reshape(*rows.shape[:-2], -1)[..., : samples * multiple], factor)
 
 
 def interpolated(signal: Float[np.ndarray, " samples"], sample_rate_hz: float) -> Float[np.ndarray, " fine"]:
@@ -91,11 +101,15 @@ def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Floa
     return np.asarray(irfft(lines, PADDED_SAMPLES * factor))
 
 
-def _coarser(fine: Float[np.ndarray, "*results fine"], factor: int) -> Float[np.ndarray, "*results length"]:
-    """Rows at 1 / factor times the rate."""
-    lines = rfft(fine)[..., : PADDED_SAMPLES // 2 + 1] / factor
-    lines[..., -1] *= 2
-    return np.asarray(irfft(lines, PADDED_SAMPLES))
+def _coarser(
+    fine: Float[np.ndarray, "*results fine"], factor: int, multiple: int
+) -> Float[np.ndarray, "*results length"]:
+    """Rows at multiple / factor times the rate."""
+    length = PADDED_SAMPLES * multiple
+    lines = rfft(fine)[..., : length // 2 + 1] * (multiple / factor)
+    if multiple < factor:
+        lines[..., -1] *= 2
+    return np.asarray(irfft(lines, length))
 
 
 def _taper(length: int, zero_samples: int, rise_samples: int) -> Float[np.ndarray, " length"]:

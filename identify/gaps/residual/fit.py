@@ -4,7 +4,7 @@ The normal equations H d = g are those of `Residual.cost`, with the unknowns of 
 complement). Derivatives are finite differences of the effect's parameters and columns of everything else.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,16 +13,19 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import solve_triangular
 from scipy.optimize import lsq_linear
-from scipy.sparse.linalg import SuperLU
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import SuperLU, splu
 
+from identify.gaps.residual.law import Sides
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Column, Linearization, Residual, derivative, residual_of
 from identify.signals.gauss_newton import Step, gauss_newton
 from rig.errors import RigError
 from rig.model.description import Rig
 
-MAX_STEPS = 12
-"""Gauss-Newton steps at most. Numerical."""
+MAX_STEPS, MAX_SIDES = 12, 4
+"""Gauss-Newton steps at most, and times at most that a step is solved again because a contact's tolerance crosses its
+limit in it. Numerical."""
 DERIVATIVE_STEP = 1e-3
 """Share of a candidate's steps over which derivatives are taken: eliminating nuisance parameters leaves little. Set by
 hand, between rounding and curvature."""
@@ -78,7 +81,8 @@ class Eliminated:
     """Unknowns of one contact, eliminated from the normal equations of the nuisance parameters.
 
     With J the contact residual's columns by its unknowns and r the residual: rows are its columns N by the nuisance
-    parameters, coupled = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r.
+    parameters, coupled = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r. straight_fall is
+    the fall of the cost to that of r, in which the excess of pulls is straight (`residual_beyond`).
     """
 
     solver: SuperLU
@@ -87,6 +91,7 @@ class Eliminated:
     solved: Float[np.ndarray, "unknowns nuisances"]
     gradient: Float[np.ndarray, " unknowns"]
     solved_gradient: Float[np.ndarray, " unknowns"]
+    straight_fall: float
 
 
 @dataclass(frozen=True)
@@ -126,24 +131,32 @@ class ReducedEquations:
             gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.gradient
             unknown_solutions.append((eliminated.solved_gradient, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        cost_decrease_by_contacts = float(sum(e.gradient @ e.solved_gradient for e in self.contacts))
+        cost_decrease_by_contacts = float(sum(e.gradient @ e.solved_gradient + e.straight_fall for e in self.contacts))
         return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
 
 
-def reduced_equations(linearization: Linearization, residual: Residual) -> ReducedEquations:
-    """Normal equations of the nuisance parameters, with their unit normal priors weighted by `sample_ratio`."""
+def reduced_equations(
+    linearization: Linearization, residual: Residual, sides: Sequence[Sides] | None = None
+) -> ReducedEquations:
+    """Normal equations of the nuisance parameters, with their unit normal priors weighted by `sample_ratio`.
+
+    `sides` are those of each contact's pulls, by default the present ones.
+    """
     count = len(linearization.columns.parameters)
     matrix = linearization.gram + linearization.record.sample_ratio * np.eye(count)
     gradient = linearization.columns.products(residual.linear_without_lines.ravel())
     gradient = gradient - linearization.record.sample_ratio * residual.nuisance
     eliminated = []
     for j, contact in enumerate(residual.contacts):
-        solver, rows = contact.solver(), contact_jacobian(linearization, residual, j)
-        unknown_gradient, coupled = contact.columns.T @ contact.residual, contact.columns.T @ rows
+        side = contact.sides if sides is None else sides[j]
+        columns, piece = contact.columns_beyond(side), contact.residual_beyond(side)
+        solver, rows = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
+        unknown_gradient, coupled = columns.T @ piece, columns.T @ rows
         solved = solver.solve(coupled)
         matrix = matrix + rows.T @ rows - coupled.T @ solved
         gradient = gradient + rows.T @ contact.residual - solved.T @ unknown_gradient
-        eliminated.append(Eliminated(solver, rows, coupled, solved, unknown_gradient, solver.solve(unknown_gradient)))
+        unknown_step, straight_fall = solver.solve(unknown_gradient), contact.cost - float(piece @ piece)
+        eliminated.append(Eliminated(solver, rows, coupled, solved, unknown_gradient, unknown_step, straight_fall))
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
@@ -152,12 +165,12 @@ def contact_jacobian(
 ) -> Float[np.ndarray, "_ nuisances"]:
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
     weights, contact = linearization.observations[contact_index].weights, residual.contacts[contact_index]
-    force_n, eta_m = (
-        linearization.columns.contact_n[:, contact_index].T,
-        linearization.columns.eta_m[:, contact_index].T,
-    )
-    rows = np.zeros((contact.residual.size, len(linearization.columns.parameters)))
-    rows[: weights.size] = weights[:, None] * force_n - (weights * contact.tangent_n_per_m)[:, None] * eta_m
+    columns = linearization.columns
+    force_n, eta_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
+    moving = np.any(eta_m, axis=1)
+    force_n[moving] -= contact.tangent.force_change_n(linearization.record.in_finer_time(eta_m[moving]))
+    rows = np.zeros((contact.residual.size, len(columns.parameters)))
+    rows[: weights.size] = weights[:, None] * force_n.T
     return rows
 
 
@@ -211,12 +224,23 @@ def _step(
     values, residual, count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
     columns = [_step_column(linearization, build, values, s, residual) for s in np.eye(values.size) * inward_steps]
-    normal = reduced_equations(linearization, residual).with_columns(columns)
-    regularized_matrix = normal.matrix + np.diag(np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300])
     ranges = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
     low = np.concatenate([-LIMIT - residual.nuisance, ranges[0]])
     high = np.concatenate([LIMIT - residual.nuisance, ranges[1]])
-    full_step = bounded_minimum(regularized_matrix, normal.gradient, low, high)
+    sides = [contact.sides for contact in residual.contacts]
+    for _ in range(MAX_SIDES):
+        normal = reduced_equations(linearization, residual, sides).with_columns(columns)
+        ridge = np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300]
+        full_step = bounded_minimum(normal.matrix + np.diag(ridge), normal.gradient, low, high)
+        before, sides = (
+            sides,
+            [
+                contact.sides_after(step)
+                for contact, step in zip(residual.contacts, normal.unknown_steps(full_step), strict=True)
+            ],
+        )
+        if all(np.array_equal(*pair) for pair in zip(before, sides, strict=True)):
+            break
 
     def point_after(share: float) -> _Point | None:
         step = share * full_step

@@ -14,14 +14,16 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace as changed
-from scipy.sparse import block_diag, csc_matrix, csr_matrix, vstack
+from scipy.sparse import block_diag, csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
 from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, Results, Signal
+from identify.gaps.residual.tangent import Tangent
 from identify.linear.joined import JoinedLaw
+from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
 
@@ -30,6 +32,7 @@ EXCESS_WEIGHT = 100.0
 hand: a soft bound."""
 LEAST_CLEARANCE_FACTOR = 1e-9
 """Least factor on a clearance, in place of zero: a stop that is not there stays infinitely far away. Set by hand."""
+Sides = Float[np.ndarray, " pulls"]
 DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
 """Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
 
@@ -98,7 +101,8 @@ class ContactResidual:
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
     the same places. adjusted_law has the first two of these. eta_m is the relative displacement with the drift,
-    rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the priors.
+    rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the priors,
+    those of the pulls' excess beyond `LIMIT` last.
     """
 
     observation: ContactObservation
@@ -115,9 +119,8 @@ class ContactResidual:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def slopes(self) -> Float[np.ndarray, "3 laws times"]:
-        """Derivatives of each law: by eta (N/m), by clearance, i.e. times the sign of eta (N/m), and the force at rest
-        per stiffness (m)."""
+    def _finer_slopes(self) -> Float[np.ndarray, "3 laws finer"]:
+        """Derivatives of each law at the rate of `tangent`; see `slopes`."""
         laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
 
         def slope_rows(eta: Signal, *time_s: Signal) -> Results:
@@ -128,19 +131,23 @@ class ContactResidual:
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness)])
 
-        return self._low_passed(slope_rows, self.eta_m)
+        return self._low_passed(slope_rows, self.eta_m, multiple=self.signals.multiple)
 
-    def force_change_n(self, change_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " times"]:
-        """Change of the law's force under a small change of relative displacement, by its slope."""
+    @cached_property
+    def slopes(self) -> Float[np.ndarray, "3 laws times"]:
+        """Derivatives of each law: by eta (N/m), by clearance, i.e. times the sign of eta (N/m), and the force at rest
+        per stiffness (m)."""
+        return decimated(self._finer_slopes, self.signals.multiple)
 
-        def linear_change(eta: Signal, change: Signal, *time_s: Signal) -> Signal:
-            return np.asarray(self._tangents(eta, *time_s).sum(axis=0) * change)
+    @cached_property
+    def tangent(self) -> Tangent:
+        """Tangent stiffness of all laws together."""
+        return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.multiple)
 
-        return self._low_passed(linear_change, self.eta_m, change_m)
-
-    def _low_passed(self, function: Callable[..., Results], *signals: Signal) -> Results:
+    def _low_passed(self, function: Callable[..., Results], *signals: Signal, multiple: int = 1) -> Results:
         """Low-passed function of signals, and of the time where the law wears."""
-        return self.signals.low_passed(function, *signals, *_wear_times(self.adjusted_law, self.signals))
+        times_s = _wear_times(self.adjusted_law, self.signals)
+        return self.signals.low_passed(function, *signals, *times_s, multiple=multiple)
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         """Tangent stiffness of each law at a relative displacement, N/m."""
@@ -198,14 +205,36 @@ class ContactResidual:
         """Slow part of the relative displacement that integration loses, m."""
         return np.asarray(self.observation.curve.value @ self.unknowns[: self.observation.curve.knots])
 
-    @cached_property
-    def tangent_n_per_m(self) -> Float[np.ndarray, " times"]:
-        """Derivative of the force by slow changes of relative displacement, laws and bodies together, N/m."""
-        return np.asarray(self.slopes[0].sum(axis=0) + self.signals.spring_n_per_m)
+    @property
+    def sides(self) -> Sides:
+        """Sides of the pulls: 0 within `LIMIT`, -1 or 1 beyond it."""
+        return np.sign(_limit_excess(self.pulls))
+
+    def sides_after(self, step: Float[np.ndarray, " unknowns"]) -> Sides:
+        """Sides of the pulls after a step of the unknowns."""
+        return np.sign(_limit_excess(self.pulls + step[self.observation.tolerance_slice]))
 
     @cached_property
     def columns(self) -> csr_matrix:
         """Decrease of the residual per unit of each unknown, rows x unknowns."""
+        return self.columns_beyond(self.sides)
+
+    def columns_beyond(self, sides: Sides) -> csr_matrix:
+        """Columns where the pulls' excess is straight, as on given sides."""
+        prior = np.diag(self.observation.prior_weight * np.ones(sides.size))
+        prior_rows = np.concatenate([prior, EXCESS_WEIGHT * prior * (sides != 0)])
+        return vstack([self._force_columns, block_diag([self.observation.curve.curvature, prior_rows], "csr")], "csr")
+
+    def residual_beyond(self, sides: Sides) -> Float[np.ndarray, " rows"]:
+        """Residual with the same straight excess."""
+        residual = self.residual.copy()
+        excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
+        residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * excess
+        return residual
+
+    @cached_property
+    def _force_columns(self) -> csr_matrix:
+        """Rows of `columns` of the force, without those of the priors."""
         weights, curve = self.observation.weights, self.observation.curve
         by_clearance, by_stiffness, _ = self.observation.prior_deviations
         rows = []
@@ -214,14 +243,8 @@ class ContactResidual:
         ):
             clearance_column = -by_clearance * law.clearance_m * signed_slope
             rows += [clearance_column, by_stiffness * law.stiffness_n_per_m * per_stiffness, force_by_damping]
-        by_law = np.stack(rows, axis=1)
-        contact_rows = _append_dense_columns(curve.value, weights * self.tangent_n_per_m, weights[:, None] * by_law)
-        prior_weight = self.observation.prior_weight * (1 + EXCESS_WEIGHT * (_limit_excess(self.pulls) != 0))
-        return vstack([contact_rows, block_diag([curve.curvature, np.diag(prior_weight)], "csr")], "csr")
-
-    def solver(self) -> SuperLU:
-        """Factorised normal matrix of the unknowns."""
-        return splu(csc_matrix(self.columns.T @ self.columns))
+        drift_columns = self.tangent.spline_columns(curve.value) + self.signals.spring_n_per_m * curve.value
+        return diags(weights) @ hstack([drift_columns, np.stack(rows, axis=1)], "csr")
 
     @cached_property
     def drift_columns(self) -> csr_matrix:
@@ -240,12 +263,12 @@ def contact_residual(
     law: JoinedLaw,
     unknowns: Float[np.ndarray, " unknowns"],
     added_n: float | Float[np.ndarray, " times"] = 0.0,
-    added_m: float | Float[np.ndarray, " times"] = 0.0,
+    added_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> ContactResidual:
     """Residual at given unknowns; added_n and added_m are added to the force and to the relative displacement."""
     curve, knots = observation.curve, unknowns[: observation.curve.knots]
-    drift_m, drift_m_per_s = curve.value @ knots + added_m, curve.rate @ knots
-    eta = signals.eta_m + _interpolated(np.broadcast_to(drift_m, signals.force_n.shape), signals.factor)
+    drift_m, drift_m_per_s = curve.value @ knots, curve.rate @ knots
+    eta = signals.eta_m + _interpolated(drift_m, signals.factor) + added_m
     rate = signals.rate_m_per_s + _interpolated(drift_m_per_s, signals.factor)
     pulls = unknowns[observation.tolerance_slice]
     *_, damping_s = observation.prior_deviations
@@ -274,7 +297,7 @@ def contact_residual(
 
     force = signals.low_passed(force_n, eta, rate, *_wear_times(adjusted_law, signals))
     residual_n = signals.force_n + added_n - force - signals.spring_n_per_m * drift_m
-    prior_rows = -observation.prior_weight * (pulls + EXCESS_WEIGHT * _limit_excess(pulls))
+    prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     return ContactResidual(
         observation=observation,
         signals=signals,
@@ -309,19 +332,6 @@ def force_increase_n(
 def _wear_times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
     """Sample times as an extra argument of a law that wears; empty for other laws."""
     return [signals.time_s] if any(single_law.wear_m_per_s for single_law in law.laws) else []
-
-
-def _append_dense_columns(
-    sparse: csr_matrix, weights: Float[np.ndarray, " rows"], dense: Float[np.ndarray, "rows columns"]
-) -> csr_matrix:
-    """Weighted sparse rows of equal length with dense columns appended: a faster `hstack` for splines."""
-    (rows, knots), column_count = sparse.shape, dense.shape[1]
-    per_row = sparse.nnz // rows
-    values = np.concatenate([sparse.data.reshape(rows, per_row) * weights[:, None], dense], axis=1)
-    dense_indices = np.broadcast_to(knots + np.arange(column_count), (rows, column_count))
-    indices = np.concatenate([sparse.indices.reshape(rows, per_row), dense_indices], axis=1)
-    row_starts = (per_row + column_count) * np.arange(rows + 1)
-    return csr_matrix((values.ravel(), indices.ravel(), row_starts), shape=(rows, knots + column_count))
 
 
 def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:

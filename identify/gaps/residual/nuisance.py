@@ -40,14 +40,14 @@ nearly as static compliance."""
 class Columns:
     """Decrease of the linear residual, the contact forces and the relative displacements per nuisance parameter.
 
-    Each parameter is in its standard deviations. Arrays are in single precision, except for records of sharp modes,
-    where a nuisance parameter's shift and an effect's differ in the seventh digit alone.
+    Each parameter is in its standard deviations, relative displacements are spectra. Arrays are in single precision,
+    except for records of sharp modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
     """
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
     contact_n: Float[np.ndarray, "nuisances contacts times"]
-    eta_m: Float[np.ndarray, "nuisances contacts times"]
+    eta_m: Complex[np.ndarray, "nuisances contacts lines"]
 
     @property
     def flat(self) -> Float[np.ndarray, "nuisances all"]:
@@ -76,16 +76,16 @@ def columns_of(record: Record, model: Linear) -> Columns:
         record.counted_samples.stop - record.counted_samples.start,
     )
     residual = np.empty((count, len(model.residual), samples), np.float64 if record.modes else np.float32)
-    contact_n, eta = (np.zeros((count, contact_count, samples), np.float32) for _ in range(2))
+    contact_n = np.zeros((count, contact_count, samples), np.float32)
+    eta_m = np.zeros((count, contact_count, record.omega.size), np.complex64)
     projection = model.projection if record.modes else model.projection.single()
     for i, change in enumerate(changes):
         linear, contact_force = _projected(record, model, projection, change)
         residual[i] = residual_in_time(record, linear)
         contact_n[i] = record.in_time(contact_force)
         if change.displaced is not None:
-            displacements = relative_displacements(record, model, change.displaced, change.sensors)
-            eta[i] = record.in_time(displacements.astype(np.complex64))
-    return Columns(tuple(c.parameter for c in changes), residual, contact_n, eta)
+            eta_m[i] = relative_displacements(record, model, change.displaced, change.sensors)
+    return Columns(tuple(c.parameter for c in changes), residual, contact_n, eta_m)
 
 
 def _free_motion_change(record: Record, model: Linear, change: Change) -> Change:

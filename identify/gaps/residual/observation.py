@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.ndimage import maximum_filter1d
 
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.record import Record
@@ -20,6 +21,10 @@ CLOSED_SHARE = 0.1
 """... and the share of its rms that it must exceed too where the contact is closed: an open one's error stays below.
 Set by hand."""
 
+ENVELOPE_SAMPLES = 2
+"""Samples on either side over which the errors of a contact's force are as large as its force: low-passed, it rings
+through zero where the contact is closed, and a sample there would weigh a hundred times as much as its neighbours.
+Derived: a period of the highest frequency."""
 EDGE_SAMPLES = 8
 """Samples at a record's end whose contact force rings on: the law's low-pass lacks what follows them. Set by hand."""
 
@@ -32,7 +37,7 @@ class ContactSignals:
     """Separated force of one contact, and its relative displacement and velocity at the recording's rate.
 
     factor is the ratio of the recording's rate to that of the force, spring_n_per_m the stiffness of the bodies against
-    slow relative motion.
+    slow relative motion, multiple the one of the force's rate at which slopes of laws are multiplied.
     """
 
     force_n: Float[np.ndarray, " times"]
@@ -41,11 +46,15 @@ class ContactSignals:
     time_s: Float[np.ndarray, " samples"]
     sample_rate_hz: float
     factor: int
+    multiple: int
     spring_n_per_m: float
 
-    def low_passed(self, law: Callable[..., Results], *signals: Signal) -> Float[np.ndarray, "*rows times"]:
-        """Law evaluated on signals at the recording's rate and low-passed to the rate of the force."""
-        return evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor)
+    def low_passed(
+        self, law: Callable[..., Results], *signals: Signal, multiple: int = 1
+    ) -> Float[np.ndarray, "*rows times"]:
+        """Law evaluated on signals at the recording's rate and low-passed to `multiple` times the rate of the force."""
+        rows = evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor, multiple)
+        return rows[..., : (self.force_n.size - 1) * multiple + 1]
 
 
 def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
@@ -53,8 +62,9 @@ def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, .
     eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.counted_samples.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
     forces = record.in_time(model.contact_n) + model.static_contact_n[:, None]
+    multiple = record.product_multiple
     return tuple(
-        ContactSignals(force, contact_eta, contact_rate, time_s, record.sample_rate_hz, record.factor, spring)
+        ContactSignals(force, contact_eta, contact_rate, time_s, record.sample_rate_hz, record.factor, multiple, spring)
         for force, contact_eta, contact_rate, spring in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
     )
 
@@ -96,7 +106,8 @@ def contact_observations(
     tolerances = record.tolerances
     prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
     for force, force_error_n, law, drift, level in zip(forces, force_errors, laws, record.drifts, levels, strict=True):
-        is_clear = np.abs(force) > CLOSED_DEVIATIONS * force_error_n
+        envelope_n = maximum_filter1d(np.abs(force), 2 * ENVELOPE_SAMPLES + 1)
+        is_clear = envelope_n > CLOSED_DEVIATIONS * force_error_n
         unfollowed_m = 0.0 if drift is None else drift.unfollowed_m
         stiffness = sum(single_law.stiffness_n_per_m for single_law in law.laws)
         is_moving = record.time_s > record.excited_s  # at rest the side of a stop is unknown
@@ -106,7 +117,7 @@ def contact_observations(
             / np.sqrt(
                 force_error_n**2
                 + (stiffness * unfollowed_m * is_clear) ** 2
-                + (tolerances.unmodelled_contact * force) ** 2
+                + (tolerances.unmodelled_contact * envelope_n) ** 2
                 + _ringing(record, force) ** 2
             )
         )

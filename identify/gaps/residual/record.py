@@ -11,6 +11,7 @@ from identify.gaps.residual.ringing import MeasuredMode
 from identify.linear.free_motion import Sampling
 from identify.signals.drift import Drift
 from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.law_evaluation import product_multiple
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Sensor
 from rig.model.tolerances import Tolerances
@@ -132,7 +133,18 @@ class Record:
         """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
         return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
+    @property
+    def product_multiple(self) -> int:
+        """Multiple of `rate_hz` at which laws' slopes are multiplied by displacements."""
+        return product_multiple(self.sample_rate_hz, self.factor)
+
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Signals over the times that count, at `rate_hz`, from their spectra."""
         rows = irfft(spectra, self.length // self.factor) / self.factor
         return np.asarray(rows[..., self.counted_samples])
+
+    def in_finer_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
+        """Signals from the first to the last time that counts, at `product_multiple` times `rate_hz`."""
+        multiple, first, end = self.product_multiple, self.counted_samples.start, self.counted_samples.stop
+        rows = irfft(spectra[..., :-1], self.length // self.factor * multiple) * (multiple / self.factor)
+        return np.asarray(rows[..., first * multiple : (end - 1) * multiple + 1])

@@ -248,6 +248,9 @@ def residual_of(
     else:
         linear_without_lines = linear if rig.tones else without_lines(linear, linearization.lines)
 
+    added_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
+    if laws and nuisance_change.any():
+        added_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), beyond=False)
     drift_m = [o.curve.value @ u[: o.curve.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
@@ -256,10 +259,9 @@ def residual_of(
         previous = unchanged.contacts if unchanged else ()
         if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
             return previous[j]
-        columns = linearization.columns
-        added_n, added_m = (-nuisance_change @ c[:, j] for c in (columns.contact_n, columns.eta_m))
+        added_n = -nuisance_change @ linearization.columns.contact_n[:, j]
         added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
-        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_m)
+        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_m[j])
 
     return Residual(
         rig=rig,
@@ -301,7 +303,7 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
     for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
         contact_force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
-    contacts = _contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
+    contacts = contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
     return residual_in_time(record, linear), contacts
 
 
@@ -312,23 +314,24 @@ def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Res
     explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
     linear, contact_n_decrease = model.projection.of(relative_change * explained)
     eta_decrease_m = relative_displacements(record, model, relative_change * record.displaced / model.sensor_response)
-    contacts = _contact_columns(record, residual, record.in_time(contact_n_decrease), eta_decrease_m)
+    contacts = contact_columns(record, residual, record.in_time(contact_n_decrease), eta_decrease_m)
     return residual_in_time(record, linear), contacts
 
 
-def _contact_columns(
+def contact_columns(
     record: Record,
     residual: Residual,
     contact_force_decrease_n: Float[np.ndarray, "contacts times"],
     eta_decrease_m: Complex[np.ndarray, "contacts lines"],
 ) -> list[Float[np.ndarray, " _"]]:
     """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
-    sampled_decrease_m = record.sampled(eta_decrease_m, beyond=False) if np.any(eta_decrease_m) else None
+    finer_decrease_m = record.in_finer_time(eta_decrease_m) if np.any(eta_decrease_m) else None
     columns = []
     for j, contact in enumerate(residual.contacts):
         residual_force_decrease_n = contact_force_decrease_n[j]
-        if sampled_decrease_m is not None:
-            residual_force_decrease_n = residual_force_decrease_n - contact.force_change_n(sampled_decrease_m[j])
+        if finer_decrease_m is not None:
+            change_n = contact.tangent.force_change_n(finer_decrease_m[j])
+            residual_force_decrease_n = residual_force_decrease_n - change_n
         column = np.zeros(contact.residual.size)
         column[: residual_force_decrease_n.size] = contact.observation.weights * residual_force_decrease_n
         columns.append(column)

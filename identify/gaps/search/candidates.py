@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from identify.gaps.residual.linear import Linear, delivered_by, sensor_stations_of
 from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
+from identify.gaps.residual.residual import Column, Linearization, Residual, contact_columns, derivative
 from identify.gaps.residual.windowed import displaced_at, ground_forces
 from identify.linear.joined import joined_contacts
 from rig.effects import effects
@@ -186,8 +186,7 @@ def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
 def attached_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column | None:
     """Decrease of the residuals by added springs, dampers, masses or tones; None for any other change of the rig.
 
-    They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap. Slow
-    changes of the relative displacements change the laws by their mean slope around every sample.
+    They act with forces -k w, -m a and so on of the measured w and a, which is exact to first order and cheap.
     """
     record, model, rig = linearization.record, residual.model, residual.rig
     attachments = attachments_of(rig, changed_rig)
@@ -197,13 +196,8 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     linear_decrease, contact_force_decrease_n = model.projection.of(
         delivered_by(model, sensor_stations_of(record, model.rig), forces)
     )
-    eta_decrease_m = -record.in_time(model.unobserved_eta_m(forces, -contact_force_decrease_n))
-    columns = []
-    force_decreases_in_time_n = record.in_time(contact_force_decrease_n)
-    for contact, force_n, eta_m in zip(residual.contacts, force_decreases_in_time_n, eta_decrease_m, strict=True):
-        column = np.zeros(contact.residual.size)
-        column[: force_n.size] = contact.observation.weights * (force_n - contact.tangent_n_per_m * eta_m)
-        columns.append(column)
+    eta_decrease_m = -model.unobserved_eta_m(forces, -contact_force_decrease_n)
+    columns = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
     return residual_in_time(record, linear_decrease), columns
 
 
