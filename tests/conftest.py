@@ -19,6 +19,8 @@ from hypothesis import settings
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
+os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # as a worker of the suite has one core
+
 settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
 

@@ -9,9 +9,6 @@ Notes for maintainers
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
-from multiprocessing import get_context
 
 import numpy as np
 
@@ -31,6 +28,7 @@ from identify.planning.expectation import (
 )
 from identify.planning.planned_test import PlannedTest
 from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
+from rig.processes import end_processes, mapped
 
 LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
@@ -67,17 +65,15 @@ def planned(
     changes = all_changes[:most_changes]
     finalist_count = min(FINALISTS, sum(change.kind != "leave out sensor" for change in changes))
     run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1)
-    with _mapped(workers) as mapped:
-        expected = mapped(
-            [(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS],
-            lambda finished: progress(finished / run_count),
-        )
-        results = _tried(
-            test,
-            changes,
-            simulator,
-            lambda runs, finished: mapped(runs, lambda n: progress((SIMULATIONS + finished + n) / run_count)),
-        )
+
+    def run_all(runs: Sequence[Run], finished_before: int) -> list[SimulatedTest]:
+        return mapped(_run, runs, workers, lambda finished: progress((finished_before + finished) / run_count))
+
+    try:
+        expected = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
+        results = _tried(test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished))
+    finally:
+        end_processes()
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
     return PlanReport(
@@ -98,21 +94,21 @@ def _tried(
     test: PlannedTest,
     changes: Sequence[PlannedChange],
     simulator: str,
-    mapped: Callable[[Sequence[Run], int], list[SimulatedTest]],
+    run_all: Callable[[Sequence[Run], int], list[SimulatedTest]],
 ) -> list[TriedChange]:
-    """Changes against the unchanged test, in their order. `mapped` takes runs, and how many were done before them."""
+    """Changes against the unchanged test, in their order. `run_all` takes runs, and how many were done before them."""
     if not changes:
         return []
-    unchanged = mapped([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
+    unchanged = run_all([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
     order = sorted(range(SIMULATIONS), key=lambda index: _widest(unchanged[index]))
     usual_index = order.pop(SIMULATIONS // 2)
     first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
-    outcomes = [[outcome] for outcome in mapped(first_runs, SIMULATIONS)]
+    outcomes = [[outcome] for outcome in run_all(first_runs, SIMULATIONS)]
     reference = [unchanged[usual_index], *(unchanged[index] for index in order)]
     results = [_compared(change, reference[:1], of_change) for change, of_change in zip(changes, outcomes, strict=True)]
     finalists = _finalists(results)
     runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in order]
-    further = iter(mapped(runs, SIMULATIONS + len(changes)))
+    further = iter(run_all(runs, SIMULATIONS + len(changes)))
     for k in finalists:
         outcomes[k] += [next(further) for _ in order]
         results[k] = _compared(changes[k], reference, outcomes[k])
@@ -129,44 +125,6 @@ def _tried_run(test: PlannedTest, changed: PlannedTest, simulator: str, seed: in
 def _run(run: Run) -> SimulatedTest:
     test, simulator, seed, longest_s = run
     return simulated_test(test, simulator_named(simulator).simulate, seed, longest_s)
-
-
-Mapped = Callable[[Sequence[Run], Callable[[int], None]], list[SimulatedTest]]
-
-
-@contextmanager
-def _mapped(workers: int) -> Iterator[Mapped]:
-    """Function that runs simulated tests in order, over processes if there are several workers.
-
-    It reports how many are finished.
-    """
-    if workers <= 1:
-
-        def one_by_one(runs: Sequence[Run], report_finished: Callable[[int], None]) -> list[SimulatedTest]:
-            outcomes = []
-            for run in runs:
-                outcomes.append(_run(run))
-                report_finished(len(outcomes))
-            return outcomes
-
-        yield one_by_one
-        return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-
-    def over_processes(runs: Sequence[Run], report_finished: Callable[[int], None]) -> list[SimulatedTest]:
-        futures: list[Future[SimulatedTest]] = [pool.submit(_run, run) for run in runs]
-        pending: set[Future[SimulatedTest]] = set(futures)
-        while pending:
-            finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in finished:
-                future.result()  # an error ends the planning at once
-            report_finished(len(futures) - len(pending))
-        return [future.result() for future in futures]
-
-    try:
-        yield over_processes
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _shares(outcome: SimulatedTest) -> Shares:

@@ -176,6 +176,7 @@ def _is_lost(future: Future[Any]) -> bool:
 
 def _prepare_process() -> None:
     """Let signals end the process at once, without a traceback, and let it end with the one that started it."""
+    os.environ["LOKY_MAX_CPU_COUNT"] = "1"  # as the tasks run on every core
     for ending in ("SIGINT", "SIGTERM", "SIGHUP"):
         if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) != signal.SIG_IGN:
             signal.signal(getattr(signal, ending), signal.SIG_DFL)

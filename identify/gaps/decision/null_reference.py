@@ -17,6 +17,7 @@ Notes for maintainers
 import hashlib
 import importlib.metadata
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -35,7 +36,6 @@ from identify.gaps.decision.null_simulations import (
     with_force_noise,
 )
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
-from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
@@ -43,8 +43,9 @@ from identify.gaps.rollout.windows import Predict, null_errors
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.files import check_target, contents, make_folder, write_bytes
-from rig.model.description import to_json
+from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
+from rig.processes import mapped
 from rig.recording import Recording
 
 NULL_SIMULATIONS = 12
@@ -179,28 +180,20 @@ def null_reference_of(
         return replace(null_reference, checksum="")
     if path:
         check_target(path, new_folder=True)
-    force_noise_n = np.sqrt(measured_record.force_noise / measured_record.samples)
-    gain_tolerance = (
-        tolerances.force_gain if len(force_noise_n) > 1 else 0.0
-    )  # of one force the rig that is drawn has it
-    silent_samples = round(measured_record.excited_s * measured_record.sample_rate_hz)
-    rows = []
-    for seed, normals in enumerate(standard_normals(measured.rig, simulation_count)):
-        rng = np.random.default_rng([seed, 77])
-        actual = draw_rig(measured.rig, tolerances, normals)
-        forces_n = np.array(
-            [
-                row if is_impulsive(row) else phase_randomized(row, silent_samples, measured.rig.sample_rate_hz, rng)
-                for row in measured.forces_n
-            ]
-        )
-        simulated = simulate(measured.rig, actual, forces_n, seed)
-        recorded = with_crosstalk(
-            with_force_noise(simulated, force_noise_n, gain_tolerance, rng), tolerances.crosstalk, rng
-        )
-        record = record_of(recorded, tolerances=tolerances, counted_until_s=measured_record.counted_until_s)
-        rows.append(_null_simulation(recorded, record, predict))
-        progress((seed + 1) / simulation_count)
+    simulation = _NullExperiment(
+        measured=measured,
+        tolerances=tolerances,
+        force_noise_n=np.sqrt(measured_record.force_noise / measured_record.samples),
+        silent_samples=round(measured_record.excited_s * measured_record.sample_rate_hz),
+        counted_until_s=measured_record.counted_until_s,
+        simulate=simulate,
+        predict=predict,
+    )
+    rows = mapped(
+        simulation,
+        list(enumerate(standard_normals(measured.rig, simulation_count))),
+        report_finished=lambda finished: progress(finished / simulation_count),
+    )
     null_reference = NullReference(key, tuple(rows))
     if path:
         make_folder(path.parent)
@@ -211,22 +204,54 @@ def null_reference_of(
     return null_reference
 
 
-def _null_simulation(recording: Recording, record: Record, predict: Predict | None) -> NullSimulation:
-    """Fit of the nominal rig to a null simulation."""
-    linearization = linearized(record, record.rig)
-    nominal_variances = nominal_variances_of(linearization)
-    residual = fit_nuisance(record, record.rig, rounds=1)[1]
-    nominal_misfit = misfit(record, nominal_variances, residual)
-    return NullSimulation(
-        nominal_misfit.minus_two_log,
-        nominal_misfit.law,
-        nominal_misfit.peak,
-        tuple(nominal_misfit.shares.tolist()),
-        nominal_misfit.share,
-        tuple(nominal_misfit.contact_shares.tolist()),
-        {name: value for name, (value, _) in summary_statistics(linearization).items()},
-        _prediction(recording, residual, predict),
-    )
+@dataclass(frozen=True)
+class _NullExperiment:
+    """Null simulation of a recording as a function of its seed and of the standard normals that draw the machine."""
+
+    measured: Recording
+    tolerances: Tolerances
+    force_noise_n: Float[np.ndarray, " forces"]
+    silent_samples: int
+    counted_until_s: float
+    simulate: Simulate
+    predict: Predict | None
+
+    def __call__(self, run: tuple[int, Float[np.ndarray, " normals"]]) -> NullSimulation:
+        """Record a machine that is drawn within the tolerances, and fit the nominal rig to it."""
+        seed, normals = run
+        recording = self._recorded(seed, draw_rig(self.measured.rig, self.tolerances, normals))
+        record = record_of(recording, tolerances=self.tolerances, counted_until_s=self.counted_until_s)
+        linearization = linearized(record, record.rig)
+        nominal_variances = nominal_variances_of(linearization)
+        residual = fit_nuisance(record, record.rig, rounds=1)[1]
+        nominal_misfit = misfit(record, nominal_variances, residual)
+        return NullSimulation(
+            nominal_misfit.minus_two_log,
+            nominal_misfit.law,
+            nominal_misfit.peak,
+            tuple(nominal_misfit.shares.tolist()),
+            nominal_misfit.share,
+            tuple(nominal_misfit.contact_shares.tolist()),
+            {name: value for name, (value, _) in summary_statistics(linearization).items()},
+            _prediction(recording, residual, self.predict),
+        )
+
+    def _recorded(self, seed: int, actual: Rig) -> Recording:
+        """Recording of a machine under a force of the measured one's spectrum, with noise and crosstalk."""
+        rng = np.random.default_rng([seed, 77])
+        rate_hz = self.measured.rig.sample_rate_hz
+        forces_n = np.array(
+            [
+                row if is_impulsive(row) else phase_randomized(row, self.silent_samples, rate_hz, rng)
+                for row in self.measured.forces_n
+            ]
+        )
+        simulated = self.simulate(self.measured.rig, actual, forces_n, seed)
+        gain_tolerance = (
+            self.tolerances.force_gain if len(self.force_noise_n) > 1 else 0.0
+        )  # of one force the rig that is drawn has it
+        noisy = with_force_noise(simulated, self.force_noise_n, gain_tolerance, rng)
+        return with_crosstalk(noisy, self.tolerances.crosstalk, rng)
 
 
 def _prediction(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:

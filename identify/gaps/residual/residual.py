@@ -243,11 +243,9 @@ def residual_of(
     linear = unchanged.linear if unchanged else linear_at_expansion
     if nuisance_change.any() and not unchanged:
         linear = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
-    if unchanged:
-        linear_without_lines = unchanged.linear_without_lines
-    else:
-        linear_without_lines = linear if rig.tones else without_lines(linear, linearization.lines)
-
+    linear_without_lines = unchanged.linear_without_lines if unchanged else linear
+    if not unchanged and not rig.tones:
+        linear_without_lines = without_lines(linear, linearization.lines)
     added_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any():
         added_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), beyond=False)
@@ -325,17 +323,14 @@ def contact_columns(
     eta_decrease_m: Complex[np.ndarray, "contacts lines"],
 ) -> list[Float[np.ndarray, " _"]]:
     """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
-    finer_decrease_m = record.in_finer_time(eta_decrease_m) if np.any(eta_decrease_m) else None
-    columns = []
-    for j, contact in enumerate(residual.contacts):
-        residual_force_decrease_n = contact_force_decrease_n[j]
-        if finer_decrease_m is not None:
-            change_n = contact.tangent.force_change_n(finer_decrease_m[j])
-            residual_force_decrease_n = residual_force_decrease_n - change_n
-        column = np.zeros(contact.residual.size)
-        column[: residual_force_decrease_n.size] = contact.observation.weights * residual_force_decrease_n
-        columns.append(column)
-    return columns
+    if np.any(eta_decrease_m):
+        rows = zip(residual.contacts, record.in_finer_time(eta_decrease_m), strict=True)
+        law_decrease_n = [contact.tangent.force_change_n(row) for contact, row in rows]
+        contact_force_decrease_n = contact_force_decrease_n - np.array(law_decrease_n)
+    return [
+        np.append(contact.observation.weights * row, np.zeros(contact.residual.size - row.size))
+        for contact, row in zip(residual.contacts, contact_force_decrease_n, strict=True)
+    ]
 
 
 def same_but_sensors(rig: Rig, compared: Rig) -> bool:
