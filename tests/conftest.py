@@ -21,6 +21,9 @@ for library in ("OPENBLAS", "OMP", "MKL"):
 
 os.environ.setdefault("LOKY_MAX_CPU_COUNT", "1")  # as a worker of the suite has one core
 
+LONG_FOLDERS = {"commands", "contacts", "history", "laws", "planning", "robustness", "scenarios", "test_campaigns"}
+"""Folders of tests that run whole commands and identifications, without checks of types and shapes at every call."""
+
 settings.register_profile("physics", deadline=None, max_examples=60)
 settings.load_profile("physics")
 
@@ -38,6 +41,9 @@ this.title = JSON.stringify([page.scrollingElement.scrollWidth, pictures, plots]
 def pytest_collection_modifyitems(items):
     """Long modules first: the workers then end together, and each such module makes its null reference once."""
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
+    for item in items:
+        if not LONG_FOLDERS.isdisjoint(item.path.parts):
+            item.add_marker("long")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -8,6 +8,7 @@ from scenarios.tour import tour
 pytestmark = pytest.mark.long
 
 
+@pytest.mark.study
 def test_the_tour_corrects_the_rig(tmp_path, capsys):
     tour(out=tmp_path, duration=40.0)
     assert [line[0] for line in capsys.readouterr().out.splitlines() if line[0].isdigit()] == list("1234567")

@@ -175,6 +175,7 @@ def recordings(tmp_path_factory):
     return folder
 
 
+@pytest.mark.study
 def test_wear_of_a_mass_is_found_in_its_recordings_in_the_order_of_their_names(recordings, tmp_path):
     sources = sources_in(recordings)
     assert [path.name for path in sources] == ["run7.mcap", "run8.mcap", "run9.mcap", "run10.mcap", "run11.mcap"]

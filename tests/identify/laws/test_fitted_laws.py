@@ -49,6 +49,7 @@ def test_a_law_of_many_knees_gives_the_largest_of_them():
     assert np.allclose(slope_jumps(law, -3e-3, 3e-3), knees[::2][:8], atol=6e-3 / 4000)
 
 
+@pytest.mark.study
 def test_standard_errors_of_straight_pieces_are_those_of_the_noise():
     """Over many noises the errors are about as large as the standard errors say: chi2 of 2 knees and 3 slopes."""
     scores = []

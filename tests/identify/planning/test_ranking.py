@@ -14,6 +14,8 @@ from rig.model.tolerances import EXACT
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
 
+pytestmark = pytest.mark.long
+
 MASS = Sdof(sensors="acceleration", noise_density=1e-3, rms_n=0.7, low_hz=0.5)
 
 
@@ -100,7 +102,7 @@ def fresh_ratios(settings, simulate, folder) -> np.ndarray:
 @pytest.mark.parametrize(
     "settings",
     [
-        pytest.param(replace(MASS, duration_s=60.0, step_s=2.0**-12), id="mass"),
+        pytest.param(replace(MASS, duration_s=60.0, step_s=2.0**-12), id="mass", marks=pytest.mark.study),
         pytest.param(
             BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=30.0),
             id="beams",
