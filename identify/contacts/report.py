@@ -89,7 +89,7 @@ def write_page(
             else "identified"
             if identified == count
             else f"{identified} of {count} contacts identified",
-            _sentence(result),
+            [_sentence(result)],
         ),
         first=[
             f"{findings if report.findings else ''}{_drawing(result)}{_values(result, laws, laws_name)}",

@@ -56,7 +56,17 @@ SMALLEST_FREQUENCY_CHANGE = 5e-4
 
 
 def verdict(gap: Gap) -> str:
-    return VERDICTS[gap.verdict]
+    """Verdict in a few words, with what keeps an explanation from being used as it is."""
+    return ", but ".join([VERDICTS[gap.verdict], *reservations(gap)[:1]])
+
+
+def reservations(gap: Gap) -> list[str]:
+    """What keeps an explanation from being used as it is: a machine that changed, or look-alikes."""
+    if gap.verdict not in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED):
+        return []
+    changed = gap.between is not None and gap.between.differing
+    reserved = [(changed, "the records differ"), (look_alikes_of(gap), "another cause fits as well")]
+    return [words for applies, words in reserved if applies]
 
 
 def capitalised(text: str) -> str:
@@ -88,10 +98,16 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     effect_words = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
     likeliest = gap.causes[0]
     return [
-        (words, [effect_words.get(name, name) for name in strength.instead])
+        (words, [effect_words.get(name) or _label_words(name) for name in strength.instead])
         for words, strength in zip(likeliest.words, likeliest.strengths, strict=True)
         if strength.is_named and strength.instead
     ]
+
+
+def _label_words(label: str) -> str:
+    """Label of an effect in words: "added mass of the barrel" of added_mass:barrel."""
+    kind, _, place = label.partition(":")
+    return kind.replace("_", " ") + (f" of the {place}" if place not in ("", "all") else "")
 
 
 def interval(estimate: Value) -> str:

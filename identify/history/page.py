@@ -150,7 +150,7 @@ def write_page(history: History, figure: Picture, path: Path) -> None:
         answer=page.Answer(
             "yellow" if findings or changed else "green",
             "not to be relied on" if findings else "changed" if changed else "no change",
-            sentence(history),
+            [sentence(history)],
         ),
         sections=_sections(history, figure),
         foot="Made by identify compare or identify history; the numbers are in history.csv and history.json.",

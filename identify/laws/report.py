@@ -53,8 +53,8 @@ def write_page(
             else "contact law found"
             if not unanswered
             else f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found",
-            "; ".join(f"{law.contact}: {law.verdict}" for law in laws)
-            or "This record tells nothing of the contacts; below stands why, and what to do.",
+            [f"{law.contact}: {law.verdict}." for law in laws]
+            or ["This record tells nothing of the contacts; below stands why, and what to do."],
         ),
         sections=[
             *(

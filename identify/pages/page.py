@@ -1,5 +1,6 @@
 """Self-contained page: one HTML file with its style and its pictures, readable on a phone, light or dark."""
 
+import re
 import sys
 from base64 import b64encode
 from collections.abc import Iterable, Sequence
@@ -21,6 +22,8 @@ FIRST_PX = 440
 SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
 
+_UNIT = re.compile(r"(\d) (?=(?:%|N|mm|m|kg|g|Hz|s|ms|dB)\b|%)")
+_BEFORE_NUMBER = re.compile(r"(\bp|[=±]|&[lg]t;) (?=[\d=&])")
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
 --green:#1d7a48;--yellow:#9a6400;--red:#b3321f;--found:#1f5fa8;--cause:#b3411b}
@@ -33,7 +36,7 @@ h1{font-size:1.4rem;margin:.2rem 0}h2{font-size:1.2rem;margin:2.2rem 0 .5rem;bor
 h3{font-size:1rem;margin:1.2rem 0 .3rem}p{margin:.4rem 0}ul{margin:.3rem 0;padding-left:1.2rem}
 .verdict{background:var(--card);border-left:.4rem solid;padding:.7rem 1rem;margin:.8rem 0}
 .verdict b{display:block;font-size:.85rem;text-transform:uppercase;letter-spacing:.04em}
-.verdict p{color:var(--ink);font-size:1.15rem}.green{color:var(--green)}.yellow{color:var(--yellow)}
+.verdict p{color:var(--ink)}.verdict b+p{font-size:1.15rem}.green{color:var(--green)}.yellow{color:var(--yellow)}
 .red{color:var(--red)}.dim{color:var(--dim);font-size:.9rem}
 .wide{overflow-x:auto}.wide+.wide{margin-top:.8rem}
 table{border-collapse:collapse;font-size:.92rem;font-variant-numeric:tabular-nums}
@@ -69,7 +72,7 @@ _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
 <title>{title}</title><style>{style}</style>{script}</head>
 <body><main><h1>{title}</h1>
-<div class="verdict {colour}"><b>{verdict}</b><p>{sentence}</p></div>
+<div class="verdict {colour}"><b>{verdict}</b>{sentences}</div>
 {content}
 <p class="dim">{foot}</p></main>
 <script>addEventListener("beforeprint",()=>document.querySelectorAll("details").forEach(one=>one.open=true))</script>
@@ -79,11 +82,11 @@ _PAGE = """<!DOCTYPE html>
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer that a page begins with: its colour, a verdict of few words, and a sentence."""
+    """Answer that a page begins with: its colour, a verdict of few words, a sentence, and smaller ones below it."""
 
     colour: Colour
     verdict: str
-    sentence: str
+    sentences: Sequence[str]
 
 
 def write(
@@ -114,7 +117,7 @@ def write(
         style=_STYLE,
         colour=answer.colour,
         verdict=escape(answer.verdict),
-        sentence=escape(answer.sentence),
+        sentences="".join(f"<p>{unbroken(escape(sentence))}</p>" for sentence in answer.sentences),
         content=content,
         foot=f"{escape(foot)}<br>{escape(_provenance(sources))}",
     )
@@ -143,7 +146,12 @@ def figure(name: str, image: Picture, caption: str = "", height_px: int | None =
 
 def listed(items: Iterable[str]) -> str:
     """HTML of a list."""
-    return "<ul>" + "".join(f"<li>{escape(item)}</li>" for item in items) + "</ul>"
+    return "<ul>" + "".join(f"<li>{unbroken(escape(item))}</li>" for item in items) + "</ul>"
+
+
+def unbroken(html: str) -> str:
+    """Text whose numbers stay on a line with their unit, and with "p =" and "<" before them."""
+    return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html))
 
 
 def table(head: Sequence[str], rows: Rows) -> str:

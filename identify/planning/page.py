@@ -126,7 +126,7 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     page.write(
         path,
         title=f"{plan.rig}: plan of a test",
-        answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, sentence(plan)),
+        answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
         first=[f"<figure>{machine(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
         sections=_sections(plan),
         folded=_folded(plan),

@@ -29,44 +29,48 @@ STRAINED_DEVIATIONS = 3.0
 
 
 def sentence(diagnosis: Diagnosis) -> str:
+    """Diagnosis in words, as one text."""
+    return " ".join(sentences(diagnosis))
+
+
+def sentences(diagnosis: Diagnosis) -> list[str]:
     """Diagnosis in words: the verdict, look-alikes, parameters at their limits, what was not seen."""
-    sentences = [
+    words = [
         *_VERDICTS[diagnosis.verdict](diagnosis),
         *_look_alike_words(diagnosis),
         *_parameters_at_limit(diagnosis),
     ]
-    sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
-    sentences += _ruled_out(diagnosis)
-    sentences += [UNSCALED] if diagnosis.free_decay else []
-    sentences += [between_records(diagnosis.between)] if diagnosis.between else []
-    sentences += [f"Channel {name} is {fault} and was left out." for name, fault in diagnosis.channel_faults.items()]
-    return " ".join(sentences)
+    words += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
+    words += _ruled_out(diagnosis)
+    words += [UNSCALED] if diagnosis.free_decay else []
+    words += [between_records(diagnosis.between)] if diagnosis.between else []
+    return words + [f"Channel {name} is {fault} and was left out." for name, fault in diagnosis.channel_faults.items()]
 
 
 def _consistent(gap: Diagnosis) -> list[str]:
     return [
-        "The machine is as rig.json says, as far as it matters: at most "
-        f"{_upper_bound_words(gap.evidence.quantities)} may be otherwise, and what is left is what tolerances and "
+        "The machine is as rig.json says, as far as it matters: "
+        f"{_upper_bound_words(gap.evidence.quantities)} may differ, and what is left is no more than tolerances and "
         f"noise leave ({p_value_words(gap.evidence.p_value)})."
     ]
 
 
 def _cannot_tell(gap: Diagnosis) -> list[str]:
     p_value = p_value_words(gap.before.p_value)
-    clause = f"These records do not tell whether rig.json is right: no difference is certain ({p_value})"
+    clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_value})"
     exceeding = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
     if exceeding:
         clause += f", though {joined([bound_words(bound) for bound in exceeding])}"
     sentences = [f"{clause}."]
     if named := _named_cause(gap):
-        sentences.append(f"{capitalised(joined(named.named))} would explain what is left, as tolerances and noise do.")
+        sentences.append(f"{capitalised(joined(named.named))} would explain what is left.")
     return sentences + _not_seen(gap)
 
 
 def _small(gap: Diagnosis) -> list[str]:
-    small = f"at most {_upper_bound_words(gap.evidence.quantities)}, less than what matters"
+    small = f"{_upper_bound_words(gap.evidence.quantities)} may differ, less than what matters"
     if named := _named_cause(gap):
-        return [f"{capitalised(joined(named.named))} {_verb_be(named)} certain, and too small to matter: {small}."]
+        return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {small}."]
     return [
         f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {small}. "
         "No effect of the library is named for it."
@@ -84,10 +88,10 @@ def _explained(gap: Diagnosis) -> list[str]:
     chance_words = (
         ""
         if gap.after.p_value < USUAL_P_VALUE
-        else f", as tolerances and noise do ({p_value_words(gap.after.p_value)})"
+        else f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
     )
     return [
-        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} rig.json leaves "
+        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
         f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
         f"{unexplained_words(gap.before)}{_strain_if_bounded(gap)}."
     ]
@@ -110,7 +114,7 @@ def _partly_explained(gap: Diagnosis) -> list[str]:
     explain = "explains" if len(named.named) == 1 else "explain"
     return [
         f"{capitalised(joined(named.named))} {explain} the difference in part: "
-        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap)}, and {unexplained_words(gap.after)} "
+        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and {unexplained_words(gap.after)} "
         "stay unexplained.",
         *_veto(gap),
         _force_description(gap, "The rest"),
@@ -125,11 +129,12 @@ def _unexplained(gap: Diagnosis) -> list[str]:
         else f"{differs}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
     if named := _named_cause(gap):
-        sentences.append(f"{capitalised(joined(named.named))} {_verb_be(named)} likely, and {_removal_words(gap)}.")
+        removal = _removal_words(gap, " of the difference")
+        sentences.append(f"{capitalised(joined(named.named))} {_verb_be(named)} likely, and {removal}.")
         sentences += _veto(gap)
     else:
         sentences.append("No effect of the library is named for it.")
-    return [*sentences, _force_description(gap, "It")]
+    return [*sentences, _force_description(gap, "The difference")]
 
 
 _VERDICTS = {
@@ -155,14 +160,14 @@ def _pronoun(cause: Cause) -> str:
     return "it" if len(cause.named) == 1 else "them"
 
 
-def _removal_words(gap: Diagnosis) -> str:
+def _removal_words(gap: Diagnosis, of_what: str) -> str:
     """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
     verb = "removes" if len(cause.named) == 1 else "remove"
     if _is_hidden(gap):
         share = max(gap.evidence.removed, 0.0)
         return f"{verb} {percent(share)} of what strains its tolerances" if share else f"{verb} nothing that is seen"
-    return f"{verb} {percent(cause.explained)} of it" if cause.explained > 0 else f"{verb} nothing of it"
+    return f"{verb} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
 
 
 def _is_hidden(gap: Diagnosis) -> bool:
@@ -186,13 +191,13 @@ def _ruled_out(gap: Diagnosis) -> list[str]:
 
 
 def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
-    """Upper bounds of the shares: "0.3 % of the motion and 1.2 % of the force of contact_1"."""
+    """Upper bounds of the shares: "at most 0.3 % of the motion and 1.2 % of the force of contact_1"."""
     shares = [bound for bound in quantities if bound.unit == "1"]
     text = joined([f"{percent(bound.upper)} of the {bound.name}" for bound in shares if bound.upper is not None])
     parameter_words = (
         " and every clearance, stiffness and damping within three tolerances" if len(quantities) > len(shares) else ""
     )
-    return text + parameter_words
+    return f"at most {text}{parameter_words}".replace("at most < ", "less than ")
 
 
 def _not_seen(gap: Diagnosis) -> list[str]:
@@ -207,7 +212,7 @@ def _not_seen(gap: Diagnosis) -> list[str]:
 def _force_description(gap: Diagnosis, subject: str) -> str:
     """Sentence on an unmeasured force that describes the difference, or its rest, with its share if that is small."""
     if gap.unknown is None or gap.unknown.explained < HINT_EXPLAINED:
-        return f"{subject} has no form that was recognised."
+        return f"{subject} looks like no single force that is known here."
     if gap.unknown.explained >= DESCRIPTION_EXPLAINED:
         return f"{subject} looks like {gap.unknown.sentence}."
     share = percent(gap.unknown.explained)
@@ -217,7 +222,7 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
 def _look_alike_words(gap: Diagnosis) -> list[str]:
     """Sentences on candidates that may replace a named effect."""
     return [
-        f"These records hardly tell {words} from {joined(look_alikes, 'or')}."
+        f"Instead of {words} it may be {joined(look_alikes, 'or')}: these records hardly tell them apart."
         for words, look_alikes in look_alikes_of(gap)
     ]
 
@@ -230,5 +235,5 @@ def _parameters_at_limit(gap: Diagnosis) -> list[str]:
     at_limit = [name for name, value in named.parameters.items() if value.at_limit]
     if not at_limit:
         return []
-    stand = "stands at the limit of its range" if len(at_limit) == 1 else "stand at the limits of their ranges"
-    return [f"{joined(at_limit)} {stand}: the true value may lie beyond, or the effect is another."]
+    ends = "is the end of its range" if len(at_limit) == 1 else "are the ends of their ranges"
+    return [f"The best {joined(at_limit)} {ends}: the true value may lie beyond, or the effect is another."]

@@ -26,8 +26,8 @@ LOG_MILLION = 13.8
 """Natural logarithm of the odds above which no number is written."""
 
 _BY_DEPENDENCE = {
-    "displacement": "The force grows with the displacement: push there with known weights and measure the way.",
-    "clearance": "The force acts beyond a clearance: push there until something touches, and measure the way.",
+    "displacement": "The force grows with the displacement: push there with known weights and measure the deflection.",
+    "clearance": "The force acts beyond a clearance: push there until something touches, and measure the deflection.",
     "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
     "velocity squared": "The force grows with the square of the velocity: record at two levels of force.",
     "acceleration": "The force grows with the acceleration: fix a known mass there and record again.",
@@ -80,6 +80,12 @@ SENSITIVITY_ADVICE = (
 )
 
 
+UNKNOWN_ADVICE = (
+    "Check gains, places and mounting of the sensors, then record at another level of force: what changes with the "
+    "level lies in contacts and joints."
+)
+
+
 def _unchanged_rig_steps(gap: Gap) -> list[str]:
     unchanged = not (gap.between and gap.between.differing)
     return ["Nothing needs to be done: simulate with rig.json as it is."] if unchanged else []
@@ -116,7 +122,7 @@ def _explained(gap: Gap) -> list[str]:
             "matter."
         )
     else:
-        steps.append("Look for no further cause: what is left is what tolerances and noise leave.")
+        steps.append("Nothing else needs an explanation: what is left is what tolerances and noise leave.")
     return steps + _discriminating_steps(gap)
 
 
@@ -136,7 +142,7 @@ def _partly_explained(gap: Gap) -> list[str]:
 
 def _unexplained(gap: Gap) -> list[str]:
     steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
-    steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap)
+    steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap) or [UNKNOWN_ADVICE]
     if gap.causes and is_effective(gap.causes[0]):
         return steps + _discriminating_steps(gap)
     return steps + _experiment_steps(gap)
@@ -215,7 +221,7 @@ def place(unknown: UnmeasuredForce) -> str:
 
 def _discriminating_steps(gap: Gap) -> list[str]:
     steps = [
-        f"This record hardly tells {joined([words, *look_alikes], 'from')}."
+        f"Before anything is changed, find out whether it is {joined([words, *look_alikes], 'or')}."
         for words, look_alikes in look_alikes_of(gap)
     ]
     return steps + _experiment_steps(gap) + [f"To test {experiment}." for experiment in gap.separate_by]

@@ -15,8 +15,16 @@ UNLOCATED = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
 
 
 def marks(gap: Gap, rig: Rig) -> tuple[DrawnMark, ...]:
-    """Marks of what the verdict names and of what stays unexplained; none where no difference is certain."""
-    return () if gap.verdict in UNLOCATED else (*_effect_marks(gap, rig), *_force_marks(gap, rig))
+    """Marks of what the verdict names and of what stays unexplained, where that is certain, and of dead channels."""
+    located = () if gap.verdict in UNLOCATED else (*_effect_marks(gap, rig), *_force_marks(gap, rig))
+    return (*located, *_channel_marks(gap, rig))
+
+
+def _channel_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
+    """Marks of channels that were left out."""
+    for name, fault in gap.channel_faults.items():
+        if station := station_named(rig, name):
+            yield DrawnMark(station, f"{name} is {fault}")
 
 
 def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:

@@ -10,6 +10,7 @@ from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Curve, Gap, ResidualMap, Share
 from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
+from identify.pages.wording import percent
 from rig.model.quantities import printed_unit
 
 Draw = Callable[[Any], None]
@@ -58,14 +59,16 @@ def _bands(figure: Any, gap: Gap) -> None:
     """Unexplained shares over frequency, in per cent; zeros of a logarithmic axis are not drawn."""
     edges = [b.low_hz for b in gap.bands] + [gap.bands[-1].high_hz]
     axes = figure.subplots()
-    rows = [("believed rig", RED, [b.before for b in gap.bands])]
+    rows = [("the model as it is", RED, [b.before for b in gap.bands])]
     if gap.causes and is_effective(gap.causes[0]):
-        rows.append(("with the likeliest cause", BLUE, [b.after for b in gap.bands]))
-    rows.append(("nineteen of twenty null simulations stay below", GREEN, [b.usual for b in gap.bands]))
+        rows.append(("with the likeliest causes", BLUE, [b.after for b in gap.bands]))
+    rows.append(("95 % limit of tolerances and noise", GREEN, [b.usual for b in gap.bands]))
     for label, colour, shares in rows:
         width = 3.2 if colour == RED else 1.4  # seen beside a line that lies on it
         axes.stairs(100 * np.array(shares), edges, baseline=None, color=colour, lw=width, label=label)
-    axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label="what matters")
+    axes.axhline(
+        100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=f"matters above {percent(gap.matters.motion)}"
+    )
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(edges[0], edges[-1])
     axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
@@ -121,8 +124,8 @@ def _curve(figure: Any, curve: Curve) -> None:
     axes = figure.subplots()
     for values, colour, width, label in (
         (curve.measured, GREY, 2.4, "measured"),
-        (curve.believed, RED, 1.0, "believed rig"),
-        (curve.corrected, BLUE, 1.0, "with the likeliest cause"),
+        (curve.believed, RED, 1.0, "the model as it is"),
+        (curve.corrected, BLUE, 1.0, "with the likeliest causes"),
     ):
         axes.plot(curve.x, values, color=colour, lw=width, ls="--" if colour == RED else "-", label=label)
     if curve.logarithmic:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from identify.gaps.decision.sentence import sentences
 from identify.gaps.decision_table import Verdict
 from identify.gaps.page.marks import marks
 from identify.gaps.page.screen import colour
@@ -33,7 +34,7 @@ CAPTIONS = {
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
-    "Nineteen of twenty null simulations (the believed rig within its tolerances) stay below the green line; a share "
+    "Nineteen of twenty null simulations (rig.json within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
 }
 """Captions of the wide pictures; the others carry their titles."""
@@ -95,7 +96,7 @@ def write_page(
         path,
         title=title,
         answer=page.Answer(
-            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), gap.sentence
+            "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), sentences(gap)
         ),
         first=[first_column, second_column],
         sections=[("Which further recording?", experiments)] if experiments else [],

@@ -157,7 +157,7 @@ FORMS: tuple[Form, ...] = (
         "softening spring",
         "a softening spring {where}",
         "displacement",
-        "{0} w0 tanh(w / w0), w0 = {p}",
+        "k w0 tanh(w / w0), k = {0}, w0 = {p}",
         ("N/m",),
         lambda w, _, p: [p * np.tanh(w / p)],
         "w0",

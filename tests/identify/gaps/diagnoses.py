@@ -201,7 +201,7 @@ def softening():
     force = np.where(visited, 11.0 * np.tanh(middle_w / 2.6e-3)[:, None], 0.0)
     hz = np.arange(1.0, 171.0, 2.0)
     return UnmeasuredForce(
-        sentence="a softening spring on the barrel near 0.89 m, 4240 N/m w0 tanh(w / w0), w0 = 2.59 mm",
+        sentence="a softening spring on the barrel near 0.89 m, k w0 tanh(w / w0), k = 4240 N/m, w0 = 2.59 mm",
         kind="force",
         body="barrel",
         position_m=0.8914,
@@ -215,7 +215,7 @@ def softening():
         by_time=(10.5, 11.3, 11.3, 11.2, 10.1, 9.5, 10.9, 10.5),
         against="displacement",
         law_name="softening spring",
-        law="4240 N/m w0 tanh(w / w0), w0 = 2.59 mm",
+        law="k w0 tanh(w / w0), k = 4240 N/m, w0 = 2.59 mm",
         law_parameters={"coefficient": Value(4240.0, 30.0, "N/m"), "w0": Value(2.59e-3, 2e-5, "m")},
         explained=0.992,
         over_motion=MeanForce(*tuples(w, v), tuples(*force)),
