@@ -13,6 +13,12 @@ def diagnosis(request):
     return GAPS[request.param]
 
 
+@pytest.fixture(scope="session", params=["explained", "pair", "unexplained", "one_mass"])
+def drawn_diagnosis(request):
+    """A diagnosis whose pictures are drawn: those that have different ones."""
+    return GAPS[request.param]
+
+
 @pytest.fixture(scope="session")
 def rig_of():
     """The rig that a diagnosis is of."""

@@ -24,8 +24,8 @@ def drawn(gap):
 
 
 @pytest.fixture(scope="module")
-def made(diagnosis):
-    return diagnosis, *drawn(diagnosis)
+def made(drawn_diagnosis):
+    return drawn_diagnosis, *drawn(drawn_diagnosis)
 
 
 def widths(axes):
@@ -115,9 +115,9 @@ def test_bands_are_drawn_beside_null_simulations_and_what_matters(made):
     gap, _, figures = made
     (axes,) = figures["large_bands"].axes
     steps = {patch.get_label(): patch.get_data() for patch in axes.patches}
-    fields = {"believed rig": "before", "nineteen of twenty null simulations stay below": "usual"}
+    fields = {"the model as it is": "before", "95 % limit of tolerances and noise": "usual"}
     if gap.causes[0].interval_95[0] > 0.01:
-        fields["with the likeliest cause"] = "after"
+        fields["with the likeliest causes"] = "after"
     assert set(steps) == set(fields)
     for label, field in fields.items():
         np.testing.assert_allclose(steps[label].values, [100 * getattr(b, field) for b in gap.bands])

@@ -67,11 +67,11 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def written(diagnosis, tmp_path_factory):
+def written(drawn_diagnosis, tmp_path_factory):
     """A diagnosis, its pictures, and its page as parsed."""
-    figures, path = pictures(diagnosis), tmp_path_factory.mktemp("page") / "gap.html"
-    write_page(diagnosis, figures, "Gap of one & two", path)
-    return diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
+    figures, path = pictures(drawn_diagnosis), tmp_path_factory.mktemp("page") / "gap.html"
+    write_page(drawn_diagnosis, figures, "Gap of one & two", path)
+    return drawn_diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
 
 
 def test_the_page_says_the_verdict_then_what_to_do_then_why(written):
