@@ -4,17 +4,17 @@ Motion with contacts is chaotic: a model can be compared with the machine over s
 begins with the measured displacement and velocity of the stations; both rigs then continue under the measured force.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from scipy.signal import savgol_filter
 
 from rig.errors import RigError
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
 from rig.recording import Recording
+from rig.recording.interfaces import Predict
 from rig.viewer.deflection import TAPER_S, Deflection
 
 WINDOW_S = 0.2
@@ -23,19 +23,6 @@ MAX_PREDICTED_S = 120.0
 """Longest part of a record that is predicted, s; it bounds memory and time."""
 SMOOTHED, ORDER = 9, 3
 """Samples and order of the polynomials whose derivative is the velocity: exact to a quarter of the sampling rate."""
-Predict = Callable[
-    [
-        Rig,
-        Float[np.ndarray, "forces samples"],
-        Int[np.ndarray, " windows"],
-        int,
-        tuple[Station, ...],
-        Float[np.ndarray, "windows 2 stations"],
-    ],
-    Float[np.ndarray, "windows 2 stations times"],
-]
-"""Predictor as `rig.simulation.prediction.modal`: displacement and velocity at stations over a number of samples, of a
-rig under the forces of a record from the states at the first sample of each window."""
 
 
 @dataclass(frozen=True)

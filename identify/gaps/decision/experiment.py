@@ -21,7 +21,7 @@ from msgspec.structs import replace as with_fields
 from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.decision.comparison import TEMPERATURE
-from identify.gaps.decision.null_simulations import Simulate, phase_randomized
+from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.extent import REACH
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.record import Record
@@ -33,6 +33,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
 from rig.model.tolerances import Tolerances
+from rig.recording.interfaces import Simulate
 
 FORCE_FACTORS = (0.4, 2.5)
 """Forces of the experiments, as multiples of the measured one. Set by hand: what a shaker does without another

@@ -27,7 +27,6 @@ from msgspec.structs import replace
 from scipy.stats import t as student
 
 from identify.gaps.decision.null_simulations import (
-    Simulate,
     draw_rig,
     is_impulsive,
     phase_randomized,
@@ -39,7 +38,7 @@ from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_
 from identify.gaps.residual.residual import Linearization, Residual, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
-from identify.gaps.rollout.windows import Predict, null_errors
+from identify.gaps.rollout.windows import null_errors
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.files import check_target, contents, make_folder, write_bytes
@@ -47,6 +46,7 @@ from rig.model.description import Rig, to_json
 from rig.model.tolerances import Tolerances
 from rig.processes import mapped
 from rig.recording import Recording
+from rig.recording.interfaces import Predict, Simulate
 
 NULL_SIMULATIONS = 12
 """Number of simulations: their mean is known within 29 % of their standard deviation, that within 21 %, which Student's

@@ -12,7 +12,7 @@ Notes for maintainers
 3. A simulation counts for as long as the record does, as -2 ln p grows with the number of samples.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace as with_fields
 
 import numpy as np
@@ -27,16 +27,13 @@ from rig.model.modes import mode_count, modes_of
 from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
+from rig.recording.interfaces import Simulate
 
 ONSET_S = 0.1
 """Onset of the null's force, s. Set by hand."""
 IMPULSE_ENERGY_SHARE, IMPULSE_SAMPLE_SHARE = 0.9, 0.1
 """A force is impulsive where a smaller share of the samples than the second holds the first share of the energy.
 Derived: 0.45 of Gaussian noise, 0.27 of its bursts."""
-
-Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
-"""Recording of the actual rig (second) under a measured force, in the channels of the nominal rig (first), with noise
-from a seed."""
 
 DRAWN_MODES = 24
 """Number of modes of a drawn beam: as many as the plant `modal` is given in a replay."""

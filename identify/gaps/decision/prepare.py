@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from identify.gaps.decision.null_reference import NullReference, null_key, null_reference_of
-from identify.gaps.decision.null_simulations import Simulate, free_decay_simulator
+from identify.gaps.decision.null_simulations import free_decay_simulator
 from identify.gaps.decision.recordings import ordered_recordings, without_faulty_channels
 from identify.gaps.residual.likelihood import NominalVariances, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.rollout.windows import Predict
 from identify.gaps.search.candidates import Candidate, candidates, scale_of
 from identify.gaps.search.hypothesis import Hypothesis, Search
 from identify.gaps.search.nominal import fit_nuisance
@@ -25,6 +24,7 @@ from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.processes import end_processes
 from rig.recording import Recording
+from rig.recording.interfaces import Predict, Simulate
 
 
 @dataclass(frozen=True)

@@ -8,13 +8,13 @@ from jaxtyping import Complex, Float
 from scipy.signal import csd, welch
 
 from identify.gaps.decision.null_reference import NullReference, summary_statistics
-from identify.gaps.decision.null_simulations import Simulate
 from identify.gaps.residual.residual import Linearization, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Curve, SummaryStatistic
 from identify.linear.joined import joined
 from rig.model.description import Rig
 from rig.recording import Recording
+from rig.recording.interfaces import Simulate
 
 CURVE_POINTS = 400
 """Points of a compared curve at most. Display."""

@@ -85,6 +85,12 @@ def _explained(gap: Diagnosis) -> list[str]:
             f"{capitalised(joined(named.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
             "all records together: the one that was not fitted shows too little of it."
         ]
+    if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
+        pull = number(gap.before.largest_pull, 2)
+        return [
+            f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
+            f"without {_pronoun(named)}: it would be off by {pull} of its standard deviations."
+        ]
     chance_words = (
         ""
         if gap.after.p_value < USUAL_P_VALUE

@@ -22,7 +22,6 @@ from identify.gaps.residual.residual import Residual
 from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictionErrors, Rollout
 from identify.gaps.rollout.states import MeasuredMotion, measured_motion
 from identify.gaps.rollout.windows import (
-    Predict,
     Windows,
     disjoint_starts,
     horizon_of,
@@ -35,6 +34,7 @@ from identify.signals.ringing import RingingMode, modes_of_decay
 from rig.errors import RigError
 from rig.model.modes import modes_of
 from rig.recording import Recording
+from rig.recording.interfaces import Predict
 
 MAX_WINDOWS = 240
 """Largest number of windows of a record. Effort."""

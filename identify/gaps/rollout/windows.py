@@ -5,7 +5,7 @@ motion, as a share of the sensor's root mean square. Motion with contacts is cha
 which null simulations (of the nominal rig within its tolerances) are predicted, or the record if motion is regular.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -14,8 +14,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from identify.gaps.residual.residual import Residual
 from identify.gaps.rollout.results import NullErrors
 from identify.gaps.rollout.states import MeasuredMotion, measured_motion
-from rig.model.description import Rig, Station
 from rig.recording import Recording
+from rig.recording.interfaces import Predict
 
 HORIZON_ERROR = 0.1
 """Median error of null simulations that defines the horizon; ... Convention."""
@@ -28,20 +28,6 @@ NULL_WINDOWS = 24
 """Largest number of windows of a null simulation. Effort."""
 LOST_ERROR = 1e3
 """Error assigned to a diverged prediction, and bound of all errors."""
-Predict = Callable[
-    [
-        Rig,
-        Float[np.ndarray, "forces samples"],
-        Int[np.ndarray, " windows"],
-        int,
-        tuple[Station, ...],
-        Float[np.ndarray, "windows 2 stations"],
-    ],
-    Float[np.ndarray, "windows 2 stations times"],
-]
-"""Predictor: displacement and velocity at stations over a number of samples, from the state at the first sample of each
-window and under the measured forces of the record; arguments are rig, forces, starts, samples, stations, states."""
-
 Windows = Float[np.ndarray, "windows stations times"]
 
 

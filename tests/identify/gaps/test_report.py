@@ -211,6 +211,13 @@ def test_shares_that_noise_hides_are_no_numbers(gaps):
     assert "0.0 %" not in said
 
 
+def test_an_effect_that_a_tolerance_would_take_up_is_said_without_shares(gaps):
+    before = replace(gaps["cables"].before, share=0.0, contact_shares={}, largest_pull=4.84)
+    said = sentence(replace(gaps["cables"], before=before))
+    assert "which a tolerance would have to take up without them: it would be off by 4.8 of its standard" in said
+    assert "0.0 %" not in said
+
+
 def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
     mass, clamp = gaps["explained"].causes[0].words[0], gaps["explained"].causes[1].words[0]
     assert f"Instead of {mass} it may be {clamp}: these records hardly tell them apart." in gaps["explained"].sentence
