@@ -148,7 +148,7 @@ def reduced_equations(
     gradient = gradient - linearization.record.sample_ratio * residual.nuisance
     eliminated = []
     for j, contact in enumerate(residual.contacts):
-        side = contact.sides if sides is None else sides[j]
+        side = contact.sides_after() if sides is None else sides[j]
         columns, piece = contact.columns_beyond(side), contact.residual_beyond(side)
         solver, rows = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
         unknown_gradient, coupled = columns.T @ piece, columns.T @ rows
@@ -227,7 +227,7 @@ def _step(
     ranges = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
     low = np.concatenate([-LIMIT - residual.nuisance, ranges[0]])
     high = np.concatenate([LIMIT - residual.nuisance, ranges[1]])
-    sides = [contact.sides for contact in residual.contacts]
+    sides = [contact.sides_after() for contact in residual.contacts]
     for _ in range(MAX_SIDES):
         normal = reduced_equations(linearization, residual, sides).with_columns(columns)
         ridge = np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300]

@@ -32,9 +32,11 @@ EXCESS_WEIGHT = 100.0
 hand: a soft bound."""
 LEAST_CLEARANCE_FACTOR = 1e-9
 """Least factor on a clearance, in place of zero: a stop that is not there stays infinitely far away. Set by hand."""
-Sides = Float[np.ndarray, " pulls"]
 DEPTH_REACH, DEPTH_COUNT = 3.0, 2000
 """Grid of penetrations on which a law is inverted: its end, in penetrations of a linear stop, and its size."""
+
+Sides = Float[np.ndarray, " pulls"]
+"""Sides of a contact's pulls: 0 within `LIMIT`, -1 or 1 beyond it."""
 
 
 def initial_unknowns(
@@ -119,24 +121,29 @@ class ContactResidual:
         return float(self.residual @ self.residual)
 
     @cached_property
-    def _finer_slopes(self) -> Float[np.ndarray, "3 laws finer"]:
+    def _finer_slopes(self) -> Float[np.ndarray, "4 laws finer"]:
         """Derivatives of each law at the rate of `tangent`; see `slopes`."""
-        laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
+        undamped_laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
+        signs = self.adjusted_law.signs
 
-        def slope_rows(eta: Signal, *time_s: Signal) -> Results:
+        def slope_rows(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
             tangents = self._tangents(eta, *time_s)
             per_stiffness = [
                 sign * force_increase_n(law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
-                for law, sign in zip(laws, self.adjusted_law.signs, strict=True)
+                for law, sign in zip(undamped_laws, signs, strict=True)
             ]
-            return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness)])
+            per_damping = [
+                sign * force_increase_n(law, sign * eta, sign * rate, *time_s, damping_n_s_per_m=1.0)
+                for law, sign in zip(self.adjusted_law.laws, signs, strict=True)
+            ]
+            return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
 
-        return self._low_passed(slope_rows, self.eta_m, multiple=self.signals.multiple)
+        return self._low_passed(slope_rows, self.eta_m, self.rate_m_per_s, multiple=self.signals.multiple)
 
     @cached_property
-    def slopes(self) -> Float[np.ndarray, "3 laws times"]:
+    def slopes(self) -> Float[np.ndarray, "4 laws times"]:
         """Derivatives of each law: by eta (N/m), by clearance, i.e. times the sign of eta (N/m), and the force at rest
-        per stiffness (m)."""
+        per stiffness (m), and per damping (m/s)."""
         return decimated(self._finer_slopes, self.signals.multiple)
 
     @cached_property
@@ -157,24 +164,6 @@ class ContactResidual:
                 for law, sign in zip(self.adjusted_law.laws, self.adjusted_law.signs, strict=True)
             ]
         )
-
-    @cached_property
-    def force_by_damping_n(self) -> Float[np.ndarray, "laws times"]:
-        """Change of the force per tolerance of each law's damping, N."""
-        *_, damping_s = self.observation.prior_deviations
-
-        def increase(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
-            laws = zip(self.law.signs, self.adjusted_law.laws, self.law.laws, strict=True)
-            return np.stack(
-                [
-                    sign * force_increase_n(adjusted, sign * eta, sign * rate, *time_s, damping_n_s_per_m=damping)
-                    for sign, adjusted, damping in (
-                        (sign, adjusted, damping_s * law.stiffness_n_per_m) for sign, adjusted, law in laws
-                    )
-                ]
-            )
-
-        return self._low_passed(increase, self.eta_m, self.rate_m_per_s)
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
@@ -205,19 +194,14 @@ class ContactResidual:
         """Slow part of the relative displacement that integration loses, m."""
         return np.asarray(self.observation.curve.value @ self.unknowns[: self.observation.curve.knots])
 
-    @property
-    def sides(self) -> Sides:
-        """Sides of the pulls: 0 within `LIMIT`, -1 or 1 beyond it."""
-        return np.sign(_limit_excess(self.pulls))
-
-    def sides_after(self, step: Float[np.ndarray, " unknowns"]) -> Sides:
-        """Sides of the pulls after a step of the unknowns."""
-        return np.sign(_limit_excess(self.pulls + step[self.observation.tolerance_slice]))
+    def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> Sides:
+        """Sides of the pulls, after a step of the unknowns."""
+        return np.sign(_limit_excess((self.unknowns + step)[self.observation.tolerance_slice]))
 
     @cached_property
     def columns(self) -> csr_matrix:
         """Decrease of the residual per unit of each unknown, rows x unknowns."""
-        return self.columns_beyond(self.sides)
+        return self.columns_beyond(self.sides_after())
 
     def columns_beyond(self, sides: Sides) -> csr_matrix:
         """Columns where the pulls' excess is straight, as on given sides."""
@@ -236,13 +220,15 @@ class ContactResidual:
     def _force_columns(self) -> csr_matrix:
         """Rows of `columns` of the force, without those of the priors."""
         weights, curve = self.observation.weights, self.observation.curve
-        by_clearance, by_stiffness, _ = self.observation.prior_deviations
+        by_clearance, by_stiffness, by_damping_s = self.observation.prior_deviations
         rows = []
-        for law, signed_slope, per_stiffness, force_by_damping in zip(
-            self.law.laws, *self.slopes[1:], self.force_by_damping_n, strict=True
-        ):
-            clearance_column = -by_clearance * law.clearance_m * signed_slope
-            rows += [clearance_column, by_stiffness * law.stiffness_n_per_m * per_stiffness, force_by_damping]
+        for law, signed_slope, per_stiffness, per_damping in zip(self.law.laws, *self.slopes[1:], strict=True):
+            stiffness_n_per_m = law.stiffness_n_per_m
+            rows += [
+                -by_clearance * law.clearance_m * signed_slope,
+                by_stiffness * stiffness_n_per_m * per_stiffness,
+                by_damping_s * stiffness_n_per_m * per_damping,
+            ]
         drift_columns = self.tangent.spline_columns(curve.value) + self.signals.spring_n_per_m * curve.value
         return diags(weights) @ hstack([drift_columns, np.stack(rows, axis=1)], "csr")
 

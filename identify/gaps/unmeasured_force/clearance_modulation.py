@@ -70,7 +70,7 @@ def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulat
 def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
     """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
     weights = contact.observation.weights
-    tangent, signed_slope_n_per_m, _ = contact.slopes.sum(axis=1)
+    tangent, signed_slope_n_per_m, *_ = contact.slopes.sum(axis=1)
     pressed = (weights > 0) & (tangent > PRESSED_SHARE * max(float(tangent.max()), 1e-300))
     if np.count_nonzero(pressed) < FEWEST_SAMPLES:
         return None
