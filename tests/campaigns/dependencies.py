@@ -17,6 +17,7 @@ REASONS = {
     "exudyn": "the plant `ancf` (`simulate`)",
     "h5py": "HDF5 and MATLAB 7.3 files (`lab`)",
     "jaxtyping": "shapes of arrays in signatures, checked in tests",
+    "joblib": "null simulations and plans over processes",
     "lz4": "compression of MCAP chunks",
     "matplotlib": "figures as PNG",
     "mcap": "recordings",
