@@ -27,26 +27,29 @@ def mapped(
 ) -> list[Result]:
     """Results of `function` for every run, in their order, over so many processes; by default one a core.
 
-    The first runs are done in this process, until it is known that the rest is worth others. LOKY_MAX_CPU_COUNT limits
-    the cores. Errors are raised as they occur.
+    Runs are done in this process until their time says that the remaining ones would take longer than `WORTH_S`. The
+    processes end with the last run, as they keep their memory. LOKY_MAX_CPU_COUNT limits the cores. Errors are raised
+    as they occur.
     """
     workers = processes or min(cpu_count(), MAX_PROCESSES)
     results: list[Result] = []
-    begin = time.monotonic()
-    while len(results) < len(runs):
-        remaining = len(runs) - len(results)
-        worth = bool(results) and remaining * (time.monotonic() - begin) / len(results) > WORTH_S
-        if workers > 1 and remaining > 1 and worth:
-            parallel = Parallel(n_jobs=min(workers, remaining), return_as="generator")
-            for result in parallel(delayed(function)(run) for run in runs[len(results) :]):
-                results.append(result)
-                report_finished(len(results))
-            break
-        results.append(function(runs[len(results)]))
+    begin_s = time.monotonic()
+
+    def take(result: Result) -> None:
+        results.append(result)
         report_finished(len(results))
+
+    for run in runs:
+        remaining_count = len(runs) - len(results)
+        run_s = (time.monotonic() - begin_s) / max(len(results), 1)
+        if results and min(workers, remaining_count) > 1 and remaining_count * run_s > WORTH_S:
+            break
+        take(function(run))
+    if remaining_runs := runs[len(results) :]:
+        parallel = Parallel(n_jobs=min(workers, len(remaining_runs)), return_as="generator")
+        try:
+            for result in parallel(delayed(function)(run) for run in remaining_runs):
+                take(result)
+        finally:
+            get_reusable_executor().shutdown(kill_workers=True)
     return results
-
-
-def end_processes() -> None:
-    """End the processes of `mapped`, which otherwise wait for more runs for five minutes and keep their memory."""
-    get_reusable_executor().shutdown(kill_workers=True)

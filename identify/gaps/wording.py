@@ -57,16 +57,16 @@ SMALLEST_FREQUENCY_CHANGE = 5e-4
 
 def verdict(gap: Gap) -> str:
     """Verdict in a few words, with what keeps an explanation from being used as it is."""
-    return ", but ".join([VERDICTS[gap.verdict], *reservations(gap)[:1]])
+    return ", but ".join(filter(None, (VERDICTS[gap.verdict], reservation(gap))))
 
 
-def reservations(gap: Gap) -> list[str]:
-    """What keeps an explanation from being used as it is: a machine that changed, or look-alikes."""
+def reservation(gap: Gap) -> str:
+    """Reason not to use an explanation as it is: a machine that changed, or look-alikes; empty if there is none."""
     if gap.verdict not in (Verdict.EXPLAINED, Verdict.PARTLY_EXPLAINED):
-        return []
-    changed = gap.between is not None and gap.between.differing
-    reserved = [(changed, "the records differ"), (look_alikes_of(gap), "another cause fits as well")]
-    return [words for applies, words in reserved if applies]
+        return ""
+    if gap.between and gap.between.differing:
+        return "the records differ"
+    return "another cause fits as well" if look_alikes_of(gap) else ""
 
 
 def capitalised(text: str) -> str:

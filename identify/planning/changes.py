@@ -196,5 +196,5 @@ def _places(test: PlannedTest) -> Iterator[PlannedChange]:
 def _without_sensors(test: PlannedTest) -> Iterator[PlannedChange]:
     sensors = test.rig.sensors
     for sensor in sensors if len(sensors) > 1 else ():
-        remaining_sensors = tuple(kept for kept in sensors if kept != sensor)
+        remaining_sensors = tuple(candidate for candidate in sensors if candidate != sensor)
         yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

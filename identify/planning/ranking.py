@@ -28,7 +28,7 @@ from identify.planning.expectation import (
 )
 from identify.planning.planned_test import PlannedTest
 from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
-from rig.processes import end_processes, mapped
+from rig.processes import mapped
 
 LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
@@ -69,11 +69,8 @@ def planned(
     def run_all(runs: Sequence[Run], finished_before: int) -> list[SimulatedTest]:
         return mapped(_run, runs, workers, lambda finished: progress((finished_before + finished) / run_count))
 
-    try:
-        expected = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
-        results = _tried(test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished))
-    finally:
-        end_processes()
+    expected = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
+    results = _tried(test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished))
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
     return PlanReport(

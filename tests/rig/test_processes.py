@@ -6,7 +6,7 @@ import time
 import pytest
 
 from rig.errors import RigError
-from rig.processes import end_processes, mapped
+from rig.processes import mapped
 
 
 def test_results_come_in_order_from_other_processes_where_the_work_is_worth_it(monkeypatch):
@@ -17,10 +17,7 @@ def test_results_come_in_order_from_other_processes_where_the_work_is_worth_it(m
         time.sleep(0.2)
         return number, os.getpid()
 
-    try:
-        results = mapped(run, range(4), 2, finished.append)
-    finally:
-        end_processes()
+    results = mapped(run, range(4), 2, finished.append)
     assert [number for number, _ in results] == [0, 1, 2, 3]
     assert results[0][1] == os.getpid()
     assert os.getpid() not in {process for _, process in results[1:]}
@@ -43,4 +40,3 @@ def test_an_error_in_a_process_is_that_of_the_run(monkeypatch):
 
     with pytest.raises(RigError, match="run 2"):
         mapped(run, range(4), 2)
-    end_processes()

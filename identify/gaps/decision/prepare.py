@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import entry_points
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from identify.gaps.search.pooled import fitted_together
 from identify.gaps.search.sparse import ranked_hypotheses
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY, Tolerances
-from rig.processes import end_processes
 from rig.recording import Recording
 from rig.recording.interfaces import Predict, Simulate
 
@@ -139,31 +137,21 @@ def prepare(
         null_key(observation.recording, observation.record.counted_until_s, rig_tolerances, simulator.name)
         for observation in observations
     ]
+    references_by_key: dict[str, NullReference] = {}
     first_indices = {key: index for index, key in reversed(list(enumerate(keys)))}
-    try:
-        references_by_key = {
-            key: null_reference_of(
-                observations[index].recording,
-                rig_tolerances,
-                simulate_functions[index],
-                simulator.name,
-                partial(_report_reference, progress, number, len(first_indices)),
-                null_reference_path,
-                predict=simulator.predict,
-            )
-            for number, (key, index) in enumerate(first_indices.items())
-        }
-    finally:
-        end_processes()
+    for number, (key, index) in enumerate(first_indices.items()):
+
+        def report(share: float, number: int = number) -> None:
+            progress((number + share) / len(first_indices))
+
+        recording, simulate = observations[index].recording, simulate_functions[index]
+        references_by_key[key] = null_reference_of(
+            recording, rig_tolerances, simulate, simulator.name, report, null_reference_path, predict=simulator.predict
+        )
     references = tuple(references_by_key[key] for key in keys)
     return Prepared(
         observations, validating, channel_faults, simulate_functions[validating], simulator.predict, references
     )
-
-
-def _report_reference(progress: Callable[[float], None], number: int, count: int, share: float) -> None:
-    """Report that so many of `count` null references are made, and a share of the next."""
-    progress((number + share) / count)
 
 
 def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedRecording:

@@ -24,6 +24,8 @@ VETO_SENTENCES = {
     "no_improvement": "With that the rig predicts the measured motion no better, as it would if that were all.",
 }
 """Sentences by the code of the rollout that vetoes."""
+SMALLEST_SHARE = 1e-9
+"""Smallest upper bound in words, "< 0.1 %": no record bounds a share by zero."""
 STRAINED_DEVIATIONS = 3.0
 """Standard deviations from which a strained tolerance is mentioned."""
 
@@ -50,7 +52,7 @@ def sentences(diagnosis: Diagnosis) -> list[str]:
 def _consistent(gap: Diagnosis) -> list[str]:
     return [
         "The machine is as rig.json says, as far as it matters: "
-        f"{_upper_bound_words(gap.evidence.quantities)} may differ, and what is left is no more than tolerances and "
+        f"{_upper_bound_words(gap.evidence.quantities)}. What is left is no more than tolerances and "
         f"noise leave ({p_value_words(gap.evidence.p_value)})."
     ]
 
@@ -68,7 +70,7 @@ def _cannot_tell(gap: Diagnosis) -> list[str]:
 
 
 def _small(gap: Diagnosis) -> list[str]:
-    small = f"{_upper_bound_words(gap.evidence.quantities)} may differ, less than what matters"
+    small = _upper_bound_words(gap.evidence.quantities)
     if named := _named_cause(gap):
         return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {small}."]
     return [
@@ -197,13 +199,14 @@ def _ruled_out(gap: Diagnosis) -> list[str]:
 
 
 def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
-    """Upper bounds of the shares: "at most 0.3 % of the motion and 1.2 % of the force of contact_1"."""
+    """Upper bounds: "at most 0.3 % of the motion and 1.2 % of the force of contact_1 differ"."""
     shares = [bound for bound in quantities if bound.unit == "1"]
-    text = joined([f"{percent(bound.upper)} of the {bound.name}" for bound in shares if bound.upper is not None])
-    parameter_words = (
-        " and every clearance, stiffness and damping within three tolerances" if len(quantities) > len(shares) else ""
+    uppers = [(bound.name, max(bound.upper, SMALLEST_SHARE)) for bound in shares if bound.upper is not None]
+    share_words = joined([f"{percent(upper)} of the {name}" for name, upper in uppers])
+    parameters = ", and no clearance, stiffness or damping by more than three tolerances"
+    return f"at most {share_words} differ{parameters * (len(quantities) > len(shares))}".replace(
+        "at most < ", "less than "
     )
-    return f"at most {text}{parameter_words}".replace("at most < ", "less than ")
 
 
 def _not_seen(gap: Diagnosis) -> list[str]:
@@ -241,5 +244,5 @@ def _parameters_at_limit(gap: Diagnosis) -> list[str]:
     at_limit = [name for name, value in named.parameters.items() if value.at_limit]
     if not at_limit:
         return []
-    ends = "is the end of its range" if len(at_limit) == 1 else "are the ends of their ranges"
-    return [f"The best {joined(at_limit)} {ends}: the true value may lie beyond, or the effect is another."]
+    range_words = "is the end of its range" if len(at_limit) == 1 else "are the ends of their ranges"
+    return [f"The best {joined(at_limit)} {range_words}: the true value may lie beyond, or the effect is another."]

@@ -15,7 +15,7 @@ from identify.gaps.wording import (
     probability,
     remaining_probabilities,
     removed_share_words,
-    reservations,
+    reservation,
     unexplained_words,
     verdict,
 )
@@ -36,7 +36,7 @@ MAX_CAUSES = 5
 
 
 def colour(gap: Gap) -> Colour:
-    return "yellow" if reservations(gap) else COLOURS[gap.verdict]
+    return "yellow" if reservation(gap) else COLOURS[gap.verdict]
 
 
 def screen_view(gap: Gap) -> RenderableType:

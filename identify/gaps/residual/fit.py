@@ -232,14 +232,9 @@ def _step(
         normal = reduced_equations(linearization, residual, sides).with_columns(columns)
         ridge = np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300]
         full_step = bounded_minimum(normal.matrix + np.diag(ridge), normal.gradient, low, high)
-        before, sides = (
-            sides,
-            [
-                contact.sides_after(step)
-                for contact, step in zip(residual.contacts, normal.unknown_steps(full_step), strict=True)
-            ],
-        )
-        if all(np.array_equal(*pair) for pair in zip(before, sides, strict=True)):
+        steps_of_contacts = zip(residual.contacts, normal.unknown_steps(full_step), strict=True)
+        sides_before, sides = sides, [contact.sides_after(step) for contact, step in steps_of_contacts]
+        if all(np.array_equal(*pair) for pair in zip(sides_before, sides, strict=True)):
             break
 
     def point_after(share: float) -> _Point | None:

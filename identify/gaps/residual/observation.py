@@ -23,7 +23,7 @@ Set by hand."""
 
 ENVELOPE_SAMPLES = 2
 """Samples on either side over which the errors of a contact's force are as large as its force: low-passed, it rings
-through zero where the contact is closed, and a sample there would weigh a hundred times as much as its neighbours.
+through zero where the contact is closed, and a sample there would weigh far more than its neighbours.
 Derived: a period of the highest frequency."""
 EDGE_SAMPLES = 8
 """Samples at a record's end whose contact force rings on: the law's low-pass lacks what follows them. Set by hand."""
@@ -37,7 +37,7 @@ class ContactSignals:
     """Separated force of one contact, and its relative displacement and velocity at the recording's rate.
 
     factor is the ratio of the recording's rate to that of the force, spring_n_per_m the stiffness of the bodies against
-    slow relative motion, multiple the one of the force's rate at which slopes of laws are multiplied.
+    slow relative motion, and multiple is that of the force's rate at which slopes of laws are kept (`tangent`).
     """
 
     force_n: Float[np.ndarray, " times"]

@@ -145,6 +145,6 @@ class Record:
 
     def in_finer_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
         """Signals from the first to the last time that counts, at `product_multiple` times `rate_hz`."""
-        multiple, first, end = self.product_multiple, self.counted_samples.start, self.counted_samples.stop
+        multiple, counted = self.product_multiple, self.counted_samples
         rows = irfft(spectra[..., :-1], self.length // self.factor * multiple) * (multiple / self.factor)
-        return np.asarray(rows[..., first * multiple : (end - 1) * multiple + 1])
+        return np.asarray(rows[..., counted.start * multiple : (counted.stop - 1) * multiple + 1])

@@ -1,4 +1,4 @@
-"""The page of a diagnosis: its numbers, its pictures, its form; and what the screen shows."""
+"""The page of a diagnosis: its numbers, its pictures, its form; and what the screen and the other files show."""
 
 import re
 from base64 import b64decode
@@ -13,13 +13,13 @@ from matplotlib.image import imread
 from msgspec.structs import replace
 from rich.console import Console
 
-from identify.gaps.decision.sentence import sentence, sentences
-from identify.gaps.page.advice import next_steps, unexplained_ranges_hz
+from identify.gaps.decision.sentence import sentences
+from identify.gaps.page.advice import next_steps
 from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import curves, write_all, write_page
-from identify.gaps.page.screen import colour, screen_view
-from identify.gaps.results import Attribution, Band, Gap, Note
+from identify.gaps.page.screen import screen_view
+from identify.gaps.results import Attribution, Gap, Note
 from identify.gaps.wording import (
     interval,
     look_alikes_of,
@@ -27,10 +27,9 @@ from identify.gaps.wording import (
     probability,
     removed_share_words,
     unexplained_words,
-    verdict,
 )
 from identify.pages.page import unbroken
-from identify.pages.wording import COVERED, number, percent
+from identify.pages.wording import number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
 from rig.model.unmeasured_force import Value
@@ -159,10 +158,6 @@ def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
     assert "(at the limit of its range)" in (tmp_path / "gap.html").read_text(encoding="utf-8")
 
 
-def test_the_sentence_is_made_of_what_gap_json_says(diagnosis):
-    assert sentence(msgspec.json.decode(msgspec.json.encode(diagnosis), type=Gap)) == diagnosis.sentence
-
-
 def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
     gap = replace(gaps["pair"], attribution=Attribution(), notes=(Note("attribution", "singular <matrix>"),))
     write_page(gap, {}, "noted", tmp_path / "gap.html")
@@ -185,95 +180,12 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
     assert '<div class="verdict yellow"><b>cannot tell</b>' in (tmp_path / "gap.html").read_text("utf-8")
 
 
-def test_the_sentence_begins_with_effect_value_and_place(gaps):
-    begin = "An added mass of 0.141 kg on the barrel at 0.99 m"
-    assert gaps["explained"].sentence.startswith(f"{begin} explains the difference: with it")
-    assert gaps["partly_explained"].sentence.startswith(f"{begin} explains the difference in part: it removes 87.0 %")
-    assert gaps["small"].sentence.startswith(f"{begin} is there, too small to matter")
-    assert gaps["cables"].sentence.startswith("An added mass of 0.0120 kg on the barrel at 0.91 m and an added mass of")
-
-
-def test_a_veto_is_said(gaps):
-    assert gaps["vetoed"].verdict == "unexplained"
-    assert "predicts the measured motion worse than without" in gaps["vetoed"].sentence
-    assert "corrected rig.json" not in " ".join(next_steps(gaps["vetoed"]))
-
-
-def test_shares_that_noise_hides_are_no_numbers(gaps):
-    before = gaps["vetoed"].before
-    hidden = replace(before, share=0.0, contact_shares=dict.fromkeys(before.contact_shares, 0.0))
-    evidence = replace(gaps["vetoed"].evidence, removed=0.87)
-    said = sentence(replace(gaps["vetoed"], before=hidden, evidence=evidence))
-    assert "by what noise hides" in said
-    assert "removes 87.0 % of what strains its tolerances" in said
-    nothing = replace(evidence, removed=0.0)
-    assert "removes nothing that is seen" in sentence(replace(gaps["vetoed"], before=hidden, evidence=nothing))
-    assert "0.0 %" not in said
-
-
-def test_an_effect_that_a_tolerance_would_take_up_is_said_without_shares(gaps):
-    before = replace(gaps["cables"].before, share=0.0, contact_shares={}, largest_pull=4.84)
-    said = sentence(replace(gaps["cables"], before=before))
-    assert "which a tolerance would have to take up without them: it would be off by 4.8 of its standard" in said
-    assert "0.0 %" not in said
-
-
-def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
-    mass, clamp = gaps["explained"].causes[0].words[0], gaps["explained"].causes[1].words[0]
-    assert f"Instead of {mass} it may be {clamp}: these records hardly tell them apart." in gaps["explained"].sentence
-    assert "hardly tell" not in gaps["pair"].sentence
-
-
-def test_an_explanation_that_is_not_to_be_used_as_it_is_is_amber(gaps):
-    said = {name: (colour(gaps[name]), verdict(gaps[name])) for name in ("explained", "pair", "cables")}
-    assert said["explained"] == ("yellow", "explained, but another cause fits as well")
-    assert said["pair"] == ("yellow", "explained, but the records differ")
-    assert said["cables"] == ("green", "explained")
-
-
 def test_numbers_stay_on_a_line_with_their_units():
     broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg at 0.99 m in 3 machines")
     assert unbroken(broken).split(" ") == [
         *("1.2\xa0%", "of", "the", "motion,", "&lt;\xa00.1\xa0%", "(p\xa0=\xa00.31),"),
         *("0.141\xa0kg", "at", "0.99\xa0m", "in", "3", "machines"),
     ]
-
-
-def test_what_to_do_depends_on_the_verdict(gaps):
-    steps = {name: " ".join(next_steps(gap)) for name, gap in gaps.items()}
-    assert "Nothing needs to be done" in steps["consistent"]
-    assert "corrected rig.json" in steps["explained"]
-    assert "To test clamp_compliance: measure close to the clamp." in steps["explained"]
-    for word in ("better rig, not as the right one", "the cradle near 0.80 m", "50.0 Hz", "weigh the part"):
-        assert word in steps["partly_explained"]
-    for word in ("Keep rig.json as it is", "the barrel near 0.89 m", "grows with the displacement"):
-        assert word in steps["unexplained"]
-    assert "corrected" not in steps["unexplained"]
-
-
-def test_a_description_that_explains_little_is_a_hint(gaps):
-    gap = gaps["partly_explained"]
-    little = replace(gap, unknown=replace(gap.unknown, explained=0.165))
-    steps = " ".join(next_steps(little))
-    assert "hint, as it explains only 16.5 % of what is left: look at the cradle near 0.80 m" in steps
-    assert "switch motors" not in steps
-    said = sentence(little)
-    assert (
-        f"The rest has no simple form; the nearest explains 16.5 % of its mean square: {gap.unknown.sentence}." in said
-    )
-    assert f"The rest looks like {gap.unknown.sentence}." in gap.sentence
-
-
-def test_what_is_left_is_named_by_its_frequencies(gaps):
-    gap = gaps["partly_explained"]
-    bands = tuple(
-        Band(low_hz=2.0 * i, high_hz=2.0 * i + 2, before=0.1, after=after, usual=usual)
-        for i, (after, usual) in enumerate(
-            [(0.1, 0.2), (0.1, 0.01), (0.1, 0.01), (0.001, 0.0), (0.1, 0.0)] + 8 * [(0, 0)]
-        )
-    )
-    assert unexplained_ranges_hz(replace(gap, bands=bands)) == [(2.0, 10.0)]
-    assert unexplained_ranges_hz(replace(gap, bands=bands[:1])) == []
 
 
 def test_names_cannot_break_the_page(gaps, tmp_path):
@@ -384,38 +296,6 @@ def test_the_screen_shows_the_verdict(diagnosis):
         assert step in text
     if diagnosis.unknown:
         assert diagnosis.unknown.sentence in text
-
-
-def test_an_interval_has_two_digits_of_its_half_width():
-    for value, half, unit, said in (
-        (0.1414, 0.0021, "kg", "0.1414 ± 0.0021 kg"),
-        (1.0, 0.034, "1", "1.000 ± 0.034"),
-        (123456.0, 1200.0, "N/m", "123500 ± 1200 N/m"),
-        (-0.5, 0.0999, "m", "-0.50 ± 0.10 m"),
-        (1.83e-4, 7.8e-6, "s", "(1.830 ± 0.078)e-4 s"),
-        (2.96e10, 8e8, "N/m^3", "(2.960 ± 0.080)e10 N/m³"),
-        (0.0, 0.25, "N", "0.00 ± 0.25 N"),
-        (-0.001, 0.25, "N", "0.00 ± 0.25 N"),
-    ):
-        assert interval(Value(value, half / COVERED, unit)) == said
-
-
-@pytest.mark.parametrize("error", [0.0, float("nan"), float("inf")])
-def test_no_interval_is_claimed_where_there_is_none(error):
-    assert interval(Value(0.25, error, "N")) == "0.2500 N (no interval)"
-
-
-def test_nothing_is_said_to_be_certain():
-    assert percent(0.0004) == "< 0.1 %"
-    assert percent(0.99996) == "> 99.9 %"
-    assert percent(0.934) == "93.4 %"
-
-
-def test_what_closes_nothing_is_said_to_close_nothing(gaps):
-    cause = gaps["pair"].causes[0]
-    assert removed_share_words(cause) == "94.0 % (91.0 to 96.0 %)"
-    assert removed_share_words(replace(cause, explained=0.02, interval_95=(-0.1, 0.2))) == "nothing"
-    assert probability(1.0) == "> 99.9 %"
 
 
 def test_page_numbers_and_corrected_rig_are_written_together(gaps, rig_of, tmp_path):
