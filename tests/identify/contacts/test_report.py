@@ -34,7 +34,7 @@ def silent(simulate, tmp_path_factory):
 
 @pytest.fixture
 def page(tmp_path):
-    """Writes the page of an identification without its figures, and gives its text."""
+    """Function that writes the page of an identification without its figures and returns its HTML."""
 
     def written(identification, title="mass", laws_name="true"):
         path = tmp_path / "contact.html"
@@ -44,8 +44,13 @@ def page(tmp_path):
     return written
 
 
+def _text(html):
+    """Return the text of a page, whose numbers stand one ordinary space from their units."""
+    return unescape(html).replace("\N{NO-BREAK SPACE}", " ")
+
+
 def test_the_values_stand_with_their_intervals_beside_the_true_ones(identification, page):
-    text, law = unescape(page(identification)), identification.rig.contacts[0].law
+    text, law = _text(page(identification)), identification.rig.contacts[0].law
     (contact,) = identification.report.contacts
     for estimate, true, scale, name in (
         (contact.clearance_m, law.clearance_m, 1e3, "clearance, mm"),
@@ -59,18 +64,18 @@ def test_the_values_stand_with_their_intervals_beside_the_true_ones(identificati
 
 
 def test_what_was_assumed_is_said(identification, silent, page):
-    text = unescape(page(identification))
+    text = _text(page(identification))
     assert all(name in text for name in identification.report.channels_used)
     assert f"gains {100 * identification.tolerances.gain:.2g} %" in text
     assert "believed exactly" not in text
-    text = unescape(page(silent))
+    text = _text(page(silent))
     assert "believed exactly" in text
     for sensor in silent.rig.sensors:
         assert sensor.name in text
 
 
 def test_a_refused_contact_is_named_with_the_reason_and_what_to_do(silent, page):
-    text = unescape(page(silent))
+    text = _text(page(silent))
     (refused,) = silent.report.unanswered
     assert refused.reason in text
     assert "0 of 1 contacts identified" in text
