@@ -122,10 +122,6 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "a stop behind another that is not reached": stops(((2e-4, 8e3), (5e-3, 1e5)), ((2e-4, 8e3), (5e-3, 1e5)), 4.0),
     "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s": contact(BEAMS, seconds=4.0),
-    "free decay of two masses, diagnosed": gap(CHAIN, forced=False),
-    "free decay of two beams by accelerometers, diagnosed": laboratory_gap(
-        laboratory_tests.TESTS["two beams, free decay, no force measured"]
-    ),
     "two beams, force not recorded, diagnosed": gap(BarrelCradle(sensors="displacement").rig(), forced=False),
     "one mass, force not recorded, diagnosed": laboratory_gap(laboratory_tests.REFUSED["one mass, force not recorded"]),
     "one mass, a blow that is not recorded, diagnosed": laboratory_gap(

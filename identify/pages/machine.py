@@ -197,8 +197,11 @@ def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
 
 
 def _sensors(layout: _Layout) -> Iterator[str]:
-    for station in dict.fromkeys(sensor.station for sensor in layout.rig.sensors):
-        yield _path("sensor", f"M{layout.x(station) - 5:g},{layout.tops[station.body] - 9:g}h10l-5,8z")
+    """Triangle at every station with sensors; their names show under the pointer."""
+    sensors = layout.rig.sensors
+    for station in dict.fromkeys(sensor.station for sensor in sensors):
+        d = f"M{layout.x(station) - 5:g},{layout.tops[station.body] - 9:g}h10l-5,8z"
+        yield _path("sensor", d, ", ".join(sensor.name for sensor in sensors if sensor.station == station))
 
 
 def _forces(layout: _Layout) -> Iterator[str]:
@@ -226,8 +229,8 @@ def _words(layout: _Layout, mark: DrawnMark, text: _Text) -> Iterator[str]:
         yield _line(text.x, _base(layout, mark, text) - LINE * k, text.anchor, line, "mark-words")
 
 
-def _path(kind: str, d: str) -> str:
-    return f'<path class="{kind}" d="{d}"/>'
+def _path(kind: str, d: str, title: str = "") -> str:
+    return f'<path class="{kind}" d="{d}">{f"<title>{escape(title)}</title>" if title else ""}</path>'
 
 
 def _line(x: float, y: float, anchor: str, text: str, kind: str) -> str:

@@ -4,6 +4,7 @@ The barrel in its cradle, 30 s of twelve accelerometers at 4096 Hz, 15 N to fit 
 pair of effects, and nothing at all.
 """
 
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -48,7 +49,8 @@ def figures() -> Iterator[Figure]:
 
 
 def _apart(work: object, *given: object) -> tuple[float, float]:
-    """In a fresh process, whose peak memory is its own."""
+    """In a fresh process, whose peak memory is its own, and which shares its work with no other: CPU time is its own."""
+    os.environ["LOKY_MAX_CPU_COUNT"] = "1"
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as processes:
         return processes.submit(work, *given).result()
 

@@ -19,7 +19,7 @@ from identify.gaps.decision.comparison import (
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
-from identify.gaps.decision.null_reference import combined_p_value, p_values
+from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
 from identify.gaps.decision.prepare import Prepared, PreparedRecording, Searched
 from identify.gaps.decision.verdict import (
     RIVAL_PROBABILITY,
@@ -162,15 +162,16 @@ def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_sp
         misfit(observation.record, observation.nominal_variances, rig_residual)
         for observation, rig_residual in zip(prepared.observations, residuals, strict=True)
     ]
-    p_parts = np.append(p_values(list(zip(prepared.null_references, misfits, strict=True))), p_split)
+    p_parts = p_values(list(zip(prepared.null_references, misfits, strict=True)))
+    p_value = with_bound(combined_p_value(p_parts), p_split)
     rig = validation.record.rig
     names = [f"force of {contact.name}" for contact in joined(rig).contacts]
     motion, *contacts = share_bounds(misfits[prepared.validation_index], names, matters)
-    if combined_p_value(p_parts) < CERTAIN_P_VALUE and not all_hold((motion, *contacts)):
-        return Difference(combined_p_value(p_parts), motion, tuple(contacts))
+    if p_value < CERTAIN_P_VALUE and not all_hold((motion, *contacts)):
+        return Difference(p_value, motion, tuple(contacts))
     recordings = [observation.recording for observation in prepared.observations]
     distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = combined_p_value(np.append(p_parts, distances.p_values))
+    p_value = with_bound(combined_p_value(np.append(p_parts, distances.p_values)), p_split)
     return Difference(p_value, motion, tuple(contacts), distances.bounds, distances.estimates)
 
 

@@ -8,9 +8,9 @@ Notes for maintainers
    sharp line, is a small share of the whole.
 2. Every record has null simulations of its own level and length, of the same machines: statistics of several records
    are added machine by machine (`p_values`).
-3. Two further parts enter the combination: chi-squared of the contact parameters' distance from rig.json (not where
-   the rest is certain of a difference that is not bounded), and that of the split likelihood ratio of the likeliest of
-   n hypotheses, fitted on the other record: n exp(-decrease of -2 ln p / (2 TEMPERATURE)).
+3. A further part enters the combination: chi-squared of the contact parameters' distance from rig.json (not where the
+   rest is certain of a difference that is not bounded). The split likelihood ratio has its own share of the level
+   (`with_bound`): it bounds a p-value, is 1 for most machines, and would pull Cauchy's mean towards 1.
 4. The key of a file holds rig, tolerances, simulator, level of force, length and version of the program.
 """
 
@@ -58,6 +58,9 @@ STORED_REFERENCES = 8
 """Largest number of null references in one file, the latest, for records of several levels and lengths."""
 MAX_COMBINED_P_VALUE = 0.99
 """Upper limit of p-values in a combination, as Cauchy's tail near one would cancel small p-values."""
+
+BOUND_WEIGHT = 0.05
+"""Share of the level of a test that is given to a bound of a p-value, which is small by orders where it is small."""
 
 
 class NullSimulation(msgspec.Struct, frozen=True):
@@ -149,6 +152,14 @@ def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
     tangents = np.where(p_values > 1e-12, np.tan((0.5 - p_values) * np.pi), 1 / (np.pi * p_values))
     mean_tangent = float(np.mean(tangents))
     return 0.5 - float(np.arctan(mean_tangent)) / np.pi if mean_tangent < 1e12 else 1 / (np.pi * mean_tangent)
+
+
+def with_bound(p_value: float, p_bound: float) -> float:
+    """Combination of a p-value with the upper bound of another, 1 where it says nothing: Bonferroni's, weighted.
+
+    p = min(1, p_value / (1 - w), p_bound / w)        w = `BOUND_WEIGHT`
+    """
+    return min(1.0, p_value / (1 - BOUND_WEIGHT), p_bound / BOUND_WEIGHT)
 
 
 def p_value(null_reference: NullReference, misfit: Misfit) -> float:

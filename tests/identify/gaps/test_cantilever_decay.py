@@ -6,6 +6,7 @@ from scipy.linalg import eigh
 from scipy.signal import lsim
 
 import identify
+from identify.gaps.decision.recordings import check_decay
 from identify.gaps.residual.likelihood import nominal_variances_of
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -177,6 +178,11 @@ def test_the_record_tells_every_mode_from_its_first_sample_on():
     assert record.time_s[0] == 0
     assert [m.frequency_hz for m in record.modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
     assert [m.damping_ratio for m in record.modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
+
+
+@pytest.mark.parametrize("quantity", NOISE)
+def test_a_decay_that_ends_in_noise_is_a_decay(quantity):
+    check_decay(decay(quantity, 30.0))
 
 
 def test_a_decay_below_a_second_is_refused():

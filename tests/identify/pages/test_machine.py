@@ -52,6 +52,12 @@ def test_stops_stand_at_the_places_of_the_contacts():
     assert max(forks) - min(forks) == pytest.approx(0.55 * cradle[1], abs=0.1)
 
 
+def test_every_sensor_is_named_under_the_pointer():
+    rig = BarrelCradle().rig()
+    names = ", ".join(title.text for title in drawing(rig).iter("title")).split(", ")
+    assert sorted(names) == sorted(sensor.name for sensor in rig.sensors)
+
+
 def test_names_cannot_break_the_drawing():
     rig = Sdof().rig()
     odd = replace(rig, contacts=(replace(rig.contacts[0], name="</text><b>&"),))

@@ -13,7 +13,7 @@ from identify.gaps.decision.comparison import (
     probabilities,
     removed_share,
 )
-from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value
+from identify.gaps.decision.null_reference import NullReference, NullSimulation, p_value, with_bound
 from identify.gaps.decision.null_simulations import phase_randomized
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.residual.lines import cost_of_lines, outstanding_frequencies, sharpest_frequencies, without_lines
@@ -127,6 +127,13 @@ def test_p_values_of_nulls_are_uniform():
         values.append(p_value(null_reference, misfit_of_costs(float(other_costs[12]), float(law[12]), float(peak[12]))))
     assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
     assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
+
+
+def test_a_bound_that_says_nothing_leaves_a_p_value_alone_and_a_small_one_decides():
+    for value in (0.004, 0.3, 0.9):
+        assert value <= with_bound(value, 1.0) <= 1.06 * value
+    assert with_bound(0.99, 1.0) == 1.0
+    assert with_bound(0.6, 1e-9) == pytest.approx(2e-8)
 
 
 def test_figures_of_nulls_lie_within_what_chance_makes():
