@@ -49,7 +49,7 @@ def figures() -> Iterator[Figure]:
 
 
 def _apart(work: object, *given: object) -> tuple[float, float]:
-    """In a fresh process, whose peak memory is its own, and which shares its work with no other: CPU time is its own."""
+    """In a fresh process without further ones, so that peak memory and CPU time are its own."""
     os.environ["LOKY_MAX_CPU_COUNT"] = "1"
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as processes:
         return processes.submit(work, *given).result()
