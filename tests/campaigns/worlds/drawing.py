@@ -16,15 +16,18 @@ from tests.campaigns.worlds.kinds import Kind
 from tests.campaigns.worlds.library import EFFECTS, UNSEEN
 from tests.campaigns.worlds.machine import Machine
 from tests.campaigns.worlds.outside import OUTSIDE
+from tests.campaigns.worlds.stated import built_as_stated
 from tests.campaigns.worlds.tolerances import built, perturbed, with_cables
-from tests.campaigns.worlds.truth import WORLDS, CaseKind, EffectTruth, Expected, World
+from tests.campaigns.worlds.truth import BENCHES_OF, WORLDS, CaseKind, EffectTruth, Expected, World
 from tests.campaigns.worlds.whole import with_wholes
 
 DECK: tuple[CaseKind, ...] = ("null",) * 2 + ("single",) * 3 + ("pair",) * 2 + ("outside",) * 2
 """Every nine cases in a row have these kinds, shuffled."""
+BENCH_DECK: tuple[CaseKind, ...] = ("null",) * 3 + ("single",) * 4 + ("pair",) * 3 + ("outside",) * 2
 DECKS: dict[World, tuple[CaseKind, ...]] = {
     "counted": ("null",) + ("several",) * 3,
-    "bench": ("null",) * 3 + ("single",) * 4 + ("pair",) * 3 + ("outside",) * 2,
+    "bench": BENCH_DECK,
+    "stated": BENCH_DECK,
 }
 """Of the worlds that have others."""
 DRAWABLE = tuple(name for name in EFFECTS if name not in UNSEEN)
@@ -80,11 +83,10 @@ def drawn_case(world: World, seed: int, number: int, draw: int = 0, nulls_only: 
     """A case of a world; another `draw` gives other numbers of the same kind."""
     of_rig, of_tolerances, of_effects, of_records = _rng(world, seed, number, draw).spawn(4)
     kind, names = ("null", ()) if nulls_only else kind_and_names(world, seed, number)
-    setting = (
-        _on_a_bench(seed, number, of_rig, of_records) if world == "bench" else _two_beams(world, of_rig, of_records)
-    )
+    on_a_bench = world in BENCHES_OF
+    setting = _on_a_bench(seed, number, of_rig, of_records) if on_a_bench else _two_beams(world, of_rig, of_records)
     nominal = setting.nominal
-    drawn = built(nominal, of_tolerances) if world == "bench" else perturbed(nominal, world, of_tolerances)
+    drawn = _built(nominal, world, of_tolerances)
     kinds = [setting.kinds[name] for name in names]
     effects = _effects(kinds, nominal, setting.excitations[0].level_n, of_effects)
     cables: tuple[EffectTruth, ...] = ()
@@ -105,6 +107,13 @@ def drawn_case(world: World, seed: int, number: int, draw: int = 0, nulls_only: 
         excitations=setting.excitations,
         seeds=(first, second),
     )
+
+
+def _built(nominal: Machine, world: World, rng: np.random.Generator) -> Machine:
+    """The machine as a laboratory of this world builds it."""
+    if world == "stated":
+        return built_as_stated(nominal, rng)
+    return built(nominal, rng) if world == "bench" else perturbed(nominal, world, rng)
 
 
 def _two_beams(world: World, of_rig: np.random.Generator, of_records: np.random.Generator) -> Setting:
@@ -159,7 +168,7 @@ def kind_and_names(world: World, seed: int, number: int) -> tuple[CaseKind, tupl
     before = deck * cards.count(kind) + kinds[:place].count(kind)
     if kind == "null":
         return kind, ()
-    if world == "bench":
+    if world in BENCHES_OF:
         return kind, _of_a_bench(kind, seed, number)
     if kind == "single":
         return kind, (_dealt(DRAWABLE, before, world, seed, 1002),)

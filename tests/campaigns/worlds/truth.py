@@ -7,8 +7,10 @@ import msgspec
 from tests.campaigns.worlds.forces import Excitation
 from tests.campaigns.worlds.machine import Machine
 
-World = Literal["own", "wide", "other", "counted", "bench"]
-WORLDS: tuple[World, ...] = ("own", "wide", "other", "counted", "bench")
+World = Literal["own", "wide", "other", "counted", "bench", "stated"]
+WORLDS: tuple[World, ...] = ("own", "wide", "other", "counted", "bench", "stated")
+BENCHES_OF: tuple[World, ...] = ("bench", "stated")
+"""Worlds with the machines of the bench."""
 CaseKind = Literal["null", "single", "pair", "several", "outside"]
 """`several`: two to four effects of the library at once."""
 

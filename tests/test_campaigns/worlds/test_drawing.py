@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rig.model.description import from_json, to_json
+from rig.model.tolerances import LABORATORY
 from tests.campaigns.worlds.believed import NOISE_DENSITY
 from tests.campaigns.worlds.drawing import DECK, DRAWABLE, drawn_case, kind_and_names
 from tests.campaigns.worlds.outside import OUTSIDE
@@ -123,3 +124,16 @@ def test_levels_and_quiet_starts(drawn):
         assert low <= fit_n < validate_n <= high
     quiet = {e.begins_s for c in cases for e in c.excitations}
     assert quiet == ({0.0, 1.0} if world == "other" else {1.0})
+
+
+def test_machines_of_the_stated_world_are_off_by_what_the_tolerances_state():
+    drawn = [drawn_case("stated", 5, k, nulls_only=True) for k in range(60)]
+    gains = [sensor.gain - 1 for case in drawn for sensor in case.true.sensors]
+    wider = [
+        true.law.upper_m / known.law.upper_m - 1
+        for case in drawn
+        for true, known in zip(case.true.contacts, case.nominal.contacts, strict=True)
+    ]
+    assert np.std(gains) == pytest.approx(LABORATORY.gain, rel=0.15)
+    assert np.std(wider) == pytest.approx(LABORATORY.clearance, rel=0.25)
+    assert {case.kind for case in drawn} == {"null"}
