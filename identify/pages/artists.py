@@ -7,6 +7,8 @@ Notes for maintainers
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -69,15 +71,22 @@ def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
         for member in container:
             members = member if isinstance(member, tuple | list) else [member]
             labels.update({id(artist): container.get_label() for artist in members})
+
+    def label_of(artist: Any) -> str:
+        return str(labels.get(id(artist), artist.get_label()))
+
     artists = sorted([*axes.patches, *axes.collections, *axes.lines], key=lambda artist: artist.get_zorder())
-    for artist in artists:
-        label = labels.get(id(artist), artist.get_label())
-        draw = {"Line2D": _line, "StepPatch": _steps, "Rectangle": _bar, "LineCollection": _segments} | {
-            "QuadMesh": _mesh,
-            "PathCollection": _points,
-        }
-        for renderer in draw.get(type(artist).__name__, _hexagons)(artist, axes, plot, figure):
-            yield label, renderer
+    draw = {"Line2D": _line, "StepPatch": _steps, "LineCollection": _segments, "QuadMesh": _mesh} | {
+        "PathCollection": _points
+    }
+    for bar_style, group in groupby(artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)):
+        artist, *further = group
+        if bar_style is not None:
+            yield bar_style.label, _bars([artist, *further], bar_style, plot)
+            continue
+        for single_artist in (artist, *further):
+            for renderer in draw.get(type(single_artist).__name__, _hexagons)(single_artist, axes, plot, figure):
+                yield label_of(single_artist), renderer
     for text in axes.texts:
         _label(text, plot)
 
@@ -134,16 +143,37 @@ def _steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), line_color=colour, line_width=width)
 
 
-def _bar(patch: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
-    x_left, y_low, width, height = patch.get_x(), patch.get_y(), patch.get_width(), patch.get_height()
-    style = {"fill_color": _hex(patch.get_facecolor()), "fill_alpha": patch.get_alpha() or 1.0, "line_color": None}
-    data_x, data_y = patch.get_transform().contains_branch_seperately(axes.transData)
-    if data_x and data_y:
-        yield plot.quad(left=x_left, right=x_left + width, bottom=y_low, top=y_low + height, **style)
-    elif data_x:
-        yield plot.vstrip(x0=x_left, x1=x_left + width, **style)
-    else:
-        yield plot.hstrip(y0=y_low, y1=y_low + height, **style)
+@dataclass(frozen=True)
+class _BarStyle:
+    """What bars of one renderer have in common; data_x and data_y are false where they span the axes."""
+
+    label: str
+    colour: str | None
+    alpha: float
+    data_x: bool
+    data_y: bool
+
+
+def _bar_style(artist: Any, label: str, axes: Any) -> _BarStyle | None:
+    """Style of a bar; None for any other artist."""
+    if type(artist).__name__ != "Rectangle":
+        return None
+    data_x, data_y = artist.get_transform().contains_branch_seperately(axes.transData)
+    return _BarStyle(label, _hex(artist.get_facecolor()), artist.get_alpha() or 1.0, data_x, data_y)
+
+
+def _bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
+    """Bars of one style as one renderer: each would cost as much as a curve."""
+    x_left, y_low, width, height = (
+        np.array([float(getattr(patch, f"get_{side}")()) for patch in patches])
+        for side in ("x", "y", "width", "height")
+    )
+    look = {"fill_color": style.colour, "fill_alpha": style.alpha, "line_color": None}
+    if style.data_x and style.data_y:
+        return plot.quad(left=x_left, right=x_left + width, bottom=y_low, top=y_low + height, **look)
+    if style.data_x:
+        return plot.vstrip(x0=x_left, x1=x_left + width, **look)
+    return plot.hstrip(y0=y_low, y1=y_low + height, **look)
 
 
 def _segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
