@@ -37,7 +37,9 @@ def test_what_scatters_more_than_it_should_is_less_certain():
     assert pooled_estimate([Estimate(5.0, 0.1)]) == Estimate(5.0, 0.1)
 
 
-@pytest.mark.parametrize(("tolerances", "relative_error"), [(EXACT, 1e-5), (LABORATORY, 1e-3)])
+@pytest.mark.parametrize(
+    ("tolerances", "relative_error"), [pytest.param(EXACT, 1e-5, marks=pytest.mark.study), (LABORATORY, 1e-3)]
+)
 def test_a_long_record_in_segments(one_mass, tolerances, relative_error):
     report, segments = identify_long(one_mass, segment_s=200.0, use="displacement", tolerances=tolerances)
     assert [round(p.start_s) for p in segments] == [0, 212, 412, 612]

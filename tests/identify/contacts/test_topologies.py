@@ -13,7 +13,12 @@ from tests.campaigns.topologies import RIGS, chain, recorded
 pytestmark = pytest.mark.long
 
 
-STUDIES = "three masses in a chain", "three masses, displacements"
+STUDIES = (
+    "three masses in a chain",
+    "three masses, displacements",
+    "frame on soft supports",
+    "bumper and hard stop, accelerometer",
+)
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.study if n in STUDIES else ()) for n in RIGS])
