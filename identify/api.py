@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from threadpoolctl import threadpool_limits
 
-from identify.checks import check_recording
+from identify.checks import Finding, check_recording
 from identify.contacts import identify_contact
 from identify.contacts.acceptance import without_dead_force
 from identify.gaps.decision.answer import diagnose
@@ -25,7 +25,7 @@ from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.files import check_target
-from rig.model.description import Rig, read_rig
+from rig.model.description import Rig, read_rig, to_json
 from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, channel_groups, read
 
@@ -132,7 +132,7 @@ def gap(
         inputs = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
         check_target(reference_path, *inputs, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
-        findings = [f for record in records.values() for f in check_recording(record, tolerances=_resolved(tolerances))]
+        findings = [check_recording(record, tolerances=_resolved(tolerances)) for record in records.values()]
         report, corrected = diagnose(
             list(records.values()),
             None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
@@ -143,9 +143,25 @@ def gap(
             matters or Matters(),
             next_experiment,
         )
+        remaining = [
+            _not_accounted_for(record_findings, record, corrected, _resolved(tolerances))
+            for record_findings, record in zip(findings, records.values(), strict=True)
+        ]
     all_sources = sources if validation is None else [*sources, validation]
-    distinct = dict.fromkeys(without_dead_force(findings, first.force_names))  # zeros: the force of a free decay
+    all_findings = [finding for record_findings in remaining for finding in record_findings]
+    distinct = dict.fromkeys(without_dead_force(all_findings, first.force_names))  # zeros: the force of a free decay
     return GapResult(report, corrected, _title(sources, first), tuple(distinct), _files(all_sources))
+
+
+def _not_accounted_for(
+    findings: Sequence[Finding], record: Recording, corrected: Rig, tolerances: Tolerances | None
+) -> Sequence[Finding]:
+    """Findings of the check of a record that it also has with the corrected rig."""
+    if not findings or to_json(corrected) == to_json(record.rig):
+        return findings
+    with_corrected = check_recording(replace(record, rig=corrected), tolerances=tolerances)
+    remaining = {(finding.cause, finding.channels) for finding in with_corrected}
+    return [finding for finding in findings if (finding.cause, finding.channels) in remaining]
 
 
 def compare(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from rig.effects import effect_named
 from rig.recording import Recording, read
 from rig.simulation.plants import modal
 from rig.simulation.record import record
@@ -20,6 +21,13 @@ CASES = {
     "frame": RIGS["frame, free"],
     "cantilever": RIGS["cantilever with a stop at its tip"],
     "mass": Topology(one_mass(5e-4, quantity="acceleration"), 6.0, ""),
+    "mass with a spring and a mass on it": Topology(
+        effect_named("linear_spring:stiffness_n_per_m=150").applied_to(
+            effect_named("added_mass:mass_kg=0.15").applied_to(one_mass(5e-4, quantity="acceleration"))
+        ),
+        6.0,
+        "",
+    ),
     "progressive stop": RIGS["bumper and hard stop, accelerometer"],
     "two stops at one place": RIGS["two beams, two stops at one place"],
 }

@@ -37,7 +37,16 @@ NAMED = (
 
 
 @pytest.mark.parametrize(
-    "rig", ["frame", "two shakers", "cantilever", "mass", "progressive stop", "two stops at one place"]
+    "rig",
+    [
+        "frame",
+        "two shakers",
+        "cantilever",
+        "mass",
+        "mass with a spring and a mass on it",
+        "progressive stop",
+        "two stops at one place",
+    ],
 )
 def test_a_sound_recording_has_no_finding(sound, rig):
     assert check_recording(sound(rig)) == ()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+import identify
 from identify.gaps.decision import answer
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
@@ -245,3 +246,12 @@ def test_a_record_of_dead_channels_is_refused(null_reference):
         )
     with pytest.raises(RigError, match="every channel is dead or clipped"):
         diagnose(*dead, SIMULATOR, null_reference)
+
+
+def test_what_the_named_effects_account_for_is_no_finding_of_the_check(null_reference):
+    heavier = effect_named("added_mass:mass_kg=0.1").applied_to(RIG)
+    measured = records(heavier, heavier)
+    assert identify.check(measured[0]).findings
+    result = identify.gap(measured, null_reference=null_reference)
+    assert result.report.verdict == "explained"
+    assert result.findings == ()
