@@ -135,6 +135,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """Whether only the spectrum of its action is known, so that no fit over time finds its parameters."""
     grid_screened: ClassVar[str | None] = None
     """Parameter, if any, that needs a grid of starting values: a frequency, resolved to one over the duration."""
+    contains: ClassVar[tuple[str, ...]] = ()
+    """Effects, if any, that its parameters beside the strength make at the same place: no set holds both."""
     of_a_record: ClassVar[tuple[str, ...]] = ()
     """Parameters, if any, that differ from record to record, such as a phase."""
 

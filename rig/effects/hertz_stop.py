@@ -8,7 +8,7 @@ from rig.effects.base import Effect, Scale
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
-from rig.model.parameters import Parameter
+from rig.model.parameters import Parameter, ParameterSet
 
 
 class HertzStop(Effect, frozen=True):
@@ -17,10 +17,16 @@ class HertzStop(Effect, frozen=True):
     name: ClassVar[str] = "hertz_stop"
     words: ClassVar[str] = "a force of the stops of {contact} that grows with the power {exponent} of their depth"
     separated_by: ClassVar[str] = "excite more strongly, so that the stops are pressed deeper"
+    contains: ClassVar[tuple[str, ...]] = ("contact_stiffness",)
     exponent: Annotated[float, Parameter("1", 1.0, 2.0, 1.0)] = 1.5
-    reference_force_n: float = 20.0
-    """At a force of the size that the stop sees, the exponent changes the shape alone, not the mean stiffness."""
+    reference_force_n: Annotated[float, Parameter("N", 0.2, 2000.0)] = 20.0
+    """Force at which the stop is as stiff as believed, by its secant: with the exponent it gives every stiffness."""
     contact: str | None = None
+
+    @classmethod
+    def parameters(cls, scale: Scale) -> ParameterSet:
+        """Exponent from 1 to 2; reference force from a hundredth to a hundred times the rms of the exciting force."""
+        return cls.ranged(reference_force_n=(0.01 * scale.force_rms_n, 100 * scale.force_rms_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -19,7 +19,7 @@ from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError
 from rig.model.description import Rig, Station
-from rig.model.parameters import ParameterSet
+from rig.model.parameters import Parameter, ParameterSet
 
 PLACE_VALUES = 9
 """Trial values of a parameter that is a place or a frequency, not a strength."""
@@ -62,13 +62,16 @@ class Candidate:
     def steps(self) -> Float[np.ndarray, " parameters"]:
         """Steps for derivatives: `STEP_SHARE` of what the typical effect adds, or of the range of another parameter.
 
-        For a sharp frequency it is a share of the lowest one, which has two periods in the record.
+        For a sharp frequency it is a share of the lowest one, which has two periods in the record; for a parameter of a
+        logarithmic range, of its typical value.
         """
         adds = [
             typical - p.neutral
             if p.neutral is not None
             else p.low
             if p.name == self.kind.grid_screened
+            else typical
+            if _is_logarithmic(p)
             else p.high - p.low
             for typical, p in zip(self.default, self.parameters, strict=True)
         ]
@@ -76,19 +79,25 @@ class Candidate:
         return STEP_SHARE * np.array(adds)
 
     def starts(self, screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
-        """Parameters of neutral strength at every trial place; `screened` are values of the grid-screened one."""
+        """Parameters of neutral strength at every trial place; `screened` are values of the grid-screened one.
+
+        An effect that contains another has one trial value, as the other one stands for further ones at small
+        strengths.
+        """
         grids = []
-        for parameter in self.parameters:
+        for parameter, typical in zip(self.parameters, self.default, strict=True):
             bounds = (parameter.low, parameter.high)
             if parameter.name == self.kind.grid_screened:
                 grids.append(np.array([v for v in screened if bounds[0] <= v <= bounds[1]]))
                 continue
-            logarithmic = parameter.low > 0 and parameter.high > 20 * parameter.low
             if parameter.neutral is not None:
                 grids.append(np.array([parameter.neutral]))
+            elif self.kind.contains:
+                grids.append(np.array([typical]))
+            elif _is_logarithmic(parameter):
+                grids.append(np.geomspace(*bounds, PLACE_VALUES + 2)[1:-1])
             else:
-                linear = np.linspace(*bounds, PLACE_VALUES)
-                grids.append(np.geomspace(*bounds, PLACE_VALUES + 2)[1:-1] if logarithmic else linear)
+                grids.append(np.linspace(*bounds, PLACE_VALUES))
         return [np.array(values) for values in product(*grids)]
 
     def strengths(self, multiples: Sequence[float]) -> list[float]:
@@ -108,6 +117,15 @@ class Candidate:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
         is_neutral = all(p.neutral in (None, value) for value, p in zip(values, self.parameters, strict=True))
         return rig if is_neutral else self.effect(values).applied_to(rig)
+
+
+def contains(candidate: Candidate, other: Candidate) -> bool:
+    """True if parameters of one effect beside its strength make the other one at the same place."""
+    return other.kind.name in candidate.kind.contains and other.place == candidate.place
+
+
+def _is_logarithmic(parameter: Parameter) -> bool:
+    return parameter.low > 0 and parameter.high > 20 * parameter.low
 
 
 def scale_of(record: Record, rig: Rig) -> Scale:

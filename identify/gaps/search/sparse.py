@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.search.candidates import Candidate, is_possible
+from identify.gaps.search.candidates import Candidate, contains, is_possible
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
     MIN_GAIN,
@@ -210,6 +210,8 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
         chosen, solution = _pruned(model, [*chosen, term], best_trial)
         if dominates:  # the local model does not hold that far: fit first, then select further
             break
+    containing = [*present.candidates, *(term.candidate for term in chosen)]
+    chosen = [term for term in chosen if not any(contains(other, term.candidate) for other in containing)]
     return Selection(
         tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
     )
@@ -240,7 +242,8 @@ def _promising(
         if len(promising_terms) == SOLVED_CANDIDATES or promised[k] <= 0:
             break
         place_count = sum(item.candidate is term.candidate for item in promising_terms)
-        if len(equal_candidates) < max_equal and place_count < PLACES_PER_CANDIDATE:
+        is_contained = any(contains(c, term.candidate) for c in selected_candidates)
+        if not is_contained and len(equal_candidates) < max_equal and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
 

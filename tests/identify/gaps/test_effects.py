@@ -20,7 +20,7 @@ RIG = SETTINGS.rig()
 RIG = replace(RIG, sensors=tuple(replace(s, noise_density=1e-9) for s in RIG.sensors))
 FORCE_N = force_history(SETTINGS.force(), SETTINGS.duration_s, 1 / RIG.sample_rate_hz)
 NEW = {  # true values beside the typical ones
-    "hertz_stop:stop": {},
+    "hertz_stop:stop": {"exponent": 1.3, "reference_force_n": 2.5},
     "one_stop:stop:upper": {},
     "one_stop:stop:lower": {},
     "linear_spring:mass": {"stiffness_n_per_m": -200.0},
