@@ -10,11 +10,12 @@ from scipy.signal import periodogram
 from identify.contacts.separation import driven_to_hz
 from identify.gaps.residual.ringing import highest_ringing_hz
 from identify.signals.beginning import QUIET_S, excitation_start
-from identify.signals.kinematics import kinematics
+from identify.signals.kinematics import CORNER_HZ, kinematics
 from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
 from identify.signals.spectra import force_band
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
+from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND, sensors_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -32,6 +33,10 @@ RELEASE_S = 2.0
 hand."""
 QUIET_MARGIN_S = 0.05
 """Time before the force at which a quiet start ends."""
+SIGNAL_RATIO, CORNER_SHARE = 100.0, 0.25
+"""Mean power of a sensor over that of its noise from which a half octave is integrated; and the highest corner of the
+integration, as a share of the lowest natural frequency. Set by hand: noise in a law's argument biases the law, motion
+that is missing in it hardly does (errors in variables of the classical kind and of Berkson's)."""
 REACH = 1.6
 """Highest frequency of the diagnosis, as a multiple of the force's highest frequency. Set by hand: impacts excite
 beyond the force."""
@@ -163,6 +168,31 @@ def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -
         for row in forces_n
         if np.any(row)
     )
+
+
+def noise_corner_hz(
+    rig: Rig,
+    omega: Float[np.ndarray, " lines"],
+    power: Float[np.ndarray, "sensors lines"],
+    noise_power: Float[np.ndarray, " sensors"],
+) -> float:
+    """Corner of the high-pass under integration, Hz, for a rig without contacts.
+
+    It is raised from `CORNER_HZ` by half octaves in which no sensor shows `SIGNAL_RATIO` times its noise, up to
+    `CORNER_SHARE` of the lowest natural frequency. Noise integrated twice grows as omega^-2, and a law of the
+    displacement that is fitted to it is biased: a cubic spring on a beam of 12 Hz came out half as strong.
+    """
+    lowest_hz = np.inf
+    for body in rig.bodies:
+        natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
+        lowest_hz = min(lowest_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
+    hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
+    while (next_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_hz:
+        in_band = (hz >= corner_hz) & (hz < next_hz)
+        if not in_band.any() or np.any(power[:, in_band].mean(axis=1) > SIGNAL_RATIO * noise_power):
+            break
+        corner_hz = float(next_hz)
+    return corner_hz
 
 
 def is_free(rig: Rig, body: str) -> bool:

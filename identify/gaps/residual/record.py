@@ -10,7 +10,7 @@ from scipy.fft import irfft, rfft
 from identify.gaps.residual.ringing import MeasuredMode
 from identify.linear.free_motion import Sampling
 from identify.signals.drift import Drift
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import integrated
 from identify.signals.law_evaluation import product_multiple
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Sensor
@@ -29,6 +29,7 @@ class Record:
     bodies, whose response is windowed, faded is zero.
     noise: variance of each line of delivered by sensor noise; power: its smoothed mean square; force_noise: variance of
     each force's lines by noise of its channel.
+    corner_hz: corner of the high-pass under which sensors' signals are integrated.
     eta_beyond: measured relative displacements on the lines from `highest_hz` on; drifts: what is known of their slow
     parts (None where integration loses nothing).
     excited_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the rig.
@@ -52,6 +53,7 @@ class Record:
     noise: Float[np.ndarray, "sensors lines"]
     force_noise: Float[np.ndarray, " forces"]
     power: Float[np.ndarray, "sensors lines"]
+    corner_hz: float
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     counts_from_blow: bool
@@ -126,7 +128,7 @@ class Record:
     @cached_property
     def twice_integrated(self) -> Complex[np.ndarray, " lines"]:
         """Transfer from an acceleration to a displacement, high-passed."""
-        return integrated(self.omega, -2, CORNER_HZ)
+        return integrated(self.omega, -2, self.corner_hz)
 
     @property
     def sample_ratio(self) -> float:

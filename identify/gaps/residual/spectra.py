@@ -26,6 +26,7 @@ from identify.gaps.residual.extent import (
     force_noise_n,
     high_hz_of,
     is_free,
+    noise_corner_hz,
     read_sensors,
     sensor_densities,
 )
@@ -82,7 +83,6 @@ class _Transform:
 
 def record_of(
     recording: Recording,
-    low_hz: float = CORNER_HZ,
     tolerances: Tolerances | None = None,
     counted_until_s: float | None = None,
 ) -> Record:
@@ -97,7 +97,7 @@ def record_of(
     beginning = beginning_of(recording, sensors)
     check_length(recording, beginning)
     densities = sensor_densities(recording, sensors, beginning.quiet_samples)
-    high_hz = high_hz_of(recording, sensors, densities, tolerances, low_hz)
+    high_hz = high_hz_of(recording, sensors, densities, tolerances, CORNER_HZ)
     modes: tuple[MeasuredMode, ...] = ()
     if beginning.counts_from_blow and not rig.contacts:
         modes = measured_modes(np.stack([recording.values_of(s) for s in sensors]), rate, high_hz, densities)
@@ -105,8 +105,11 @@ def record_of(
     transform = _transform(recording, beginning, high_hz)
     omega = transform.omega
     measured, eta_beyond = _spectra(recording, transform, joint, sensors)
+    noise_per_line = samples * densities**2 * rate / 2
+    integrates_alone = not (rig.contacts or beginning.zero_known)  # contacts have drifts for the slow motion
+    corner_hz = noise_corner_hz(rig, omega, np.abs(measured) ** 2, noise_per_line) if integrates_alone else CORNER_HZ
     to_acceleration, to_displacement = (
-        np.stack([integrated(omega, order - s.measures.order, low_hz) for s in sensors]) for order in (2, 0)
+        np.stack([integrated(omega, order - s.measures.order, corner_hz) for s in sensors]) for order in (2, 0)
     )
     faded, delivered = _window_corrections(recording, transform, sensors, omega, beginning.zero_known)
     delivered += measured * to_acceleration
@@ -127,8 +130,9 @@ def record_of(
         displaced=measured * to_displacement,
         faded=faded,
         force_noise=samples * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
-        noise=samples * (densities[:, None] * size) ** 2 * rate / 2,
+        noise=noise_per_line[:, None] * size**2,
         power=_smoothed(delivered, np.stack([_static_fall(rig, s, omega) for s in sensors]), transform),
+        corner_hz=corner_hz,
         eta_beyond=eta_beyond,
         drifts=_drifts(recording, joint, sensors, tolerances, beginning),
         excited_s=beginning.excited_from / rate,

@@ -8,7 +8,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.unmeasured_force.whitened_record import WhitenedRecord, bare_residual, modal_inverse, with_columns
 from identify.linear.free_motion import state_changes
 from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of, crosstalk_of
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import integrated
 from rig.model.description import Rig
 
 
@@ -99,7 +99,7 @@ def drift_accelerations(whitened: WhitenedRecord, body: str) -> Complex[np.ndarr
     tau = np.arange(length) / (record.samples / record.factor) - 0.5
     tau[tau > 0.5] = 0.0
     accelerations = np.zeros(model.sensor_response.shape, dtype=complex)
-    double_integration = integrated(record.omega, -2, CORNER_HZ)
+    double_integration = integrated(record.omega, -2, record.corner_hz)
     for response, motion in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.count)

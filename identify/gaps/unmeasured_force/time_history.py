@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from identify.gaps.unmeasured_force.evidence import nuisance_equations, real_pairs, residual_squares
 from identify.gaps.unmeasured_force.location import LocatedForce
-from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.kinematics import integrated
 from rig.model.description import Station
 
 OVERSAMPLING = 4
@@ -137,7 +137,7 @@ def force_history(located: LocatedForce) -> ForceHistory:
     for station, sign in zip(located.candidate.stations, (1.0, -1.0), strict=False):
         acceleration += sign * (whitened.motion(station) + sign * _unobserved_accelerance(located, station) * force)
     displacement_m, velocity_m_per_s = (
-        _oversampled(acceleration * integrated(record.omega, power, CORNER_HZ), record.length // record.factor)
+        _oversampled(acceleration * integrated(record.omega, power, record.corner_hz), record.length // record.factor)
         / record.factor
         for power in (-2, -1)
     )
