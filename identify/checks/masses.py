@@ -20,8 +20,7 @@ from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
 from rig.errors import RigError
 from rig.model.description import Body, Rig
-from rig.model.modes import with_attachments
-from rig.model.oscillator import Oscillator
+from rig.model.modes import loaded_mass
 from rig.model.tolerances import Tolerances
 
 OPEN_QUANTILES, CLEAN_SHARE = (0.4, 0.2, 0.1), 0.95
@@ -76,9 +75,7 @@ def _driven_body(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
     """Body on which the (first) force acts, a mass with what is attached to it, and the row of its station, or None if
     other forces act elsewhere."""
     station = rig.forces[0]
-    body = rig.body(station.body)
-    loaded_body = with_attachments(rig, body) if isinstance(body, Oscillator) else body
-    return loaded_body, motion.row(station) if set(rig.forces) == {station} else None
+    return loaded_mass(rig, rig.body(station.body)), motion.row(station) if set(rig.forces) == {station} else None
 
 
 def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:

@@ -10,6 +10,9 @@ from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
 from rig.model.parameters import Parameter, ParameterSet
 
+MAX_FORCE_N = 1e9
+"""Largest reference force, N: beyond it no stop is as stiff as believed at any load of a machine."""
+
 
 class HertzStop(Effect, frozen=True):
     """The force of a stop grows with a power of its depth (1.5: Hertz), and equals k depth at `reference_force_n`."""
@@ -33,9 +36,10 @@ class HertzStop(Effect, frozen=True):
         return cls.placed(scale, exponent=1.1, reference_force_n=2 * scale.force_rms_n)
 
     def applied_to(self, rig: Rig) -> Rig:
-        if not self.reference_force_n > 0:
+        if not 0 < self.reference_force_n <= MAX_FORCE_N:
             raise RigError(
-                f"effect {self.name}: reference_force_n is {self.reference_force_n}; give a value above zero"
+                f"effect {self.name}: reference_force_n is {self.reference_force_n}; give a value above zero, at most "
+                f"{MAX_FORCE_N:g}"
             )
         return self.with_laws(rig, self.contact, DeadZone, self._changed)
 

@@ -187,6 +187,11 @@ def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
     return msgspec.structs.replace(body, mass_kg=mass_kg, frequency_hz=frequency_hz)
 
 
+def loaded_mass(rig: Rig, body: Body) -> Body:
+    """Single mass with its point masses and linear springs; any other body as it is."""
+    return with_attachments(rig, body) if isinstance(body, Oscillator) else body
+
+
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
     masses = [m for m in rig.masses if m.station.body == body.name]
