@@ -1,6 +1,7 @@
 """What is drawn of a case: kinds, tolerances, believed rigs, levels; all of it by world, seed and number alone."""
 
 from collections import Counter
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from rig.model.tolerances import LABORATORY
 from tests.campaigns.worlds.believed import NOISE_DENSITY
 from tests.campaigns.worlds.drawing import DECK, DRAWABLE, drawn_case, kind_and_names
 from tests.campaigns.worlds.outside import OUTSIDE
+from tests.campaigns.worlds.stated import STATED
 from tests.campaigns.worlds.truth import WORLDS
 
 MANY = 36
@@ -127,6 +129,7 @@ def test_levels_and_quiet_starts(drawn):
 
 
 def test_machines_of_the_stated_world_are_off_by_what_the_tolerances_state():
+    assert all(value == getattr(LABORATORY, name) for name, value in asdict(STATED).items())
     drawn = [drawn_case("stated", 5, k, nulls_only=True) for k in range(60)]
     gains = [sensor.gain - 1 for case in drawn for sensor in case.true.sensors]
     wider = [

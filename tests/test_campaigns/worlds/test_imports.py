@@ -16,12 +16,10 @@ ALLOWED = {
     "rig.model.description",
     "rig.model.oscillator",
     "rig.model.structure",
-    "rig.model.tolerances",
     "rig.recording",
     "rig.simulation.reference",
 }
-"""The believed rig, the tolerances that are stated, and the file of a recording; of the reference rig its description
-alone, never its force."""
+"""The believed rig and the file of a recording; of the reference rig its description alone, never its force."""
 
 
 def imported(path):
