@@ -18,6 +18,7 @@ STUDIES = (
     "three masses, displacements",
     "frame on soft supports",
     "bumper and hard stop, accelerometer",
+    "overdamped mass",
 )
 
 

@@ -54,10 +54,11 @@ def test_the_nominal_rig_is_consistent(null_reference):
 @pytest.mark.parametrize(
     ("effects", "parameter", "value"),
     [
-        (
+        pytest.param(
             ("base_motion:acceleration_rms_m_per_s2=0.3,low_hz=10,high_hz=20",),
             "base_motion.acceleration_rms_m_per_s2",
             0.3,
+            marks=pytest.mark.study,
         ),
         pytest.param(
             ("contact_clearance:factor=1.2,contact=contact_1", "added_mass:mass_kg=0.2"),

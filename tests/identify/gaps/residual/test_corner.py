@@ -20,7 +20,7 @@ pytestmark = pytest.mark.long
 
 BEAM = Beam(name="beam", ends="clamped-free", length_m=0.9, width_m=0.045, thickness_m=0.0116, damping_ratio=0.01)
 NOISE = {"acceleration": 2e-3, "displacement": 5e-8}
-RATE_HZ, DURATION_S = 512.0, 30.0
+RATE_HZ, DURATION_S = 512.0, 20.0
 
 
 def rig(quantity):
