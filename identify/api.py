@@ -156,12 +156,15 @@ def gap(
 def _not_accounted_for(
     findings: Sequence[Finding], record: Recording, corrected: Rig, tolerances: Tolerances | None
 ) -> Sequence[Finding]:
-    """Findings of the check of a record that it also has with the corrected rig."""
+    """Findings of the check of a record that it also has with the corrected rig; all where that cannot be checked."""
     if not findings or to_json(corrected) == to_json(record.rig):
         return findings
-    with_corrected = check_recording(replace(record, rig=corrected), tolerances=tolerances)
-    remaining = {(finding.cause, finding.channels) for finding in with_corrected}
-    return [finding for finding in findings if (finding.cause, finding.channels) in remaining]
+    try:
+        with_corrected = check_recording(replace(record, rig=corrected), tolerances=tolerances)
+    except RigError:
+        return findings
+    remaining = {(finding.cause, finding.channels, finding.of) for finding in with_corrected}
+    return [finding for finding in findings if (finding.cause, finding.channels, finding.of) in remaining]
 
 
 def compare(

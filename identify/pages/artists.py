@@ -80,13 +80,12 @@ def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
         "PathCollection": _points
     }
     for bar_style, group in groupby(artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)):
-        artist, *further = group
         if bar_style is not None:
-            yield bar_style.label, _bars([artist, *further], bar_style, plot)
+            yield bar_style.label, _bars(list(group), bar_style, plot)
             continue
-        for single_artist in (artist, *further):
-            for renderer in draw.get(type(single_artist).__name__, _hexagons)(single_artist, axes, plot, figure):
-                yield label_of(single_artist), renderer
+        for artist in group:
+            for renderer in draw.get(type(artist).__name__, _hexagons)(artist, axes, plot, figure):
+                yield label_of(artist), renderer
     for text in axes.texts:
         _label(text, plot)
 
@@ -145,7 +144,7 @@ def _steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
 
 @dataclass(frozen=True)
 class _BarStyle:
-    """What bars of one renderer have in common; data_x and data_y are false where they span the axes."""
+    """Label and look of the bars of one renderer; data_x and data_y are false where the bars span the axes."""
 
     label: str
     colour: str | None

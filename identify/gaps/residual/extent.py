@@ -141,9 +141,8 @@ def high_hz_of(
     sensors: tuple[Sensor, ...],
     densities: Float[np.ndarray, " sensors"],
     tolerances: Tolerances,
-    low_hz: float,
 ) -> float:
-    """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `low_hz` is excited."""
+    """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `CORNER_HZ` is excited."""
     rate = recording.rig.sample_rate_hz
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
@@ -153,9 +152,9 @@ def high_hz_of(
         rows = np.stack([recording.values_of(s) for s in sensors])
         excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
-    if high_hz <= low_hz:
+    if high_hz <= CORNER_HZ:
         raise RigError(
-            f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {low_hz:g} Hz: "
+            f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {CORNER_HZ:g} Hz: "
             "look at the force's channel"
         )
     return high_hz

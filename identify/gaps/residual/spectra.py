@@ -97,7 +97,7 @@ def record_of(
     beginning = beginning_of(recording, sensors)
     check_length(recording, beginning)
     densities = sensor_densities(recording, sensors, beginning.quiet_samples)
-    high_hz = high_hz_of(recording, sensors, densities, tolerances, CORNER_HZ)
+    high_hz = high_hz_of(recording, sensors, densities, tolerances)
     modes: tuple[MeasuredMode, ...] = ()
     if beginning.counts_from_blow and not rig.contacts:
         modes = measured_modes(np.stack([recording.values_of(s) for s in sensors]), rate, high_hz, densities)

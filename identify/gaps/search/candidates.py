@@ -119,9 +119,9 @@ class Candidate:
         return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
-def contains(candidate: Candidate, other: Candidate) -> bool:
-    """True if parameters of one effect beside its strength make the other one at the same place."""
-    return other.kind.name in candidate.kind.contains and other.place == candidate.place
+def contains(container: Candidate, contained: Candidate) -> bool:
+    """True if the container's parameters beside its strength make the contained effect at the same place."""
+    return contained.kind.name in container.kind.contains and contained.place == container.place
 
 
 def _is_logarithmic(parameter: Parameter) -> bool:

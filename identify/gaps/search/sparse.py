@@ -187,11 +187,15 @@ def _brief_fit_with(
     residual: Residual,
     linearization: Linearization,
 ) -> FittedHypothesis | None:
-    """Fit of a set with further members by a few steps; None where no rig has them all."""
-    start_values = np.concatenate([present.values, *values])
+    """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
+    all."""
+    members = (*present.candidates, *candidates)
+    is_kept = [not any(contains(container, member) for container in members) for member in members]
+    start_values = [v for v, kept in zip((*present.split(), *values), is_kept, strict=True) if kept]
+    kept_members = tuple(member for member, kept in zip(members, is_kept, strict=True) if kept)
     try:
         return fit_briefly(
-            search, (*present.candidates, *candidates), start_values, reset_saturated_nuisance(residual), linearization
+            search, kept_members, np.concatenate(start_values), reset_saturated_nuisance(residual), linearization
         )
     except RigError:
         return None
@@ -221,8 +225,6 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
         chosen, solution = _pruned(model, [*chosen, term], best_trial)
         if dominates:  # the local model does not hold that far: fit first, then select further
             break
-    containing = [*present.candidates, *(term.candidate for term in chosen)]
-    chosen = [term for term in chosen if not any(contains(other, term.candidate) for other in containing)]
     return Selection(
         tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
     )
