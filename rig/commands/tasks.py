@@ -24,7 +24,7 @@ from rig.extras import needs_extra
 from rig.files import make_folder, write_bytes
 
 Parameters = TypeVar("Parameters", bound=msgspec.Struct)
-Result = TypeVar("Result", bound=msgspec.Struct)
+TaskResult = TypeVar("TaskResult", bound=msgspec.Struct)
 Completed = Generator[tuple[int, Future[Any]], None, None]
 Dask = Annotated[
     str | None, typer.Option("--dask", help="Address of a dask scheduler, or local; by default a process a core.")
@@ -34,17 +34,17 @@ LOSSES = 3
 
 
 def run_tasks(
-    function: Callable[[Parameters], Result],
+    function: Callable[[Parameters], TaskResult],
     parameters: Sequence[Parameters],
-    result_type: type[Result],
+    result_type: type[TaskResult],
     folder: Path,
     dask: str | None = None,
-) -> list[Result]:
+) -> list[TaskResult]:
     """The results of a function for each set of parameters, in their order, by `outcomes_of_tasks`.
 
     A task that fails does not stop the others; the first failure is raised at the end.
     """
-    results: list[Result] = []
+    results: list[TaskResult] = []
     for outcome in outcomes_of_tasks(function, parameters, result_type, folder, dask):
         if isinstance(outcome, BaseException):
             raise outcome
@@ -53,12 +53,12 @@ def run_tasks(
 
 
 def outcomes_of_tasks(
-    function: Callable[[Parameters], Result],
+    function: Callable[[Parameters], TaskResult],
     parameters: Sequence[Parameters],
-    result_type: type[Result],
+    result_type: type[TaskResult],
     folder: Path,
     dask: str | None = None,
-) -> list[Result | BaseException]:
+) -> list[TaskResult | BaseException]:
     """Result, or the error in its place, of a function for each set of parameters, in their order.
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
@@ -93,13 +93,13 @@ def outcomes_of_tasks(
     ]
 
 
-def kept_path(function: Callable[[Parameters], Result], parameters: Parameters, folder: Path) -> Path:
+def kept_path(function: Callable[[Parameters], TaskResult], parameters: Parameters, folder: Path) -> Path:
     """File in which the result of a task is kept."""
     name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
     return folder / f"{hashlib.sha256(name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
 
 
-def _on_dask(function: Callable[[Parameters], Result], tasks: Sequence[Parameters], dask: str) -> Completed:
+def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], dask: str) -> Completed:
     """Yield index and future of each task as it completes; dask itself repeats a task whose worker is lost."""
     with needs_extra("cluster", "--dask"):
         from distributed import Client
@@ -114,7 +114,7 @@ def _on_dask(function: Callable[[Parameters], Result], tasks: Sequence[Parameter
             yield indices[future], future
 
 
-def _on_processes(function: Callable[[Parameters], Result], tasks: Sequence[Parameters]) -> Completed:
+def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters]) -> Completed:
     """Yield index and future of each task as it completes, on a process a core.
 
     A process that is lost breaks its pool, and which of the running tasks it had is unknown: each of these runs again
@@ -142,7 +142,7 @@ def _on_processes(function: Callable[[Parameters], Result], tasks: Sequence[Para
 
 
 def _in_a_pool(
-    function: Callable[[Parameters], Result], tasks: Sequence[Parameters], waiting: deque[int], processes: int
+    function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], waiting: deque[int], processes: int
 ) -> Completed:
     """Yield index and future of waiting tasks, of which as many run as there are processes, until the pool breaks."""
     earlier_processes = set(multiprocessing.active_children())
@@ -189,7 +189,7 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _on_one_thread(function: Callable[[Parameters], Result], parameters: Parameters) -> Result:
+def _on_one_thread(function: Callable[[Parameters], TaskResult], parameters: Parameters) -> TaskResult:
     """Result of a task, computed on one thread, as a task runs on every core."""
     with threadpool_limits(1):
         return function(parameters)
