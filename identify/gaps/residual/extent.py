@@ -7,10 +7,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import periodogram
 
-from identify.contacts.separation import driven_to_hz
-from identify.gaps.residual.ringing import highest_ringing_hz
+from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating_hz
 from identify.signals.beginning import QUIET_S, excitation_start
-from identify.signals.kinematics import CORNER_HZ, kinematics
+from identify.signals.kinematics import CORNER_HZ
 from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
 from identify.signals.spectra import force_band
 from rig.errors import RigError
@@ -28,9 +27,6 @@ by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
 """Part omitted at a faded end without integration, and at a faded start where nothing rings, in lengths of the fade;
 and the largest share of a record that is a fade. Set by hand."""
-RELEASE_S = 2.0
-"""Seconds omitted at the start of a free decay of elastic bodies with contacts: a period of `CORNER_HZ`. Set by
-hand."""
 QUIET_MARGIN_S = 0.05
 """Time before the force at which a quiet start ends."""
 SIGNAL_RATIO, CORNER_SHARE = 100.0, 0.25
@@ -70,8 +66,8 @@ class Beginning:
     """Start of a record, and whether its signals are integrated.
 
     zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
-    accelerations. counts_from_blow: a free motion whose initial state is estimated; without contacts it counts from the
-    first sample. free: all bodies are unsupported masses, so that nothing rings. excited_from is the first sample at
+    accelerations. counts_from_blow: a free motion whose initial state is estimated, so that it counts from the first
+    sample. free: all bodies are unsupported masses, so that nothing rings. excited_from is the first sample at
     which a force acts; the quiet samples before it determine the noise.
     """
 
@@ -95,10 +91,8 @@ class Beginning:
         """Seconds omitted at the start and at the end."""
         rings = not self.free and (self.contacts or not self.counts_from_blow)
         at_end_s = min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings else OMITTED_FADES * self.faded_s
-        if self.quiet:
+        if self.quiet or self.counts_from_blow:
             return 0.0, at_end_s
-        if self.counts_from_blow:
-            return RELEASE_S * self.contacts, at_end_s
         return at_end_s if self.free else OMITTED_S, at_end_s
 
 
@@ -106,11 +100,11 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
     """Start of a recording as given sensors show it."""
     rig, rate = recording.rig, recording.rig.sample_rate_hz
     zero_known = all(s.measures.order == 0 for s in sensors)
-    contacts, elastic = bool(rig.contacts), not any(b.is_mass for b in rig.bodies)
+    contacts = bool(rig.contacts)
     integrates = contacts and not zero_known
     excited_from = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
     before = excited_from - round(QUIET_MARGIN_S * rate)
-    counts_from_blow = not np.any(recording.forces_n) and not integrates and (elastic or not contacts)
+    counts_from_blow = not np.any(recording.forces_n) and not integrates
     faded_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
     return Beginning(
         zero_known=zero_known,
@@ -144,12 +138,12 @@ def high_hz_of(
 ) -> float:
     """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `CORNER_HZ` is excited."""
     rate = recording.rig.sample_rate_hz
+    rows = np.stack([recording.values_of(s) for s in sensors])
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
     elif recording.rig.contacts:
-        excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
+        excited_hz = REACH * highest_vibrating_hz(rows, rate, densities)
     else:
-        rows = np.stack([recording.values_of(s) for s in sensors])
         excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
     if high_hz <= CORNER_HZ:

@@ -11,7 +11,7 @@ standard deviations of the error, is the linear residual; it has sensors less co
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -200,12 +200,18 @@ def linear_model(
     free: tuple[FreeMode, ...] = ()
     if record.counts_from_blow:
         free = free_modes(
-            responses, _free_modes(record, responses), stations, None if rig.contacts else record.sampling
+            responses, _free_modes(record, responses), stations, record.sampling
         )
     if free:
+        free, given = _split_by_state(record, rig, free, responses)
+        weighted = weighted - scaled_response * sum((m.sensed for m in given), np.zeros_like(weighted))
         projected = projection(by_input, deviation, contact_count)
-        free = fitted_modes(free, projected, scaled_response, projected.of(weighted * deviation)[0][: len(stations)])
-        weighted = weighted - scaled_response * sum(mode.sensed for mode in free)
+        if free:
+            free = fitted_modes(
+                free, projected, scaled_response, projected.of(weighted * deviation)[0][: len(stations)]
+            )
+        weighted = weighted - scaled_response * sum((m.sensed for m in free), np.zeros_like(weighted))
+        free = (*given, *free)
     inputs, log_determinant = estimated_inputs(by_input, weighted, contact_count)
     residual = unexplained(by_input, inputs, weighted)
     return Linear(
@@ -284,6 +290,27 @@ def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.
         reach_hz = min(FREE_MODE_REACH * reach_hz, PASSBAND * record.sample_rate_hz)
     nominal = [modes_of(record.rig, record.rig.body(r.body.name)).frequencies_hz(r.count) for r in responses]
     return [np.flatnonzero(hz < reach_hz) for hz in nominal]
+
+
+def _split_by_state(
+    record: Record, rig: Rig, free: tuple[FreeMode, ...], responses: tuple[Response, ...]
+) -> tuple[tuple[FreeMode, ...], tuple[FreeMode, ...]]:
+    """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one.
+
+    A mass has as many sensors as contacts, or fewer, so that its separated contact force takes up any initial state.
+    """
+    if not rig.contacts:
+        return free, ()
+    fitted, given = [], []
+    for mode in free:
+        body = responses[mode.body_index].body
+        on_body = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
+        if on_body:
+            state = record.first_states[on_body[0]] * record.sample_rate_hz / mode.shape[on_body[0]]
+            given.append(replace(mode, initial_state=state))
+        else:
+            fitted.append(mode)
+    return tuple(fitted), tuple(given)
 
 
 def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

@@ -34,7 +34,8 @@ class Record:
     parts (None where integration loses nothing).
     excited_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the rig.
     windows_responses: without contacts, the response of held bodies is windowed instead of the force.
-    counts_from_blow: a free motion that counts from its first sample; modes: its measured modes without contacts.
+    counts_from_blow: a free motion that counts from its first sample; first_states: displacement and velocity that each
+    displacement sensor shows there; modes: its measured modes without contacts.
     """
 
     rig: Rig
@@ -57,6 +58,7 @@ class Record:
     eta_beyond: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     counts_from_blow: bool
+    first_states: Float[np.ndarray, "sensors 2"]
     modes: tuple[MeasuredMode, ...]
     counted_samples: slice
     windows_responses: bool
@@ -121,6 +123,8 @@ class Record:
         if derivative:
             spectra *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(spectra.shape[1])
         rows = irfft(spectra, self.length)
+        if self.counts_from_blow and not derivative:
+            rows[:, 0] *= 2  # the window halves the first sample
         return rows[
             :, self.counted_samples.start * self.factor : (self.counted_samples.stop - 1) * self.factor + 1
         ].copy()

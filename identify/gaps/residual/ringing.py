@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from scipy.ndimage import uniform_filter1d
+from scipy.signal import spectrogram
 from scipy.signal.windows import tukey
 
 from identify.signals.ringing import modes_of_decay
@@ -19,6 +20,8 @@ TAPER_SHARE = 0.1
 """Tapered share of a record, both ends together, for that spectrum. Set by hand."""
 SIGNAL_RATIO, SMOOTHED_LINES = 8.0, 9
 """Ratio of smoothed power to noise from which a line counts, and the lines that are smoothed over. Set by hand."""
+PART_S, PART_SIGNAL_RATIO = 0.5, 25.0
+"""Length of these parts, s, and the ratio of power to noise. Set by hand: by chance exceeded once in 7e10 lines."""
 LEAST_FREQUENCY_ERROR, LEAST_DAMPING_ERROR = 3e-4, 0.03
 """Least relative errors of a mode's frequency and damping ratio: those by subspaces, fade and stations. Set by hand."""
 INEFFICIENCY = 2.0
@@ -56,6 +59,16 @@ def highest_ringing_hz(
         if cumulative_power[-1] > 0
         else 0.0
     )
+
+
+def highest_vibrating_hz(
+    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, densities: Float[np.ndarray, " sensors"]
+) -> float:
+    """Highest frequency (Hz) that some part of a record of length `PART_S` shows beyond noise: hits are soon over."""
+    part_samples = min(rows.shape[1], round(PART_S * rate_hz))
+    hz, _, power = spectrogram(rows, rate_hz, "hann", part_samples, part_samples * 3 // 4, detrend="constant")
+    is_signal = np.any(power > PART_SIGNAL_RATIO * densities[:, None, None] ** 2, axis=(0, 2))
+    return float(hz[is_signal].max(initial=0.0))
 
 
 def measured_modes(

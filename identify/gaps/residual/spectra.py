@@ -46,6 +46,8 @@ from rig.recording.period import period_of
 RING_S, LONGEST_RING_S, DECAY_TIMES = 12.0, 60.0, 20.0
 """Padding in which beams ring down before the transform wraps around, s; without contacts DECAY_TIMES of the slowest
 mode, within both bounds, so that with two fifths of its damping it falls to 3e-4."""
+FIRST_SAMPLES = 10
+"""Samples from which the first state of a decay is read. Set by hand."""
 SMOOTHED_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
 
@@ -139,6 +141,7 @@ def record_of(
         period_s=None if period is None else period / rate,
         tolerances=tolerances,
         counts_from_blow=beginning.counts_from_blow,
+        first_states=np.array([_first_state(recording.values_of(s), rate) for s in sensors]),
         modes=modes,
         counted_samples=_counted_samples(samples, transform, beginning, delivered, counted_until_s),
         windows_responses=not rig.contacts,
@@ -158,6 +161,12 @@ def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _T
     elif not beginning.quiet:
         window = window * window[::-1]
     return _Transform(rate, length, factor, window)
+
+
+def _first_state(row: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
+    """Value and slope of a signal at its first sample, by a cubic through its first samples."""
+    constant, slope = np.polynomial.polynomial.polyfit(np.arange(FIRST_SAMPLES) / rate_hz, row[:FIRST_SAMPLES], 3)[:2]
+    return np.array([constant, slope])
 
 
 def _ring_down_s(rig: Rig) -> float:
