@@ -17,6 +17,7 @@ accelerometer also that of the velocity, q_0'.
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
@@ -228,14 +229,22 @@ class FreeMode:
         return np.outer(self.shape, self.initial_state @ (self.unit_accelerations - self.sensed_unit_accelerations))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sampling:
-    """Sampling of a free motion: the order of the measured derivative, and how many of the samples a taper fades."""
+    """Sampling of a free motion: the order of the measured derivative, how many of the samples a taper fades, and the
+    circular frequencies of the lines."""
 
     order: int
     rate_hz: float
     samples: int
     fading_samples: int
+    omega: Float[np.ndarray, " lines"]
+
+    @cached_property
+    def phases(self) -> tuple[Complex[np.ndarray, " lines"], ...]:
+        """exp(-i omega n / rate) after one sample, after those that count in full, and after those that fade."""
+        counts = 1, self.samples - self.fading_samples, self.fading_samples
+        return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in counts)
 
 
 def free_modes(
@@ -252,39 +261,35 @@ def free_modes(
             hz, zeta = float(dynamics.natural_hz[m]), float(dynamics.damping_ratios[m])
             accelerance = response.accelerance[m]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
-            sensed = _sampled_accelerations(hz, zeta, dynamics.omega, sampling) if sampling and hz else accelerations
+            sensed = _sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
             free.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
     return tuple(free)
 
 
-def tapered_sum(pole: complex, omega: Float[np.ndarray, " lines"], sampling: Sampling) -> Complex[np.ndarray, " lines"]:
+def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " lines"]:
     """Transform of exp(pole t) over M samples, the first one halved, and F more that fade (`kinematics.taper`).
 
-    With z = exp((pole - i omega) / rate) and the sum g(z, n) of z^0 to z^(n - 1),
+    With z = exp((pole - i omega) / rate), the sum (z^n - 1) / (z - 1) of z^0 to z^(n - 1), and c = cos(pi / F),
 
-        g(z, M) - 1/2 + z^M [ g(z, F) / 2 + (c g(c z, F) + c* g(c* z, F)) / 4 ],   c = exp(i pi / F)
+        (z^M - 1) / (z - 1) - 1/2 + z^M / 2 [ (z^F - 1) / (z - 1) - (z^F + 1) (z - c) / (z^2 - 2 c z + 1) ]
     """
-    exponent = (pole - 1j * omega) / sampling.rate_hz
-    constant, phase = sampling.samples - sampling.fading_samples, 1j * np.pi / sampling.fading_samples
-    fading = 0.5 * _geometric(exponent, sampling.fading_samples) + 0.25 * sum(
-        np.exp(c) * _geometric(exponent + c, sampling.fading_samples) for c in (phase, -phase)
+    constant, fading = sampling.samples - sampling.fading_samples, sampling.fading_samples
+    at_one, at_constant, at_fading = (
+        np.exp(pole * n / sampling.rate_hz) * phases
+        for n, phases in zip((1, constant, fading), sampling.phases, strict=True)
     )
-    return np.asarray(_geometric(exponent, constant) - 0.5 + np.exp(constant * exponent) * fading)
-
-
-def _geometric(exponent: Complex[np.ndarray, " lines"], count: int) -> Complex[np.ndarray, " lines"]:
-    """Sum of the first `count` powers of exp(exponent), from the zeroth on."""
-    step = np.expm1(exponent)
-    return np.divide(np.expm1(count * exponent), step, out=np.full(exponent.shape, count, complex), where=step != 0)
+    cosine, step = np.cos(np.pi / fading), 1 / (at_one - 1)
+    faded = (at_fading - 1) * step - (at_fading + 1) * (at_one - cosine) / (at_one * (at_one - 2 * cosine) + 1)
+    return np.asarray((at_constant - 1) * step - 0.5 + 0.5 * at_constant * faded)
 
 
 def _sampled_accelerations(
-    natural_hz: float, damping_ratio: float, omega: Float[np.ndarray, " lines"], sampling: Sampling
+    natural_hz: float, damping_ratio: float, sampling: Sampling
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles = _poles(natural_hz, damping_ratio)
-    sums = [tapered_sum(p, omega, sampling) for p in poles]
-    power = (1j * omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
+    sums = [tapered_sum(p, sampling) for p in poles]
+    power = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
     return np.stack([power * _combined(poles, sums, order, sampling.order) for order in range(2)])
 
 
@@ -298,7 +303,7 @@ def tuning_derivative(
         return np.zeros_like(motion.sensed)
     factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
     tuned = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in factors)
-    below, above = (motion.initial_state @ _sampled_accelerations(*mode, dynamics.omega, sampling) for mode in tuned)
+    below, above = (motion.initial_state @ _sampled_accelerations(*mode, sampling) for mode in tuned)
     return np.outer(motion.shape, above - below) / (2 * RELATIVE_STEP)
 
 

@@ -66,11 +66,11 @@ class Record:
     period_s: float | None
     tolerances: Tolerances
 
-    @property
+    @cached_property
     def sampling(self) -> Sampling:
         """Sampling of a free motion that counts from its first sample."""
         fading = int(np.count_nonzero(self.window[1:] < 1))
-        return Sampling(self.sensors[0].measures.order, self.sample_rate_hz, self.samples, fading)
+        return Sampling(self.sensors[0].measures.order, self.sample_rate_hz, self.samples, fading, self.omega)
 
     @property
     def highest_hz(self) -> float:
