@@ -7,9 +7,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import periodogram
 
+from identify.contacts.separation import driven_to_hz
 from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating_hz
 from identify.signals.beginning import QUIET_S, excitation_start
-from identify.signals.kinematics import CORNER_HZ
+from identify.signals.kinematics import CORNER_HZ, kinematics
 from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
 from identify.signals.spectra import force_band
 from rig.errors import RigError
@@ -27,6 +28,9 @@ by hand."""
 OMITTED_FADES, FADE_SHARE = 1.5, 0.1
 """Part omitted at a faded end without integration, and at a faded start where nothing rings, in lengths of the fade;
 and the largest share of a record that is a fade. Set by hand."""
+RELEASE_S = 2.0
+"""Seconds omitted at the start of a decay of floating elastic bodies between contacts, as the separated forces of two
+beams are wrong by many times the noise in its first half second. Set by hand."""
 QUIET_MARGIN_S = 0.05
 """Time before the force at which a quiet start ends."""
 SIGNAL_RATIO, CORNER_SHARE = 100.0, 0.25
@@ -66,9 +70,9 @@ class Beginning:
     """Start of a record, and whether its signals are integrated.
 
     zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
-    accelerations. counts_from_blow: a free motion whose initial state is estimated, so that it counts from the first
-    sample. free: all bodies are unsupported masses, so that nothing rings. excited_from is the first sample at
-    which a force acts; the quiet samples before it determine the noise.
+    accelerations. counts_from_blow: a free motion whose initial state is estimated. free: all bodies are unsupported
+    masses, so that nothing rings. floats_in_contacts: contacts alone hold an elastic body. excited_from is the first
+    sample at which a force acts; the quiet samples before it determine the noise.
     """
 
     zero_known: bool
@@ -76,6 +80,7 @@ class Beginning:
     integrates: bool
     counts_from_blow: bool
     free: bool
+    floats_in_contacts: bool
     excited_from: int
     quiet_samples: int
     faded_s: float
@@ -92,7 +97,7 @@ class Beginning:
         rings = not self.free and (self.contacts or not self.counts_from_blow)
         at_end_s = min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings else OMITTED_FADES * self.faded_s
         if self.quiet or self.counts_from_blow:
-            return 0.0, at_end_s
+            return RELEASE_S * (self.counts_from_blow and self.floats_in_contacts), at_end_s
         return at_end_s if self.free else OMITTED_S, at_end_s
 
 
@@ -112,6 +117,7 @@ def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning
         integrates=integrates,
         counts_from_blow=counts_from_blow,
         free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
+        floats_in_contacts=floats_in_contacts(rig),
         excited_from=excited_from,
         quiet_samples=before if before > QUIET_S * rate else 0,
         faded_s=faded_s if contacts else min(faded_s, FADE_SHARE * recording.duration_s),
@@ -142,7 +148,8 @@ def high_hz_of(
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
     elif recording.rig.contacts:
-        excited_hz = REACH * highest_vibrating_hz(rows, rate, densities)
+        motion = kinematics(recording, sensors[0].quantity, least_order=0)
+        excited_hz = REACH * min(driven_to_hz(motion), highest_vibrating_hz(rows, rate, densities))
     else:
         excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
@@ -193,6 +200,11 @@ def is_free(rig: Rig, body: str) -> bool:
     mass = rig.body(body)
     supports = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
     return mass.is_mass and bool(mass.rigid_modes) and all(s.body != body for s in supports)
+
+
+def floats_in_contacts(rig: Rig) -> bool:
+    """True if contacts alone hold an elastic body."""
+    return bool(rig.contacts) and any(b.rigid_modes and not b.is_mass for b in rig.bodies)
 
 
 def end_of_motion_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:

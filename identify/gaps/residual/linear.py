@@ -17,6 +17,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
+from identify.gaps.residual.extent import floats_in_contacts
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import (
     ground_force_changes,
@@ -199,9 +200,8 @@ def linear_model(
     weighted = record.delivered / deviation - known_accelerations * scaled_response
     free: tuple[FreeMode, ...] = ()
     if record.counts_from_blow:
-        free = free_modes(
-            responses, _free_modes(record, responses), stations, record.sampling
-        )
+        sampling = None if floats_in_contacts(record.rig) else record.sampling
+        free = free_modes(responses, _free_modes(record, responses), stations, sampling)
     if free:
         free, given = _split_by_state(record, rig, free, responses)
         weighted = weighted - scaled_response * sum((m.sensed for m in given), np.zeros_like(weighted))

@@ -101,7 +101,7 @@ def record_of(
     densities = sensor_densities(recording, sensors, beginning.quiet_samples)
     high_hz = high_hz_of(recording, sensors, densities, tolerances)
     modes: tuple[MeasuredMode, ...] = ()
-    if beginning.counts_from_blow and not any(b.is_mass for b in rig.bodies):
+    if beginning.counts_from_blow and not (rig.contacts and any(b.is_mass or b.rigid_modes for b in rig.bodies)):
         modes = measured_modes(np.stack([recording.values_of(s) for s in sensors]), rate, high_hz, densities)
         high_hz = min(high_hz, REACH * max((m.frequency_hz for m in modes), default=np.inf))
     transform = _transform(recording, beginning, high_hz)

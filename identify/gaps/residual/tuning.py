@@ -69,7 +69,7 @@ def tuned_modes(
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
     """Tuned modes from fitted nuisance parameters, else from a record's measured modes; none with contacts."""
-    if not record.modes:
+    if rig.contacts and not record.modes:
         return TunedModes()
     if parameters is not None and nuisance is not None:
         pulls = {
