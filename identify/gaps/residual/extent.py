@@ -147,9 +147,10 @@ def high_hz_of(
     rows = np.stack([recording.values_of(s) for s in sensors])
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
+    elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
+        excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     elif recording.rig.contacts:
-        motion = kinematics(recording, sensors[0].quantity, least_order=0)
-        excited_hz = REACH * min(driven_to_hz(motion), highest_vibrating_hz(rows, rate, densities))
+        excited_hz = REACH * highest_vibrating_hz(rows, rate, densities)
     else:
         excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
