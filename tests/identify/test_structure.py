@@ -43,7 +43,7 @@ def numbers(report) -> np.ndarray:
     )
 
 
-@pytest.mark.parametrize("use", ["displacement", "acceleration"])
+@pytest.mark.parametrize("use", [pytest.param("displacement", marks=pytest.mark.study), "acceleration"])
 def test_contacts_come_out_the_same_to_rounding(recordings, use):
     beams, data = (identify_contact(r, use=use, tolerances=EXACT).report for r in recordings)
     np.testing.assert_allclose(numbers(data), numbers(beams), rtol=1e-6)

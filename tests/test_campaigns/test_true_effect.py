@@ -31,6 +31,7 @@ def asked(tmp_path_factory):
     return lambda *effects: ToLay(str(path), str(path), tuple(e.text for e in effects))
 
 
+@pytest.mark.study
 def test_each_of_a_pair_is_judged_beside_the_other(asked):
     best = achieved(asked(MASS, FAINT))
     mass, faint = best.effects

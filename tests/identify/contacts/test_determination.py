@@ -91,6 +91,7 @@ def test_knees_that_coincide_are_told_of_no_stop(tmp_path):
     assert list(codes(result).values()) == 2 * [RefusalCode.NOT_SEPARABLE]
 
 
+@pytest.mark.study
 def test_stops_that_are_believed_alike_are_told_apart_by_their_stiffness_alone(tmp_path):
     """Clearances are believed in the wrong order; the harder one is known to be that."""
     true = progressive_stop("displacement", *STOPS)

@@ -19,6 +19,7 @@ STUDIES = (
     "frame on soft supports",
     "bumper and hard stop, accelerometer",
     "overdamped mass",
+    "two beams, two stops at one place",
 )
 
 

@@ -152,7 +152,8 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     assert not found.is_incomplete
 
 
-@pytest.mark.parametrize("quantity", [pytest.param("velocity", marks=pytest.mark.study), "acceleration"])
+@pytest.mark.study
+@pytest.mark.parametrize("quantity", ["velocity", "acceleration"])
 def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     record = record_of(decay(quantity, 3.0, added_kg=0.22))
     before, found = fitted(record), fitted(record, "added_mass")

@@ -42,6 +42,7 @@ def hypothesis_of(recording, *effects):
     return Hypothesis(tuple(parts), values, np.eye(values.size), left)
 
 
+@pytest.mark.study
 def test_values_and_errors_are_those_of_identify_contact(recorded_machine):
     recording = recorded_machine(SETTINGS, CLEARANCE, DAMPING)
     hypothesis = with_contact_fit(hypothesis_of(recording, CLEARANCE, DAMPING), [recording], LABORATORY)

@@ -90,6 +90,7 @@ def three_experiments(monkeypatch):
 
 
 @pytest.mark.usefixtures("three_experiments")
+@pytest.mark.study
 def test_what_differs_is_told_by_some_experiment_and_what_does_not_by_none(believed, cause):
     record, force_n = believed
     softer, stiffer = (cause("contact_stiffness", factor, 0.01) for factor in (0.9, 1.1))

@@ -27,9 +27,8 @@ def row(recording):
     return recording.signals[recording.rig.sensors[-1].quantity].values[-1]
 
 
-@pytest.mark.parametrize(
-    ("effect", "verdict"), [pytest.param("", "cannot_tell", marks=pytest.mark.study), (STIFFER, "explained")]
-)
+@pytest.mark.study
+@pytest.mark.parametrize(("effect", "verdict"), [("", "cannot_tell"), (STIFFER, "explained")])
 def test_a_free_decay_is_diagnosed(effect, verdict, tmp_path):
     records = (decay(ACCELEROMETER, tmp_path, effect, level) for level in (1.0, VALIDATES))
     result = identify.gap(*records)

@@ -90,6 +90,7 @@ def test_a_clearance_that_grows_is_told_and_a_stiffness_that_does_not_is_not(nul
     assert "contact_clearance.factor (stop) grows" in gap.sentence
 
 
+@pytest.mark.study
 def test_what_all_records_have_is_a_cause_and_no_difference(null_reference):
     gap, _ = diagnose(recordings(*[with_effect("contact_stiffness:factor=1.2")] * 3), None, SIMULATOR, null_reference)
     assert gap.causes[0].effects == ("contact_stiffness",)

@@ -44,6 +44,7 @@ def diagnosed(actual, null_reference, matters=MATTERS):
     return diagnose(*records(actual), Simulator("modal", modal), null_reference, matters=matters)
 
 
+@pytest.mark.study
 def test_the_nominal_rig_is_consistent(null_reference):
     """14 s bound the force of a contact to 4.3 % by these forces; 28 s by others still to 3.8 %."""
     gap, corrected = diagnosed(RIG, null_reference, Matters(contact=0.1))

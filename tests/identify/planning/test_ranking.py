@@ -61,6 +61,7 @@ def test_a_force_that_closes_no_contact_is_foretold_and_its_advice_closes_it():
     assert weaker not in plan.advice
 
 
+@pytest.mark.study
 def test_a_noisy_sensor_beside_a_better_one_adds_nothing():
     rig = Sdof(sensors="displacement+acceleration", noise_density=1e-3).rig()
     better = rig.sensors[-1]
@@ -75,6 +76,7 @@ def test_a_rig_without_contacts_has_no_plan():
         identify.plan(replace(MASS.rig(), contacts=()))
 
 
+@pytest.mark.study
 def test_processes_give_the_same_plan():
     test = planned_test(MASS.rig(), duration_s=10.0)
     assert planned(test, most_changes=1, workers=2) == planned(test, most_changes=1)

@@ -54,8 +54,8 @@ def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_a
 @pytest.mark.parametrize(
     ("effect", "strength", "true"),
     [
-        ("contact_clearance:all", "factor", 1.2),
-        ("added_mass:barrel", "mass_kg", 0.1),
+        pytest.param("contact_clearance:all", "factor", 1.2, marks=pytest.mark.study),
+        pytest.param("added_mass:barrel", "mass_kg", 0.1, marks=pytest.mark.study),
         ("contact_stiffness:all", "factor", 1.3),
     ],
 )

@@ -31,7 +31,7 @@ RIGS = {
 STEP_S = 2.0**-14
 
 
-@pytest.mark.parametrize("name", RIGS)
+@pytest.mark.parametrize("name", ["one mass", "all that acts", pytest.param("two beams", marks=pytest.mark.study)])
 def test_the_motion_is_that_under_the_whole_force_until_contacts_were_closed_for_a_while(name):
     rig, force = RIGS[name]
     force_n = force_history(force, 4.0, STEP_S)[: 2**15]
