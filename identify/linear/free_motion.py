@@ -36,6 +36,8 @@ MEASURED_PRIOR = 0.05
 """The same where displacement sensors show all modes of a body."""
 MIN_FREQUENCY_HZ = 0.5
 """Slower modes are scaled as modes of this frequency."""
+LEAST_DECAY = 1e-6
+"""Decay over a record, as a logarithm, that an undamped mode has in sums over samples, which are 0/0 at its line."""
 RELATIVE_STEP = 1e-6
 """Relative change of a frequency or a damping ratio for central differences."""
 
@@ -261,7 +263,7 @@ def free_modes(
             hz, zeta = float(dynamics.natural_hz[m]), float(dynamics.damping_ratios[m])
             accelerance = response.accelerance[m]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
-            sensed = _sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
+            sensed = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
             free.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
     return tuple(free)
 
@@ -283,12 +285,13 @@ def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " line
     return np.asarray((at_constant - 1) * step - 0.5 + 0.5 * at_constant * faded)
 
 
-def _sampled_accelerations(
+def sampled_accelerations(
     natural_hz: float, damping_ratio: float, sampling: Sampling
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles = _poles(natural_hz, damping_ratio)
-    sums = [tapered_sum(p, sampling) for p in poles]
+    poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.samples + float(np.max(np.real(poles))))
+    sums = [tapered_sum(complex(p), sampling) for p in poles]
     power = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
     return np.stack([power * _combined(poles, sums, order, sampling.order) for order in range(2)])
 
@@ -303,7 +306,7 @@ def tuning_derivative(
         return np.zeros_like(motion.sensed)
     factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
     tuned = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in factors)
-    below, above = (motion.initial_state @ _sampled_accelerations(*mode, sampling) for mode in tuned)
+    below, above = (motion.initial_state @ sampled_accelerations(*mode, sampling) for mode in tuned)
     return np.outer(motion.shape, above - below) / (2 * RELATIVE_STEP)
 
 

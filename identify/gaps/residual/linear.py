@@ -306,7 +306,9 @@ def _split_by_state(
         body = responses[mode.body_index].body
         on_body = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
         if on_body:
-            state = record.first_states[on_body[0]] * record.sample_rate_hz / mode.shape[on_body[0]]
+            first, gains = on_body[0], {s.name: s.gain for s in rig.sensors}
+            scale = record.sample_rate_hz / (gains[record.sensors[first].name] * mode.shape[first])
+            state = record.first_states[first] * scale
             given.append(replace(mode, initial_state=state))
         else:
             fitted.append(mode)
