@@ -11,13 +11,13 @@ standard deviations of the error, is the linear residual; it has sensors less co
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Complex, Float
 
-from identify.gaps.residual.extent import floats_in_contacts
+from identify.gaps.residual.initial_state import free_motion_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import (
     ground_force_changes,
@@ -26,7 +26,7 @@ from identify.gaps.residual.windowed import (
     modal_response,
     response_to_force,
 )
-from identify.linear.free_motion import FreeMode, fitted_modes, free_modes
+from identify.linear.free_motion import FreeMode
 from identify.linear.joined import joined
 from identify.linear.model import (
     Response,
@@ -41,12 +41,8 @@ from identify.linear.model import (
 )
 from identify.linear.projection import Projection, estimated_inputs, projection, unexplained
 from rig.model.description import Rig, Station, contact_stations
-from rig.model.modes import modes_of, participation
-from rig.model.sensing import PASSBAND
+from rig.model.modes import participation
 
-FREE_MODE_REACH = 4.0
-"""Modes up to this multiple of the highest frequency have a free motion of their own. Set by hand: what is left out is
-below noise."""
 Tuned = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
 """Factors on the frequency and on the damping ratio of each mode, by body."""
 
@@ -198,20 +194,8 @@ def linear_model(
     unknown_inputs.append(noise_n / rig.force_sensor.gain * per_newton[is_noisy])
     by_input = np.concatenate(unknown_inputs) * scaled_response
     weighted = record.delivered / deviation - known_accelerations * scaled_response
-    free: tuple[FreeMode, ...] = ()
-    if record.counts_from_blow:
-        sampling = None if floats_in_contacts(record.rig) else record.sampling
-        free = free_modes(responses, _free_modes(record, responses), stations, sampling)
-    if free:
-        free, given = _split_by_state(record, rig, free, responses)
-        weighted = weighted - scaled_response * sum((m.sensed for m in given), np.zeros_like(weighted))
-        projected = projection(by_input, deviation, contact_count)
-        if free:
-            free = fitted_modes(
-                free, projected, scaled_response, projected.of(weighted * deviation)[0][: len(stations)]
-            )
-        weighted = weighted - scaled_response * sum((m.sensed for m in free), np.zeros_like(weighted))
-        free = (*given, *free)
+    free = free_motion_of(record, rig, responses, by_input, deviation, scaled_response, weighted)
+    weighted = weighted - scaled_response * sum((mode.sensed for mode in free), np.zeros_like(weighted))
     inputs, log_determinant = estimated_inputs(by_input, weighted, contact_count)
     residual = unexplained(by_input, inputs, weighted)
     return Linear(
@@ -277,42 +261,6 @@ def _static_loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.nd
     acting = [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
     constant = record.spectrum(np.ones(record.samples)) if acting else np.zeros(record.omega.size, dtype=complex)
     return [(load.station, load.force_n * constant) for load in acting]
-
-
-def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
-    """Modes of each body with a free motion in a record without a force, by the nominal rig: all rigs have the same.
-
-    Without contacts they reach beyond the band until the omitted ones no longer matter in it, but not beyond the
-    sensors' passband.
-    """
-    reach_hz = record.highest_hz
-    if not record.rig.contacts:
-        reach_hz = min(FREE_MODE_REACH * reach_hz, PASSBAND * record.sample_rate_hz)
-    nominal = [modes_of(record.rig, record.rig.body(r.body.name)).frequencies_hz(r.count) for r in responses]
-    return [np.flatnonzero(hz < reach_hz) for hz in nominal]
-
-
-def _split_by_state(
-    record: Record, rig: Rig, free: tuple[FreeMode, ...], responses: tuple[Response, ...]
-) -> tuple[tuple[FreeMode, ...], tuple[FreeMode, ...]]:
-    """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one.
-
-    A mass has as many sensors as contacts, or fewer, so that its separated contact force takes up any initial state.
-    """
-    if not rig.contacts:
-        return free, ()
-    fitted, given = [], []
-    for mode in free:
-        body = responses[mode.body_index].body
-        on_body = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
-        if on_body:
-            first, gains = on_body[0], {s.name: s.gain for s in rig.sensors}
-            scale = record.sample_rate_hz / (gains[record.sensors[first].name] * mode.shape[first])
-            state = record.first_states[first] * scale
-            given.append(replace(mode, initial_state=state))
-        else:
-            fitted.append(mode)
-    return tuple(fitted), tuple(given)
 
 
 def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

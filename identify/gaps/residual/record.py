@@ -8,7 +8,7 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.ringing import MeasuredMode
-from identify.linear.free_motion import Sampling
+from identify.linear.sampled_motion import Sampling
 from identify.signals.drift import Drift
 from identify.signals.kinematics import integrated
 from identify.signals.law_evaluation import product_multiple

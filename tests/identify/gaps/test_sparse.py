@@ -68,6 +68,7 @@ def test_an_effect_that_dominates_is_selected_alone(pair, model):
     assert [part.name for part in selection.candidates] == ["added_mass:barrel"]
 
 
+@pytest.mark.study
 def test_finds_both_effects_with_their_numbers(pair):
     best, *others = ranked_hypotheses(pair)
     assert sorted(best.effects) == ["added_mass", "contact_damping"]

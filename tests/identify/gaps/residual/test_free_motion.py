@@ -11,7 +11,7 @@ from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
-from identify.linear.free_motion import free_motion
+from identify.linear.sampled_motion import free_motion
 from rig.effects import effect_named
 from tests.campaigns.laboratory_tests import TESTS, recorded
 

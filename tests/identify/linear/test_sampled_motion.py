@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.linear.free_motion import Sampling, free_motion, sampled_accelerations
+from identify.linear.sampled_motion import Sampling, free_motion, sampled_accelerations
 from identify.signals.kinematics import taper
 
 RATE_HZ, SAMPLES, FADING, LENGTH = 256.0, 2048, 128, 4096

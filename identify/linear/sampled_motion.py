@@ -1,0 +1,95 @@
+"""Free motion of one mode over time, and its transform as sampled sensors show it, which is known exactly.
+
+Of q'' + 2 zeta omega q' + omega^2 q = 0 with the poles p_1, p_2, an initial displacement q_0 and velocity q_0' cause
+q_0 u(t) + q_0' v(t) with
+
+    u = (p_2 exp(p_1 t) - p_1 exp(p_2 t)) / (p_2 - p_1),   v = (exp(p_2 t) - exp(p_1 t)) / (p_2 - p_1)
+
+A sensor shows the sum over its samples, the first one halved, under a half cosine at the record's end: a sum of
+geometric series (`tapered_sum`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+LEAST_DECAY = 1e-6
+"""Decay over a record, as a logarithm, that an undamped mode has in sums over samples, which are 0/0 at its line."""
+
+
+def free_motion(
+    natural_hz: float, damping_ratio: float, order: int, time_s: Float[np.ndarray, " samples"]
+) -> Float[np.ndarray, "3 samples"]:
+    """u (order 0, of a unit displacement) or v (order 1, of a unit velocity) with its two derivatives in time."""
+    if natural_hz == 0:
+        ones, zeros = np.ones_like(time_s), np.zeros_like(time_s)
+        return np.stack([time_s, ones, zeros] if order else [ones, zeros, zeros])
+    poles = _poles(natural_hz, damping_ratio)
+    terms = [np.exp(p * time_s) for p in poles]
+    rows = [_combined(poles, terms, order, k) / (poles[1] - poles[0]) for k in range(3)]
+    return np.asarray(np.real(rows))
+
+
+def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] | Float[np.ndarray, "2"]:
+    """Poles of a mode, 1/s; critical damping is avoided, where they coincide."""
+    zeta = damping_ratio if abs(damping_ratio - 1) > 1e-6 else 1 + 1e-6
+    return 2 * np.pi * natural_hz * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
+
+
+def _combined(
+    poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"], terms: Sequence[np.ndarray], order: int, derivative: int
+) -> np.ndarray:
+    """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
+    first, second = poles
+    if order:
+        return np.asarray(second**derivative * terms[1] - first**derivative * terms[0])
+    return np.asarray(second * first**derivative * terms[0] - first * second**derivative * terms[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Sampling:
+    """Sampling of a free motion: the order of the measured derivative, how many of the samples a taper fades, and the
+    circular frequencies of the lines."""
+
+    order: int
+    rate_hz: float
+    samples: int
+    fading_samples: int
+    omega: Float[np.ndarray, " lines"]
+
+    @cached_property
+    def phases(self) -> tuple[Complex[np.ndarray, " lines"], ...]:
+        """exp(-i omega n / rate) after one sample, after those that count in full, and after those that fade."""
+        counts = 1, self.samples - self.fading_samples, self.fading_samples
+        return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in counts)
+
+
+def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " lines"]:
+    """Transform of exp(pole t) over M samples, the first one halved, and F more that fade (`kinematics.taper`).
+
+    With z = exp((pole - i omega) / rate), the sum (z^n - 1) / (z - 1) of z^0 to z^(n - 1), and c = cos(pi / F),
+
+        (z^M - 1) / (z - 1) - 1/2 + z^M / 2 [ (z^F - 1) / (z - 1) - (z^F + 1) (z - c) / (z^2 - 2 c z + 1) ]
+    """
+    constant, fading = sampling.samples - sampling.fading_samples, sampling.fading_samples
+    at_one, at_constant, at_fading = (
+        np.exp(pole * n / sampling.rate_hz) * phases
+        for n, phases in zip((1, constant, fading), sampling.phases, strict=True)
+    )
+    cosine, step = np.cos(np.pi / fading), 1 / (at_one - 1)
+    faded = (at_fading - 1) * step - (at_fading + 1) * (at_one - cosine) / (at_one * (at_one - 2 * cosine) + 1)
+    return np.asarray((at_constant - 1) * step - 0.5 + 0.5 * at_constant * faded)
+
+
+def sampled_accelerations(
+    natural_hz: float, damping_ratio: float, sampling: Sampling
+) -> Complex[np.ndarray, "2 lines"]:
+    """Accelerations by the sampled derivative of u and of v, over the sample rate."""
+    poles = _poles(natural_hz, damping_ratio)
+    poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.samples + float(np.max(np.real(poles))))
+    sums = [tapered_sum(complex(p), sampling) for p in poles]
+    power = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
+    return np.stack([power * _combined(poles, sums, order, sampling.order) for order in range(2)])
