@@ -96,8 +96,10 @@ class Beginning:
         """Seconds omitted at the start and at the end."""
         rings = not self.free and (self.contacts or not self.counts_from_blow)
         at_end_s = min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings else OMITTED_FADES * self.faded_s
-        if self.quiet or self.counts_from_blow:
-            return RELEASE_S * (self.counts_from_blow and self.floats_in_contacts), at_end_s
+        if self.quiet:
+            return 0.0, at_end_s
+        if self.counts_from_blow:
+            return RELEASE_S * self.floats_in_contacts, at_end_s
         return at_end_s if self.free else OMITTED_S, at_end_s
 
 
@@ -144,15 +146,17 @@ def high_hz_of(
 ) -> float:
     """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `CORNER_HZ` is excited."""
     rate = recording.rig.sample_rate_hz
-    rows = np.stack([recording.values_of(s) for s in sensors])
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
         excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
-    elif recording.rig.contacts:
-        excited_hz = REACH * highest_vibrating_hz(rows, rate, densities)
     else:
-        excited_hz = REACH * highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
+        rows = np.stack([recording.values_of(s) for s in sensors])
+        excited_hz = REACH * (
+            highest_vibrating_hz(rows, rate, densities)
+            if recording.rig.contacts
+            else highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
+        )
     high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
     if high_hz <= CORNER_HZ:
         raise RigError(

@@ -1,7 +1,7 @@
 """Free motion of a record that begins in motion and has no force: the modes that move, and their initial states.
 
-Initial states are fitted to the linear residual, which the contact forces are projected out of. A mass has as many
-sensors as contacts, or fewer, so that its separated contact force takes up any initial state; it has the measured one.
+Initial states are fitted to the linear residual, which the contact forces are projected out of. A mass has as a
+rule one sensor, so that its separated contact force takes up any initial state; it has the measured one.
 """
 
 from dataclasses import replace
@@ -42,13 +42,13 @@ def free_motion_of(
     sensors = {s.name: s for s in rig.sensors}
     stations = [sensors[s.name].station for s in record.sensors]
     free = free_modes(responses, _free_modes(record, responses), stations, sampling)
-    fitted, given = _split_by_state(record, rig, free, responses)
-    if fitted:
-        unexplained = unexplained - scaled_response * sum((m.sensed for m in given), np.zeros_like(unexplained))
+    free_modes_to_fit, mass_modes = _split_by_state(record, rig, free, responses)
+    if free_modes_to_fit:
+        unexplained = unexplained - scaled_response * sum((m.sensed for m in mass_modes), np.zeros_like(unexplained))
         projected = projection(by_input, deviation, len(rig.contacts))
         residual = projected.of(unexplained * deviation)[0][: len(stations)]
-        fitted = fitted_modes(fitted, projected, scaled_response, residual)
-    return (*given, *fitted)
+        free_modes_to_fit = fitted_modes(free_modes_to_fit, projected, scaled_response, residual)
+    return (*mass_modes, *free_modes_to_fit)
 
 
 def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
@@ -70,7 +70,7 @@ def _split_by_state(
     """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one."""
     if not rig.contacts:
         return free, ()
-    fitted, given = [], []
+    free_modes_to_fit, mass_modes = [], []
     for mode in free:
         body = responses[mode.body_index].body
         on_body = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
@@ -78,7 +78,7 @@ def _split_by_state(
             first, gains = on_body[0], {s.name: s.gain for s in rig.sensors}
             scale = record.sample_rate_hz / (gains[record.sensors[first].name] * mode.shape[first])
             state = record.first_states[first] * scale
-            given.append(replace(mode, initial_state=state))
+            mass_modes.append(replace(mode, initial_state=state))
         else:
-            fitted.append(mode)
-    return tuple(fitted), tuple(given)
+            free_modes_to_fit.append(mode)
+    return tuple(free_modes_to_fit), tuple(mass_modes)

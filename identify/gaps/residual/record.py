@@ -35,7 +35,8 @@ class Record:
     excited_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the rig.
     windows_responses: without contacts, the response of held bodies is windowed instead of the force.
     counts_from_blow: a free motion whose initial state is estimated; first_states: displacement and velocity that each
-    displacement sensor shows there; modes: its measured modes where bodies are held.
+    displacement sensor shows there; modes: its measured modes, without contacts or of
+    held beams.
     """
 
     rig: Rig

@@ -1,4 +1,4 @@
-"""Nuisance parameters of single modes, applied to the linear model of a rig without contacts.
+"""Nuisance parameters of single modes, applied to the linear model of a rig without contacts or of a held beam's decay.
 
 The residual is nonlinear in a resonance that is off by a fraction of its width, so that fitted values enter the model
 about which the next fit is linearised. For a free decay they start from the measured modes, within their limits.
@@ -68,7 +68,8 @@ def tuned_modes(
     parameters: tuple[Nuisance, ...] | None = None,
     nuisance: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
-    """Tuned modes from fitted nuisance parameters, else from a record's measured modes; none with contacts."""
+    """Tuned modes from fitted nuisance parameters, else from a record's measured modes; none with contacts if it has no
+    measured modes."""
     if rig.contacts and not record.modes:
         return TunedModes()
     if parameters is not None and nuisance is not None:

@@ -190,12 +190,15 @@ def _brief_fit_with(
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
     members = (*present.candidates, *candidates)
-    is_kept = [not any(contains(container, member) for container in members) for member in members]
-    start_values = [v for v, kept in zip((*present.split(), *values), is_kept, strict=True) if kept]
-    kept_members = tuple(member for member, kept in zip(members, is_kept, strict=True) if kept)
+    start_values = (*present.split(), *values)
+    containers = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
     try:
         return fit_briefly(
-            search, kept_members, np.concatenate(start_values), reset_saturated_nuisance(residual), linearization
+            search,
+            tuple(members[k] for k in containers),
+            np.concatenate([start_values[k] for k in containers]),
+            reset_saturated_nuisance(residual),
+            linearization,
         )
     except RigError:
         return None
