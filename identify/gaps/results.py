@@ -128,32 +128,6 @@ class Attribution(msgspec.Struct, frozen=True, kw_only=True):
     """Share of the linear residual and of the law of each contact."""
 
 
-class SummaryStatistic(msgspec.Struct, frozen=True):
-    """Summary statistic of the measured record, and of simulations by the nominal and the corrected rig."""
-
-    name: str
-    unit: str
-    measured: float
-    believed: float
-    corrected: float
-    by_chance: float
-    """95 % half-width of the statistic over null simulations under independent forces of the same kind."""
-
-
-class Curve(msgspec.Struct, frozen=True):
-    """Curve of the measured record and of simulations by the nominal and the corrected rig."""
-
-    name: str
-    x_label: str
-    y_label: str
-    x: tuple[float, ...]
-    measured: tuple[float, ...]
-    believed: tuple[float, ...]
-    corrected: tuple[float, ...]
-    logarithmic: bool = False
-    """True if the y axis is logarithmic."""
-
-
 class Matters(msgspec.Struct, frozen=True):
     """Thresholds, set by the user, below which a difference does not matter: shares of the root mean square of the
     acceleration and of a contact force.
@@ -230,7 +204,6 @@ Analysis = Literal[
     "clearance_modulation",
     "force_description",
     "between_records",
-    "response_comparison",
     "next_experiment",
     "attribution",
     "rollout",
@@ -248,7 +221,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     """Difference between the nominal rig and the records, judged on the record that was not fitted.
 
     causes are the named effects, then the likeliest sets; the rest of probability one is that of the nominal rig and of
-    something unmeasured. The response comparison and the rollout are those of the first cause. not_seen holds the
+    something unmeasured. The rollout is that of the first cause. not_seen holds the
     quantities that the records neither bound nor show; channel_faults the dead and clipped channels, which were left
     out.
     """
@@ -284,8 +257,6 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     next_between: tuple[str, ...] = ()
     """The two causes that these recordings tell apart."""
     attribution: Attribution
-    figures: tuple[SummaryStatistic, ...] = ()
-    curves: tuple[Curve, ...] = ()
     between: RecordDifferences | None = None
     """Given with more than two records."""
     channel_faults: dict[str, str] = {}

@@ -35,7 +35,6 @@ ANALYSES = {
     "clearance_modulation": "a clearance that swings",
     "force_description": "the description of the unmeasured force",
     "between_records": "what differs between the records",
-    "response_comparison": "simulated beside measured",
     "next_experiment": "the next experiment",
     "attribution": "where the difference lies",
     "rollout": "prediction from measured states",

@@ -8,6 +8,8 @@ import numpy as np
 
 MAX_LENGTHS = 6
 """Lengths of a step that are tried, shorter and shorter, until the cost falls."""
+NEGLIGIBLE_SHARE = 0.1
+"""Share of the least fall below which a step is not taken. Set by hand."""
 
 
 @runtime_checkable
@@ -42,11 +44,13 @@ def gauss_newton(
 
     A step that does not lower the cost is shortened to the minimum of the parabola through both costs with the slope at
     its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
-    than `min_fall_of` the state before it.
+    than `min_fall_of` the state before it, and before a step that promises less than `NEGLIGIBLE_SHARE` of that.
     """
     state, cost, slow_steps = start, start.cost, 0
     for _ in range(max_steps):
         step, share, min_fall = linearize(state), 1.0, min_fall_of(state)
+        if step.predicted_decrease < NEGLIGIBLE_SHARE * min_fall:
+            break
         candidate, fall = None, -np.inf
         for _ in range(MAX_LENGTHS):
             candidate = step.state_after(share)

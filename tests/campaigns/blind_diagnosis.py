@@ -12,12 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-import numpy as np
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
-from identify.gaps.decision.null_simulations import free_decay_simulator
+from identify.gaps.decision.null_simulations import null_simulator
 from identify.gaps.decision.prepare import simulator_named
 from identify.gaps.decision.recordings import without_faulty_channels
 from identify.gaps.residual.record import Record
@@ -159,8 +158,7 @@ def null_reference_made(task: NullReferenceToMake) -> NullReferenceMade:
     believed, kept = _believed(recording, task.tolerances), Path(task.null_reference)
     refusal, crashed = "", False
     try:
-        forced = bool(np.any(recording.forces_n))
-        simulate = SIMULATOR.simulate if forced else free_decay_simulator(recording, SIMULATOR.simulate)
+        simulate = null_simulator(recording, TOOL.record_of(recording, tolerances=believed), SIMULATOR.simulate)
         TOOL.null_reference_of(recording, believed, simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
     except RigError as error:
         refusal = str(error)
@@ -200,12 +198,12 @@ def gap_of(fit: Recording, validate: Recording, null_reference: Path, tolerances
 def without_curves(gap: Gap) -> Gap:
     """Without what is large and not scored."""
     attribution = replace(gap.attribution, positions_m={}, time_s=(), band_hz=(), surface={})
-    return replace(gap, curves=(), attribution=attribution)
+    return replace(gap, attribution=attribution)
 
 
 def _null_key(recording: Recording, tolerances: Tolerances) -> str:
-    counted_until_s = TOOL.record_of(recording, tolerances=tolerances).counted_until_s
-    return null_key(recording, counted_until_s, tolerances, SIMULATOR.name)
+    counted = TOOL.record_of(recording, tolerances=tolerances).counted
+    return null_key(recording, counted, tolerances, SIMULATOR.name)
 
 
 def _task(fit: Path, null_reference: Path, tolerances: Tolerances | None) -> ToDiagnose | Refused:

@@ -100,7 +100,7 @@ def _achieved(task: ToLay) -> Best:
     (_, validation), _ = without_faulty_channels(read(Path(task.fit)), read(Path(task.validate)))
     record = record_of(validation, tolerances=validation.rig.tolerances or LABORATORY)
     reference, matters = nominal_variances_of(linearized(record, record.rig)), Matters()
-    alone = misfit(record, reference, fit_nuisance(record, record.rig, rounds=1)[1])
+    alone = misfit(record, reference, fit_nuisance(record, record.rig)[1])
     before = mismatch_size(alone, matters)
     if not task.effects:
         return Best(before)
@@ -141,5 +141,5 @@ def _laid(record: Record, reference: NominalVariances, effects: Sequence[str], a
     rig: Rig = record.rig
     for text in effects:
         rig = effect_named(text).applied_to(rig)
-    linearization, at = fit_nuisance(record, rig, rounds=1)
+    linearization, at = fit_nuisance(record, rig)
     return misfit(record, reference, at), nominal_misfit_beside(record, reference, linearization, at) or alone

@@ -11,6 +11,7 @@ import pytest
 from msgspec.structs import replace
 from typer.testing import CliRunner
 
+from identify.gaps.residual.record import Counted
 from rig.errors import RigError
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import read as read_recording
@@ -87,7 +88,7 @@ def quick(tool):
     tool(
         run_tasks=run_here,
         gap_of=diagnosed,
-        record_of=lambda *_, **__: SimpleNamespace(counted_until_s=1.5),
+        record_of=lambda *_, **__: SimpleNamespace(counted=Counted(1, 1.5)),
         null_reference_made=lambda task: NullReferenceMade(task.key, 30.0, 400.0),
     )
     return calls

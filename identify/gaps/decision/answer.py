@@ -14,21 +14,18 @@ from identify.gaps.decision.experiment import next_experiments
 from identify.gaps.decision.judge import Judgement, Unmeasured, judge
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.prepare import Prepared, Searched, Simulator, prepare, search
-from identify.gaps.decision.response_comparison import compare_responses
 from identify.gaps.decision.sentence import sentence
 from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision
 from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import (
     Attribution,
     Criteria,
-    Curve,
     Diagnosis,
     Gap,
     Matters,
     NextExperiment,
     Note,
     RecordDifferences,
-    SummaryStatistic,
 )
 from identify.gaps.search.hypothesis import Hypothesis
 from identify.gaps.unmeasured_force import described
@@ -123,8 +120,6 @@ def describe(
         next_experiments=side_analyses.next_experiments,
         next_between=side_analyses.next_between,
         attribution=side_analyses.attribution,
-        figures=side_analyses.figures,
-        curves=side_analyses.curves,
         between=side_analyses.between,
         channel_faults=prepared.channel_faults,
         notes=(*judgement.prediction.rollout.notes, *judgement.unmeasured.notes, *side_analyses.notes),
@@ -138,8 +133,6 @@ class SideAnalyses:
 
     between: RecordDifferences | None
     unknown: UnmeasuredForce | None
-    figures: tuple[SummaryStatistic, ...]
-    curves: tuple[Curve, ...]
     next_experiments: tuple[NextExperiment, ...]
     next_between: tuple[str, ...]
     attribution: Attribution
@@ -157,25 +150,19 @@ def _side_analyses(
     decision, record = judgement.decision, prepared.validation.record
     between = _record_differences(prepared, searched, decision, lambda x: progress(0.5 * x))
     force = _unmeasured_force(record.rig, judgement.unmeasured, decision.misfit_to_describe, matters)
-    comparison = _response_comparison(prepared, decision.likeliest_rig or record.rig)
     rivals = _rival_hypotheses(decision) if ask_next and record.forced else None
     experiments = _next_experiments(prepared, rivals)
     attributed = attempted(
         "attribution", lambda: attribution(judgement.linearization, judgement.residual, decision.nominal.misfit)
     )
     progress(1.0)
-    figures, curves = comparison.value or ((), ())
     return SideAnalyses(
         between=between.value,
         unknown=force.value,
-        figures=figures,
-        curves=curves,
         next_experiments=experiments.value or (),
         next_between=tuple(" + ".join(rival.effects) or "nothing" for rival in rivals or ()),
         attribution=attributed.value or Attribution(),
-        notes=tuple(
-            note for attempt in (force, between, comparison, experiments, attributed) for note in attempt.notes
-        ),
+        notes=tuple(note for attempt in (force, between, experiments, attributed) for note in attempt.notes),
     )
 
 
@@ -216,16 +203,6 @@ def _unmeasured_force(rig: Rig, unmeasured: Unmeasured, misfit: Misfit, matters:
     if modulation.share * contact_share / matters.contact > force_size:
         return Attempt(modulation.described(contacts[modulation.contact]), force.notes)
     return force
-
-
-def _response_comparison(
-    prepared: Prepared, likeliest: Rig
-) -> Attempt[tuple[tuple[SummaryStatistic, ...], tuple[Curve, ...]]]:
-    measured = prepared.validation.recording
-    return attempted(
-        "response_comparison",
-        lambda: compare_responses(measured, measured.rig, likeliest, prepared.simulate, prepared.null_reference),
-    )
 
 
 def _next_experiments(

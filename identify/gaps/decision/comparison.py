@@ -106,7 +106,7 @@ def validate_hypotheses(
         if hypothesis.candidates:
             try:
                 rig = record_specific_rig(record, hypothesis)
-                linearization, residual = fit_nuisance(record, rig, rounds=1)
+                linearization, residual = fit_nuisance(record, rig)
             except RigError:
                 continue
             corrected_rig = residual.corrected_rig
@@ -151,7 +151,7 @@ def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
     start_rig = record.rig  # with a base motion's row, if there is one
     for candidate, values in zip(hypothesis.candidates, hypothesis.split(), strict=True):
         start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
-    linearization, residual = fit_nuisance(record, start_rig, rounds=1)
+    linearization, residual = fit_nuisance(record, start_rig)
     steps = steps_of(hypothesis.candidates)[specific]
     low, high = (bounds[specific] for bounds in hypothesis.parameters.bounds)
     return build(fit(linearization, build, hypothesis.values[specific], steps, (low, high), residual).values)

@@ -86,5 +86,5 @@ def _hypothesis_of_contact_fit(
     fitted = with_contact_fit(initial, recordings, record.tolerances)
     if fitted is initial:
         return None
-    residual = fit_nuisance(record, fitted.applied_to(record.rig), rounds=1)[1]
+    residual = fit_nuisance(record, fitted.applied_to(record.rig))[1]
     return replace(fitted, misfit=misfit(record, prepared.searched.nominal_variances, residual))

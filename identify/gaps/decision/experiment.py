@@ -141,7 +141,7 @@ def initial_search(record: Record, rig: Rig) -> Search:
 
     All hypotheses that are compared start here, so that none stays in a worse minimum than another.
     """
-    linearization, residual = fit_nuisance(record, rig, rounds=1)
+    linearization, residual = fit_nuisance(record, rig)
     return Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, ())
 
 

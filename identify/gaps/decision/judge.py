@@ -106,11 +106,11 @@ def judge(
     """
     validation = prepared.validation
     record = validation.record
-    linearization, residual = fit_nuisance(record, record.rig, rounds=1)
+    linearization, residual = fit_nuisance(record, record.rig)
     priors = log_priors(searched.hypotheses, searched.candidates)
     ranked = validate_hypotheses(record, validation.nominal_variances, residual, searched.hypotheses, priors, progress)
     ranked = _refit_contact_laws(prepared, ranked, residual)
-    difference = difference_of(prepared, residual, matters, split_p_value(ranked))
+    difference = difference_of(prepared, searched.nominal_misfit, residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
     basis = _Basis(prepared, difference, residual, matters)
     outcome = predicted_decision(
@@ -148,20 +148,23 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
 
 
-def difference_of(prepared: Prepared, residual: Residual, matters: Matters, p_split: float) -> Difference:
-    """Difference of the nominal rig and all records; `residual` is that of the validation record.
+def difference_of(
+    prepared: Prepared, searched_misfit: Misfit, residual: Residual, matters: Matters, p_split: float
+) -> Difference:
+    """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
+    nominal rig's on the one that was searched.
 
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
     validation = prepared.validation
-    residuals = [
-        residual if observation is validation else fit_nuisance(observation.record, observation.record.rig, rounds=1)[1]
-        for observation in prepared.observations
-    ]
-    misfits = [
-        misfit(observation.record, observation.nominal_variances, rig_residual)
-        for observation, rig_residual in zip(prepared.observations, residuals, strict=True)
-    ]
+
+    def nominal_misfit(observation: PreparedRecording) -> Misfit:
+        if observation is prepared.searched and observation is not validation:
+            return searched_misfit
+        fit = residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
+        return misfit(observation.record, observation.nominal_variances, fit)
+
+    misfits = [nominal_misfit(observation) for observation in prepared.observations]
     p_parts = p_values(list(zip(prepared.null_references, misfits, strict=True)))
     p_value = with_bound(combined_p_value(p_parts), p_split)
     rig = validation.record.rig
@@ -221,7 +224,7 @@ def _decide_with_force(
         minus_two_log_beside = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
         decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log, named, minus_two_log_beside))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force, residual = force_beside, fit_nuisance(record, rig, rounds=1)[1]
+            force, residual = force_beside, fit_nuisance(record, rig)[1]
     modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, Unmeasured(force.value, modulation.value, decrease, (*force.notes, *modulation.notes))
 
@@ -239,7 +242,7 @@ def minus_two_log_with_force(
         return misfit_without.minus_two_log
     record = validation.record
     cleared = replace(record, delivered=record.delivered - force.delivered())
-    misfit_with = misfit(cleared, validation.nominal_variances, fit_nuisance(cleared, rig, rounds=1)[1])
+    misfit_with = misfit(cleared, validation.nominal_variances, fit_nuisance(cleared, rig)[1])
     followed_share = force.directions / force.held.whitened.rows
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.linear + misfit_without.line_cost - misfit_with.linear - misfit_with.line_cost
@@ -252,7 +255,7 @@ def predicted_rollout(prepared: Prepared, nominal_residual: Residual, named: Val
     if prepared.predict is None:
         return Rollout(code="not_simulated")
     validation, predict = prepared.validation, prepared.predict
-    corrected_residual = fit_nuisance(validation.record, named.rig, rounds=1)[1]
+    corrected_residual = fit_nuisance(validation.record, named.rig)[1]
     nulls = prepared.null_reference.predictions
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
@@ -264,7 +267,7 @@ def predicted_rollout(prepared: Prepared, nominal_residual: Residual, named: Val
             validation.recording.rig, named.corrected_rig, validation.recording.forces_n, seed
         )
         record = record_of(simulated, tolerances=validation.record.tolerances)
-        nominal_fit, corrected_fit = (fit_nuisance(record, rig, rounds=1)[1] for rig in (record.rig, named.rig))
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named.rig))
         log_ratios.append(log_ratio_of(simulated, nominal_fit, corrected_fit, samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 

@@ -35,7 +35,8 @@ from identify.gaps.decision.null_simulations import (
     with_force_noise,
 )
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
-from identify.gaps.residual.residual import Linearization, Residual, linearized
+from identify.gaps.residual.record import Counted
+from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
 from identify.gaps.rollout.windows import null_errors
@@ -66,8 +67,8 @@ BOUND_WEIGHT = 0.05
 class NullSimulation(msgspec.Struct, frozen=True):
     """Result of one null simulation: -2 ln p, its parts of the contacts and of the worst band, and unexplained shares.
 
-    The shares are by band, overall and by contact force. figures are the summary statistics; prediction holds the
-    errors of predictions, where the rig can be predicted.
+    The shares are by band, overall and by contact force. prediction holds the errors of predictions, where the rig can
+    be predicted.
     """
 
     minus_two_log: float
@@ -76,7 +77,6 @@ class NullSimulation(msgspec.Struct, frozen=True):
     shares: tuple[float, ...]
     share: float
     contact_shares: tuple[float, ...]
-    figures: dict[str, float]
     prediction: NullErrors | None = None
 
 
@@ -105,11 +105,6 @@ class NullReference(msgspec.Struct, frozen=True):
         """Prediction errors of the null simulations."""
         return tuple(simulation.prediction for simulation in self.simulations if simulation.prediction is not None)
 
-    def half_width_95(self, statistic: str) -> float:
-        """95 % prediction half-width of a summary statistic under the null, in its unit."""
-        values = np.array([simulation.figures[statistic] for simulation in self.simulations])
-        return float(student.ppf(0.975, values.size - 1) * np.sqrt(1 + 1 / values.size) * values.std(ddof=1))
-
     def usual_shares(self) -> Float[np.ndarray, " bands"]:
         """Upper 95 % prediction limit of the unexplained share of each band under the null."""
         band_count = min(
@@ -131,16 +126,26 @@ def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarra
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
     With x a statistic of the measured records (the linear residual's part of -2 ln p, the contacts', the worst band's),
-    and m and s its mean and standard deviation over n null machines, Student's prediction gives
+    and m and s its mean and standard deviation over n null machines, it is about a sum of nu = s^2 / 2 squares of
+    normal variables, which is skewed where few tolerances make most of it. Made normal by Wilson and Hilferty's cube
+    root (Proc. Natl. Acad. Sci. 17, 1931), Student's prediction gives
 
-        p = P( t_(n-1) > (x - m) / (s sqrt(1 + 1/n)) )        s at least 1
+        p = P( t_(n-1) > (z(x) - (1 - min(nu, 1)) z(m)) / sqrt(1 + 1/n) )
+        z(x) = ((1 + sqrt(2 / n_z) (x - m) / s)^(1/3) - 1 + 2 / (9 n_z)) / sqrt(2 / (9 n_z)),   n_z = max(nu, 1)
+
+    with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2.
     """
     nulls = np.sum([reference.statistics for reference, _ in records], axis=0)
     measured = np.sum([[misfit.minus_two_log - misfit.law, misfit.law, misfit.peak] for _, misfit in records], axis=0)
     is_used = [True, bool(np.any(nulls[:, 1])), True]
     nulls, measured = nulls[:, is_used], measured[is_used]
-    deviations = np.maximum(nulls.std(axis=0, ddof=1) * np.sqrt(1 + 1 / len(nulls)), 1.0)
-    return np.asarray(student.sf((measured - nulls.mean(axis=0)) / deviations, len(nulls) - 1))
+    deviations = nulls.std(axis=0, ddof=1)
+    squares = np.maximum(deviations**2 / 2, 1.0)
+    excess = np.sqrt(2 / squares) * (measured - nulls.mean(axis=0)) / np.maximum(deviations, 1.0)
+    skew = 2 / (9 * squares)
+    normals = (np.cbrt(np.maximum(1 + excess, 0.0)) - 1 + skew) / np.sqrt(skew)
+    normals -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
+    return np.asarray(student.sf(normals / np.sqrt(1 + 1 / len(nulls)), len(nulls) - 1))
 
 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
@@ -183,7 +188,7 @@ def null_reference_of(
     named after the key, so that references of many rigs and levels can share it.
     """
     measured_record = record_of(measured, tolerances=tolerances)
-    key = null_key(measured, measured_record.counted_until_s, tolerances, simulator, simulation_count)
+    key = null_key(measured, measured_record.counted, tolerances, simulator, simulation_count)
     if path and path.is_dir():
         path = path / f"{key[:16]}.json"
     stored = _stored_references(path) if path else ()
@@ -196,7 +201,7 @@ def null_reference_of(
         tolerances=tolerances,
         force_noise_n=np.sqrt(measured_record.force_noise / measured_record.samples),
         silent_samples=round(measured_record.excited_s * measured_record.sample_rate_hz),
-        counted_until_s=measured_record.counted_until_s,
+        counted=measured_record.counted,
         simulate=simulate,
         predict=predict,
     )
@@ -223,7 +228,7 @@ class _NullExperiment:
     tolerances: Tolerances
     force_noise_n: Float[np.ndarray, " forces"]
     silent_samples: int
-    counted_until_s: float
+    counted: Counted
     simulate: Simulate
     predict: Predict | None
 
@@ -231,10 +236,10 @@ class _NullExperiment:
         """Record a machine that is drawn within the tolerances, and fit the nominal rig to it."""
         seed, normals = run
         recording = self._recorded(seed, draw_rig(self.measured.rig, self.tolerances, normals))
-        record = record_of(recording, tolerances=self.tolerances, counted_until_s=self.counted_until_s)
+        record = record_of(recording, tolerances=self.tolerances, counted=self.counted)
         linearization = linearized(record, record.rig)
         nominal_variances = nominal_variances_of(linearization)
-        residual = fit_nuisance(record, record.rig, rounds=1)[1]
+        residual = fit_nuisance(record, record.rig)[1]
         nominal_misfit = misfit(record, nominal_variances, residual)
         return NullSimulation(
             nominal_misfit.minus_two_log,
@@ -243,7 +248,6 @@ class _NullExperiment:
             tuple(nominal_misfit.shares.tolist()),
             nominal_misfit.share,
             tuple(nominal_misfit.contact_shares.tolist()),
-            {name: value for name, (value, _) in summary_statistics(linearization).items()},
             _prediction(recording, residual, self.predict),
         )
 
@@ -277,7 +281,7 @@ def _prediction(recording: Recording, residual: Residual, predict: Predict | Non
 
 def null_key(
     measured: Recording,
-    counted_until_s: float,
+    counted: Counted,
     tolerances: Tolerances,
     simulator: str,
     simulation_count: int = NULL_SIMULATIONS,
@@ -285,19 +289,19 @@ def null_key(
     """Key of the rig, its tolerances, the simulator, the program, and the level and length of the force.
 
     In a free decay the level is that of the motion. The length also counts how long the record is evaluated, in halves
-    of a second.
+    of a second, and up to which frequency.
     """
     level_signal = (
         measured.forces_n if np.any(measured.forces_n) else measured.signals[measured.rig.sensors[-1].quantity].values
     )
     level = round(float(np.log(max(np.std(level_signal), 1e-300)) / np.log(LEVEL_FACTOR)))
+    extent = f"{measured.samples} {counted.factor} {round(2 * counted.until_s)}"
     version = importlib.metadata.version("rig-identify")
-    counted_halves = round(2 * counted_until_s)
     kind = " blows" * any(is_impulsive(row) for row in measured.forces_n)
     fields = (
         to_json(replace(measured.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {measured.samples} {counted_halves} {simulation_count} {version}{kind}".encode(),
+        f"{simulator} {level} {extent} {simulation_count} {version}{kind}".encode(),
     )
     return hashlib.sha256(b"\n".join(fields)).hexdigest()
 
@@ -321,17 +325,3 @@ def _stored_references(path: Path) -> tuple[NullReference, ...]:
 
 def _checksum(null_reference: NullReference) -> str:
     return hashlib.sha256(msgspec.json.encode(replace(null_reference, checksum=""))).hexdigest()
-
-
-def summary_statistics(linearization: Linearization) -> dict[str, tuple[float, str]]:
-    """Summary statistics, value and unit by name, with contact forces separated by the rig of the linearisation."""
-    accelerations = linearization.record.in_time(linearization.record.delivered)
-    statistics = {"acceleration, rms of all sensors": (float(np.sqrt(np.mean(accelerations**2))), "m/s^2")}
-    seconds = accelerations.shape[1] / linearization.record.rate_hz
-    for contact, observation in zip(linearization.model.rig.contacts, linearization.observations, strict=True):
-        statistics[f"time that a force of {contact.name} stands out"] = 100 * float(np.mean(observation.closed)), "%"
-        statistics[f"impacts of {contact.name} that stand out"] = (
-            float(np.sum(np.diff(observation.closed) > 0)) / seconds,
-            "1/s",
-        )
-    return statistics

@@ -1,14 +1,13 @@
 """Null simulations: machines drawn within the tolerances of the nominal rig, their forces and measured channels.
 
-A free decay is simulated by a blow, which the record does not hold, before it begins.
+A free decay is simulated by a blow or a release, which the record does not hold, before it begins.
 
 Notes for maintainers
 1. Every value is off by its own draw (Latin hypercube over the tolerances), each mode in frequency and damping. The
    force has the measured spectrum with random phases; a hammer's force is taken as it is.
-2. Of a free decay, short simulations of the nominal rig scale half-sine blows of several durations by the standard
-   deviations in the intervals of its beginning (geometric mean); the blow whose intervals lie closest is taken, and
-   cut off up to a period behind it. High-passes run before the cut: one that begins with the record drifts for
-   seconds.
+2. Of a free decay, short simulations of the nominal rig scale half-sine blows of several durations, and a force that
+   is released, to the largest motion that counts; that of the closest spectrum is taken, and the record begins up to
+   a period after it. High-passes run before that: one that begins with the record drifts for seconds.
 3. A simulation counts for as long as the record does, as -2 ln p grows with the number of samples.
 """
 
@@ -22,6 +21,7 @@ from scipy.stats import norm, qmc
 
 from identify.gaps.decision.recordings import cut_recording
 from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
+from identify.gaps.residual.record import Record
 from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.modes import mode_count, modes_of
 from rig.model.structure import SAME_PLACE_M, structure_of
@@ -182,58 +182,88 @@ def with_force_noise(
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
-"""Durations of the blow, in longest periods of the rig: short blows excite higher modes, which decay sooner. Effort."""
+"""Durations of the blow, in longest periods of the rig: short blows excite higher modes. Effort."""
+RELEASE_PERIODS = 4
+"""Longest periods over which a force rises that is then released: slowly enough to excite no mode before. Set by
+hand."""
 SCALING_STEPS = 4
-"""Number of short simulations that scale each blow. Effort."""
-SCALED_S, INTERVALS = 8, 8
-"""Beginning of the record, s, whose motion the blow reproduces, and its number of intervals. Set by hand."""
+"""Number of short simulations that scale each excitation. Effort."""
+SCALED_S = 8
+"""Beginning of the counted motion, s, which the excitation reproduces. Set by hand."""
+LARGE_MOTION_POWER = 8
+"""Exponent of the mean over time that excitations are scaled by: the largest motion decides what contacts do, and a
+mean over a decay of wrong damping does not tell it. Set by hand."""
 
 
-def free_decay_simulator(measured: Recording, simulate: Simulate) -> Simulate:
+def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
+    """Simulator of a recording's test: with its force, or of its free decay."""
+    return simulate if record.forced else free_decay_simulator(measured, record, simulate)
+
+
+def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
     """Simulator of free decays as long as the measured one, which ignores the force.
 
-    The blow, at the place of the first force, is the half-sine after which the sensors of the nominal rig have the
-    levels closest to the measured ones, interval by interval. A decay begins up to one period after the blow, depending
-    on the seed.
+    The excitation, at the place of the first force, is the half-sine or the released force after which the nominal
+    rig's largest counted motion is the measured one's and its spectrum the closest, octave by octave. A decay begins up
+    to one period after it, depending on the seed.
     """
-    rate, target_levels = measured.rig.sample_rate_hz, _levels(measured)
-    scaled_samples = min(SCALED_S * round(rate), measured.samples)
+    rate, start_s = measured.rig.sample_rate_hz, float(record.time_s[0])
+    scaled_samples = min(round((start_s + SCALED_S) * rate), measured.samples)
+    extent = slice(round(start_s * rate), scaled_samples)
+    measured_rows = _motion(measured, extent)
     natural_hz = np.concatenate(
         [modes_of(measured.rig, body).frequencies_hz(body.max_modes) for body in measured.rig.bodies]
     )
     period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
 
-    def decay(rig: Rig, actual: Rig, blow_n: Float[np.ndarray, " blow"], samples: int, seed: int) -> Recording:
-        start = blow_n.size + round(period * np.random.default_rng([seed, 78]).uniform())
+    def decay(rig: Rig, actual: Rig, excitation_n: Float[np.ndarray, " begin"], samples: int, seed: int) -> Recording:
+        start = excitation_n.size + round(period * np.random.default_rng([seed, 78]).uniform())
         forces_n = np.zeros((len(rig.forces), start + samples))
-        forces_n[0, : blow_n.size] = blow_n
+        forces_n[0, : excitation_n.size] = excitation_n
         return _unforced(cut_recording(simulate(rig, actual, forces_n, seed), slice(start, start + samples)))
 
-    def scaled_blow(half_sine: int) -> tuple[float, Float[np.ndarray, " blow"]]:
-        """Standard deviation of the differences in level, and the scaled blow."""
-        blow_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * np.sin(
-            np.pi * np.arange(half_sine) / half_sine
-        )
+    def scaled(shape: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+        """Distance between the spectra, and the scaled excitation."""
+        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * shape
         for _ in range(SCALING_STEPS):
-            level_errors = target_levels - _levels(decay(measured.rig, measured.rig, blow_n, scaled_samples, 0))
-            blow_n = blow_n * np.exp(np.mean(level_errors))
-        return float(np.std(level_errors)), blow_n
+            rows = _motion(decay(measured.rig, measured.rig, excitation_n, scaled_samples, 0), extent)
+            excitation_n = excitation_n * _largest(measured_rows) / _largest(rows)
+        levels, measured_levels = (_octave_levels(row, rate, record.highest_hz) for row in (rows, measured_rows))
+        return float(np.linalg.norm(levels - measured_levels)), excitation_n
 
-    _, blow_n = min(
-        (scaled_blow(max(2, round(share * period))) for share in BLOW_PERIODS), key=lambda result: result[0]
-    )
+    half_sines = [max(2, round(share * period)) for share in BLOW_PERIODS]
+    shapes = [np.sin(np.pi * np.arange(samples) / samples) for samples in half_sines]
+    shapes.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period)) ** 2)
+    _, excitation_n = min((scaled(shape) for shape in shapes), key=lambda result: result[0])
 
     def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
-        return decay(rig, actual, blow_n, forces_n.shape[1], seed)
+        return decay(rig, actual, excitation_n, forces_n.shape[1], seed)
 
     return simulated
 
 
-def _levels(recording: Recording) -> Float[np.ndarray, " intervals"]:
-    """Log standard deviation in each interval of the beginning, of all sensors of the last sensor's quantity."""
-    interval_samples = min(SCALED_S * round(recording.rig.sample_rate_hz), recording.samples) // INTERVALS
-    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, : INTERVALS * interval_samples]
-    return np.asarray(np.log(np.linalg.norm(rows.reshape(len(rows), INTERVALS, interval_samples).std(axis=2), axis=0)))
+def _motion(recording: Recording, extent: slice) -> Float[np.ndarray, "sensors samples"]:
+    """Signals of all sensors of the last sensor's quantity, without their means."""
+    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, extent]
+    return np.asarray(rows - rows.mean(axis=1, keepdims=True))
+
+
+def _largest(rows: Float[np.ndarray, "sensors samples"]) -> float:
+    """Generalised mean of the magnitude over time, near its largest values."""
+    magnitude = np.linalg.norm(rows, axis=0)
+    highest = max(float(magnitude.max()), 1e-300)
+    return highest * float(np.mean((magnitude / highest) ** LARGE_MOTION_POWER)) ** (1 / LARGE_MOTION_POWER)
+
+
+def _octave_levels(
+    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
+) -> Float[np.ndarray, " octaves"]:
+    """Logarithm of the rms of all sensors in each octave below a frequency."""
+    fading = np.hanning(2 * rows.shape[1])[rows.shape[1] :]
+    power = np.sum(np.abs(np.fft.rfft(rows * fading, axis=1)) ** 2, axis=0)[1:]
+    hz = np.fft.rfftfreq(rows.shape[1], 1 / rate_hz)[1:]
+    octaves = np.floor(np.log2(highest_hz / hz[hz <= highest_hz])).astype(int)
+    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octaves, power[hz <= highest_hz]), 1e-300)))
 
 
 def _unforced(recording: Recording) -> Recording:

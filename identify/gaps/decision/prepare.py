@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from identify.gaps.decision.null_reference import NullReference, null_key, null_reference_of
-from identify.gaps.decision.null_simulations import free_decay_simulator
+from identify.gaps.decision.null_simulations import null_simulator
 from identify.gaps.decision.recordings import ordered_recordings, without_faulty_channels
-from identify.gaps.residual.likelihood import NominalVariances, nominal_variances_of
+from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit, nominal_variances_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
@@ -127,14 +127,9 @@ def prepare(
     rig_tolerances = tolerances or ordered[0].rig.tolerances or LABORATORY
     ordered, channel_faults = without_faulty_channels(*ordered)
     observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered)
-    simulate_functions = [
-        simulator.simulate
-        if observation.record.forced
-        else free_decay_simulator(observation.recording, simulator.simulate)
-        for observation in observations
-    ]
+    simulate_functions = [null_simulator(o.recording, o.record, simulator.simulate) for o in observations]
     keys = [
-        null_key(observation.recording, observation.record.counted_until_s, rig_tolerances, simulator.name)
+        null_key(observation.recording, observation.record.counted, rig_tolerances, simulator.name)
         for observation in observations
     ]
     references_by_key: dict[str, NullReference] = {}
@@ -162,10 +157,14 @@ def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedR
 
 @dataclass(frozen=True)
 class Searched:
-    """Hypotheses, the nominal rig among them, and the candidates from which they were selected."""
+    """Hypotheses, the nominal rig among them, and the candidates from which they were selected.
+
+    nominal_misfit is that of the nominal rig on the searched record.
+    """
 
     hypotheses: tuple[Hypothesis, ...]
     candidates: tuple[Candidate, ...]
+    nominal_misfit: Misfit
 
 
 def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: None) -> Searched:
@@ -192,4 +191,4 @@ def search_record(
         scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.forced
     )
     hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
-    return Searched(tuple(hypotheses), tuple(library))
+    return Searched(tuple(hypotheses), tuple(library), misfit(record, nominal_variances, residual))

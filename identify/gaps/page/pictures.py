@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: causes, bands, experiments, curves, and where the mismatch lies. Computes no estimate."""
+"""Pictures of a diagnosis: causes, bands, experiments, and where the mismatch lies. Computes no estimate."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from identify.gaps.page.unknown_pictures import drawings
-from identify.gaps.results import SAME_EXPERIMENT, Attribution, Curve, Gap, ResidualMap, Share
+from identify.gaps.results import SAME_EXPERIMENT, Attribution, Gap, ResidualMap, Share
+from identify.gaps.rollout.results import PredictedMotion
 from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from identify.pages.wording import percent
-from rig.model.quantities import printed_unit
 
 Draw = Callable[[Any], None]
 
@@ -28,7 +28,7 @@ _WIDE_IN, _WIDTH_IN, _ROW_IN, _FRAME_IN, _HEIGHT_IN = 7.2, 4.8, 0.3, 1.0, 3.2
 
 
 def pictures(gap: Gap) -> dict[str, Picture]:
-    """Pictures by name, which begins with the section: next, large, why, unknown, where or far.
+    """Pictures by name, which begins with the section: next, large, why, prediction, unknown or where.
 
     What the diagnosis lacks is left out.
     """
@@ -49,10 +49,10 @@ def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     if gap.unknown:
         for name, height, draw in drawings(gap.unknown):
             yield f"unknown_{name}", (_WIDTH_IN, height), draw
+    if gap.rollout and gap.rollout.example:
+        yield "prediction_motion", (_WIDE_IN, _HEIGHT_IN), partial(_motion, example=gap.rollout.example)
     for name, height, draw in _attribution_drawings(gap.attribution):
         yield f"where_{name}", (_WIDTH_IN, height), draw
-    for j, curve in enumerate(gap.curves, 1):
-        yield f"far_curve_{j}", (_WIDTH_IN, _HEIGHT_IN), partial(_curve, curve=curve)
 
 
 def _bands(figure: Any, gap: Gap) -> None:
@@ -120,19 +120,18 @@ def _experiments(figure: Any, gap: Gap) -> None:
     figure.suptitle(f"Which further recording tells {' from '.join(gap.next_between)}", fontsize=10)
 
 
-def _curve(figure: Any, curve: Curve) -> None:
+def _motion(figure: Any, example: PredictedMotion) -> None:
+    """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
-    for values, colour, width, label in (
-        (curve.measured, GREY, 2.4, "measured"),
-        (curve.believed, RED, 1.0, "the model as it is"),
-        (curve.corrected, BLUE, 1.0, "with the likeliest causes"),
+    for values, colour, width, style, label in (
+        (example.measured, GREY, 3.0, "-", "measured"),
+        (example.nominal, RED, 1.2, "--", "predicted by the model as it is"),
+        (example.corrected, BLUE, 1.2, "-", "with the named effects"),
     ):
-        axes.plot(curve.x, values, color=colour, lw=width, ls="--" if colour == RED else "-", label=label)
-    if curve.logarithmic:
-        axes.set_yscale("log", nonpositive="mask")
-    figure.legend(loc="outside lower center", ncols=3, columnspacing=1.0, handlelength=1.6)
-    axes.set(xlabel=curve.x_label, ylabel=printed_unit(curve.y_label))
-    axes.set_title(curve.name, wrap=True)
+        axes.plot(example.time_s, values, color=colour, lw=width, ls=style, label=label)
+    figure.legend(loc="outside lower center", ncols=3)
+    quantity = "displacement" if example.unit == "m" else "velocity"
+    axes.set(xlabel="time, s", ylabel=f"{quantity} of {example.sensor}, {example.unit}")
 
 
 def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:

@@ -16,11 +16,11 @@ from identify.gaps.page.sections import (
     mismatch_size,
     next_steps_list,
     notes,
+    prediction,
     record_differences,
-    response_comparison,
     unknown_force,
 )
-from identify.gaps.results import Curve, Gap
+from identify.gaps.results import Gap
 from identify.gaps.wording import verdict
 from identify.pages import page
 from identify.pages.machine import machine
@@ -36,6 +36,8 @@ CAPTIONS = {
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Nineteen of twenty null simulations (rig.json within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
+    "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
+    "the sensor that rig.json predicts worst, in the window of median error.",
 }
 """Captions of the wide pictures; the others carry their titles."""
 DRAWING_CAPTION = "The rig, to scale along the bodies; what differs is marked at its place."
@@ -85,11 +87,11 @@ def write_page(
     folded = [
         ("How large is the difference?", "large", mismatch_size(gap)),
         ("What causes it?", "why", cause_tables(gap)),
+        *([("Does the model move as the machine?", "prediction", prediction(gap.rollout))] if gap.rollout else []),
         ("How was it decided?", "decided", decision(gap)),
         *([("What differs between the records?", "between", record_differences(gap.between))] if gap.between else []),
         *([(unknown_heading, "unknown", unknown_force(gap.unknown))] if gap.unknown else []),
         ("Where does it lie?", "where", location(gap.attribution)),
-        ("Simulated and measured", "far", response_comparison(gap)),
         *([("What could not be computed", "notes", notes(gap))] if gap.notes else []),
     ]
     page.write(
@@ -118,10 +120,8 @@ def _figures_html(figures: Mapping[str, Picture], section: str) -> str:
 
 
 def curves(gap: Gap) -> dict[str, Table]:
-    """Tables `bands` (unexplained shares of the acceleration by frequency) and `comparison_N` (simulated and measured
-    curves, numbered from 1), as far as the diagnosis has them."""
-    tables = {f"comparison_{number}": _comparison_table(curve) for number, curve in enumerate(gap.curves, start=1)}
-    return tables | ({"bands": _band_table(gap)} if gap.bands else {})
+    """Table `bands`: unexplained shares of the acceleration by frequency, as far as the diagnosis has them."""
+    return {"bands": _band_table(gap)} if gap.bands else {}
 
 
 def _band_table(gap: Gap) -> Table:
@@ -133,11 +133,3 @@ def _band_table(gap: Gap) -> Table:
         "usual": "nineteen of twenty null simulations stay below",
     }
     return {heading: np.array([getattr(band, name) for band in gap.bands]) for name, heading in names.items()}
-
-
-def _comparison_table(curve: Curve) -> Table:
-    """Table of a curve; each column is named by curve, kind, axis label and unit."""
-    table: Table = {curve.x_label: np.array(curve.x)}
-    for kind in ("measured", "believed", "corrected"):
-        table[f"{curve.name}: {kind}, {curve.y_label}"] = np.array(getattr(curve, kind))
-    return table

@@ -13,7 +13,6 @@ from identify.gaps.results import (
     ParameterByRecord,
     RecordDifferences,
     Share,
-    SummaryStatistic,
     UnexplainedShares,
 )
 from identify.gaps.rollout.results import Rollout
@@ -32,7 +31,6 @@ from identify.gaps.wording import (
 )
 from identify.pages import page
 from identify.pages.wording import number, percent
-from rig.model.quantities import printed_unit
 from rig.model.unmeasured_force import UnmeasuredForce, Value
 
 MAX_CAUSES = 5
@@ -150,7 +148,7 @@ def decision(gap: Gap) -> str:
         strengths = zip(likeliest.words, likeliest.strengths, strict=True)
         names = [(w, probability(s.inclusion_probability), "named" if s.is_named else "") for w, s in strengths]
         text += "<h3>Effects</h3>" + page.table(("effect", "probability", ""), names)
-    return text + (_prediction_table(gap.rollout) if gap.rollout else "")
+    return text
 
 
 def _yes_no(answer: bool) -> str:
@@ -167,8 +165,9 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     return quantity.name, *("no bound" if v is None else f"{number(v, 3)} {quantity.unit}" for v in values), mark
 
 
-def _prediction_table(rollout: Rollout) -> str:
-    text = f"<h3>Prediction from measured states</h3><p>{escape(capitalised(PREDICTION_WORDS[rollout.code]))}.</p>"
+def prediction(rollout: Rollout) -> str:
+    """Errors of predictions from measured states, and what they decided."""
+    text = f"<p>{escape(capitalised(PREDICTION_WORDS[rollout.code]))}.</p>"
     overall = rollout.whole
     if overall is None:
         return text
@@ -271,37 +270,9 @@ def location(attribution: Attribution) -> str:
     )
 
 
-def response_comparison(gap: Gap) -> str:
-    """Summary statistics of the measured record and of both simulations."""
-    text = (
-        "<p>The believed rig, and the rig with the likeliest cause, simulated under the measured force; in brackets "
-        "how far off the measured value they are. By chance: so far nineteen of twenty records of the believed rig "
-        "lie from their mean, built within its tolerances and shaken by another such force. Nothing is decided by "
-        "these figures.</p>"
-    )
-    rows = [
-        (
-            f"{f.name}, {printed_unit(f.unit)}",
-            number(f.measured),
-            _with_deviation(f.believed, f),
-            _with_deviation(f.corrected, f),
-            f"± {number(f.by_chance, 2)}",
-        )
-        for f in gap.figures
-    ]
-    header = ("figure", "measured", "believed", "with the likeliest cause", "by chance")
-    return text + (page.table(header, rows) if rows else "")
-
-
 def notes(gap: Gap) -> str:
     """Side analyses that could not be made; the verdict does not rest on them."""
     return "".join(f"<p>{escape(note)}</p>" for note in wording.not_computed(gap))
-
-
-def _with_deviation(value: float, statistic: SummaryStatistic) -> str:
-    if not statistic.measured:
-        return number(value)
-    return f"{number(value)} ({100 * (value / statistic.measured - 1):+.1f} %)"
 
 
 def _share_words(unexplained: UnexplainedShares) -> list[str]:

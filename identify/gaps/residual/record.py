@@ -18,6 +18,14 @@ from rig.model.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
+class Counted:
+    """What counts of a record: the recording's samples per time of the residuals, which sets the band, and the end."""
+
+    factor: int
+    until_s: float
+
+
+@dataclass(frozen=True)
 class Record:
     """Spectra of one recording on the lines from 0 to `highest_hz`, and the samples that count.
 
@@ -84,9 +92,9 @@ class Record:
         return bool(np.any(self.forces))
 
     @property
-    def counted_until_s(self) -> float:
-        """End of the samples that count, s."""
-        return self.counted_samples.stop / self.rate_hz
+    def counted(self) -> Counted:
+        """Band and end of the samples that count, for other records of the same test."""
+        return Counted(self.factor, self.counted_samples.stop / self.rate_hz)
 
     @property
     def rate_hz(self) -> float:

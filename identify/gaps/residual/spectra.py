@@ -30,7 +30,7 @@ from identify.gaps.residual.extent import (
     read_sensors,
     sensor_densities,
 )
-from identify.gaps.residual.record import Record
+from identify.gaps.residual.record import Counted, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
 from identify.linear.joined import joined
 from identify.signals.drift import Drift
@@ -50,6 +50,11 @@ FIRST_SAMPLES = 10
 """Samples from which the first state of a decay is read. Set by hand."""
 SMOOTHED_HZ = 1.0
 """Bandwidth over which the power P of the acceleration is smoothed. Set by hand."""
+
+
+SETTLED_SHARE = 1 / 3
+"""Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
+by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and frames vibrate above 3 Hz."""
 
 
 @dataclass(frozen=True)
@@ -86,11 +91,11 @@ class _Transform:
 def record_of(
     recording: Recording,
     tolerances: Tolerances | None = None,
-    counted_until_s: float | None = None,
+    counted: Counted | None = None,
 ) -> Record:
     """Record of a recording, by the sensors of `extent.read_sensors`.
 
-    It counts until its motion has decayed, or until `counted_until_s`, as another record does.
+    It counts up to the highest frequency that it shows and until its motion has decayed, or as `counted` says.
     Raises RigError if the recording is too short, has no sensors of motion or shows none.
     """
     rig, rate, samples = recording.rig, recording.rig.sample_rate_hz, recording.samples
@@ -104,7 +109,8 @@ def record_of(
     if beginning.counts_from_blow and not (rig.contacts and any(b.is_mass or b.rigid_modes for b in rig.bodies)):
         modes = measured_modes(np.stack([recording.values_of(s) for s in sensors]), rate, high_hz, densities)
         high_hz = min(high_hz, REACH * max((m.frequency_hz for m in modes), default=np.inf))
-    transform = _transform(recording, beginning, high_hz)
+    factor = counted.factor if counted else max(1, int(rate / (2 * high_hz)))
+    transform = _transform(recording, beginning, factor)
     omega = transform.omega
     measured, eta_beyond = _spectra(recording, transform, joint, sensors)
     noise_per_line = samples * densities**2 * rate / 2
@@ -132,7 +138,9 @@ def record_of(
         displaced=measured * to_displacement,
         faded=faded,
         force_noise=samples * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
-        noise=noise_per_line[:, None] * size**2,
+        noise=noise_per_line[:, None]
+        * size**2
+        * (_unsettled(rig, sensors, omega) if beginning.counts_from_blow else 1.0),
         power=_smoothed(delivered, np.stack([_static_fall(rig, s, omega) for s in sensors]), transform),
         corner_hz=corner_hz,
         eta_beyond=eta_beyond,
@@ -143,15 +151,16 @@ def record_of(
         counts_from_blow=beginning.counts_from_blow,
         first_states=np.array([_first_state(recording.values_of(s), rate) for s in sensors]),
         modes=modes,
-        counted_samples=_counted_samples(samples, transform, beginning, delivered, counted_until_s),
+        counted_samples=_counted_samples(
+            samples, transform, beginning, delivered, counted.until_s if counted else None
+        ),
         windows_responses=not rig.contacts,
     )
 
 
-def _transform(recording: Recording, beginning: Beginning, high_hz: float) -> _Transform:
-    """Transform with lines up to a frequency; the record fades out, and in unless it starts quiet or with a blow."""
+def _transform(recording: Recording, beginning: Beginning, factor: int) -> _Transform:
+    """Transform of the lowest lines; the record fades out, and in unless it starts quiet or with a blow."""
     rate, samples = recording.rig.sample_rate_hz, recording.samples
-    factor = max(1, int(rate / (2 * high_hz)))
     length = factor * next_fast_len(-(-(samples + round(_ring_down_s(recording.rig) * rate)) // factor), real=True)
     window = taper(samples, max(2, round(beginning.faded_s * rate)))
     if beginning.zero_known and not beginning.counts_from_blow:  # differentiated twice, a kink in w'' would ring
@@ -213,6 +222,20 @@ def _static_fall(rig: Rig, sensor: Sensor, omega: Float[np.ndarray, " lines"]) -
     body = rig.body(sensor.station.body)
     first_omega = 2 * np.pi * float(np.min(modes_of(rig, body).frequencies_hz(body.max_modes)))
     return omega**2 / (omega**2 + first_omega**2) if sensor.measures.order < 2 else np.ones_like(omega)
+
+
+def _unsettled(
+    rig: Rig, sensors: tuple[Sensor, ...], omega: Float[np.ndarray, " lines"]
+) -> Float[np.ndarray, "sensors lines"]:
+    """Factor of the noise's variance for AC-coupled sensors whose high-passes have not settled where a record begins in
+    motion: 1 + (share omega_1 / omega)^4, with the body's first natural frequency and `SETTLED_SHARE`."""
+    factors = np.ones((len(sensors), omega.size))
+    for k, sensor in enumerate(sensors):
+        body = rig.body(sensor.station.body)
+        natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
+        if sensor.measures.ac_coupled and np.any(natural_hz > 0):
+            factors[k] += (2 * np.pi * SETTLED_SHARE * np.min(natural_hz[natural_hz > 0]) / omega) ** 4
+    return factors
 
 
 def _smoothed(

@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictionErrors, Rollout
+from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictedMotion, PredictionErrors, Rollout
 from identify.gaps.rollout.states import MeasuredMotion, measured_motion
 from identify.gaps.rollout.windows import (
     Windows,
@@ -45,6 +45,8 @@ VETO_P_VALUE = 0.01
 WORSE, BETTER = 0.05, 0.05
 """Least mean log ratios of errors for a veto: by which the corrected rig is worse, or would be better if right. Set by
 hand."""
+SHOWN_SAMPLES = 1000
+"""Samples of the example at most. Display."""
 BOOTSTRAP_DRAWS = 400
 """Bootstrap draws. Effort."""
 FREQUENCY_MATCH = 0.2
@@ -98,6 +100,33 @@ def judge_correction(
         falls_short=falls_short(ratios),
         by_sensor=dict(zip(motions[0].names, by_sensor, strict=True)),
         decay=decay,
+        example=_example(motions[0], motions[2], predict, starts, nominal_errors),
+    )
+
+
+def _example(
+    nominal: MeasuredMotion,
+    corrected: MeasuredMotion,
+    predict: Predict,
+    starts: Int[np.ndarray, " windows"],
+    errors: Windows,
+) -> PredictedMotion:
+    """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
+    rms = rms_by_window(errors)
+    window = int(np.argsort(rms)[rms.size // 2])
+    sensor = int(np.argmax(np.mean(errors[window] ** 2, axis=1)))
+    start, samples = starts[[window]], errors.shape[2]
+    rows = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal, corrected)]
+    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
+    measured, *predicted = (row[0, sensor, shown] for row in (rows[0][0], rows[0][1], rows[1][1]))
+    return PredictedMotion(
+        sensor=nominal.names[sensor],
+        unit=("m", "m/s")[min(nominal.orders[sensor], 1)],
+        time_s=tuple(time_s[shown].tolist()),
+        measured=tuple(measured.tolist()),
+        nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
+        corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
     )
 
 

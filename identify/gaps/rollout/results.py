@@ -41,6 +41,17 @@ class DecayMode(msgspec.Struct, frozen=True, kw_only=True):
     corrected: tuple[float, float] | None
 
 
+class PredictedMotion(msgspec.Struct, frozen=True, kw_only=True):
+    """Measured and predicted motion of a sensor in the window of median error, in `unit`; times are of the record."""
+
+    sensor: str
+    unit: str
+    time_s: tuple[float, ...]
+    measured: tuple[float, ...]
+    nominal: tuple[float, ...]
+    corrected: tuple[float, ...]
+
+
 class Rollout(msgspec.Struct, frozen=True, kw_only=True):
     """Prediction of the nominal and the corrected rig over disjoint windows of a record, from measured states.
 
@@ -63,6 +74,7 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True):
     falls_short: bool = False
     by_sensor: dict[str, PredictionErrors] = {}
     decay: tuple[DecayMode, ...] = ()
+    example: PredictedMotion | None = None
 
     @property
     def vetoed(self) -> bool:

@@ -11,13 +11,13 @@ from identify.gaps.residual.residual import Linearization, Residual, linearized,
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
-MIN_ROUNDS, MAX_ROUNDS, COST_TOLERANCE, RESONANT_REFITS = 2, 6, 1.0, 3
-"""Rounds of scales and fit, at least and at most; further rounds follow while the misfit exceeds noise and tolerated
+MAX_ROUNDS, COST_TOLERANCE, RESONANT_REFITS = 6, 1.0, 3
+"""Rounds of scales and fit, at most; further rounds follow while the misfit exceeds noise and tolerated
 shares and -2 ln p falls by more than `COST_TOLERANCE`, as a slow motion leaves a wrong minimum in some rounds only. The
 last is the number of linearisations at the stated scales of a rig without contacts."""
 
 
-def fit_nuisance(record: Record, rig: Rig, rounds: int = MIN_ROUNDS) -> tuple[Linearization, Residual]:
+def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
     nominal_variances = nominal_variances_of(linearization := linearized(record, rig))
 
@@ -38,9 +38,7 @@ def fit_nuisance(record: Record, rig: Rig, rounds: int = MIN_ROUNDS) -> tuple[Li
 
     estimate = fit_in(linearization, None)
     estimate = refit_until_settled(estimate, relinearize, rounds=stated_scale_refits(rig))
-    estimate = refit_until_settled(
-        estimate, refit, settled, rounds=MAX_ROUNDS, at_least=max(rounds, extra_relinearizations(rig))
-    )
+    estimate = refit_until_settled(estimate, refit, settled, rounds=MAX_ROUNDS, at_least=extra_relinearizations(rig))
     return estimate.linearization, estimate.residual
 
 

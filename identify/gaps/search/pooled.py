@@ -93,7 +93,7 @@ class LinearizedRecord:
 
 def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
-    linearization, residual = fit_nuisance(record, rig, rounds=1)
+    linearization, residual = fit_nuisance(record, rig)
     nuisance_count, ratio = len(linearization.columns.parameters), record.sample_ratio
     names = (
         *((id(record), k) if p.kind == "initial state" else p for k, p in enumerate(linearization.columns.parameters)),

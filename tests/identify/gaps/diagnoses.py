@@ -13,7 +13,6 @@ from identify.gaps.results import (
     Band,
     Cause,
     Criteria,
-    Curve,
     Diagnosis,
     Gap,
     Matters,
@@ -22,11 +21,10 @@ from identify.gaps.results import (
     RecordDifferences,
     ResidualMap,
     Share,
-    SummaryStatistic,
     UnexplainedShares,
     labels_of,
 )
-from identify.gaps.rollout.results import PredictionErrors, Rollout
+from identify.gaps.rollout.results import PredictedMotion, PredictionErrors, Rollout
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -63,24 +61,6 @@ def attribution():
         time_s=tuple(Share(*ends, share) for ends, share in even(times_s).items()),
         surface={"contact_1": surface(3.0), "contact_2": surface(8.0)},
         parts=even(("linear", "contact_1", "contact_2")),
-    )
-
-
-def curves():
-    hz = np.linspace(0.5, 200.0, 400)
-    mass = [1 / ((1 - (hz / f) ** 2) ** 2 + (0.02 * hz / f) ** 2) for f in (53.2, 55.9, 53.3)]
-    mm = np.linspace(-8.0, 8.0, 80)
-    play = [np.exp(-((np.abs(mm) / d) ** 8)) / (2 * d) for d in (5.0, 4.6, 5.02)]
-    label = "frequency, Hz"
-    return (
-        Curve("power spectral density, barrel_6", label, "(m/s^2)^2/Hz", *tuples(hz, *mass), logarithmic=True),
-        Curve("FRF (H1), barrel_6 over force", label, "(m/s^2)/N", *tuples(hz, *np.sqrt(mass)), logarithmic=True),
-        Curve(
-            "histogram of the relative displacement of contact_1",
-            "relative displacement, mm",
-            "share of the time per mm",
-            *tuples(mm, *play),
-        ),
     )
 
 
@@ -185,11 +165,6 @@ CUBIC = cause(
     (-0.05, 0.01),
     BEFORE,
     {"hardening_spring.stiffness_n_per_m3": (2.96e10, 4.1e8, "N/m^3")},
-)
-FIGURES = (
-    SummaryStatistic("acceleration, rms of all sensors", "m/s^2", 18.42, 16.03, 18.37, 0.74),
-    SummaryStatistic("time that contact_1 is closed", "%", 31.24, 28.81, 31.02, 2.5),
-    SummaryStatistic("impacts of contact_1", "1/s", 24.61, 27.33, 24.9, 2.9),
 )
 
 
@@ -298,8 +273,6 @@ def gap(causes, nothing, unknown, before=BEFORE, after=SMALL, hidden="", **more)
         bands=bands(before.share, after.share),
         separate_by=more.pop("separate_by", ()),
         attribution=more.pop("attribution", attribution()),
-        figures=FIGURES,
-        curves=curves(),
         **more,
     )
     return Gap(**asdict(diagnosis), sentence=sentence(diagnosis))
@@ -335,8 +308,17 @@ BETWEEN = RecordDifferences(
     looked_at=70,
 )
 
+TIME_S = np.arange(180) / 1000
 PREDICTED = Rollout(
     code="not_vetoed",
+    example=PredictedMotion(
+        sensor="barrel_6",
+        unit="m/s",
+        time_s=tuples(12.4 + TIME_S)[0],
+        measured=tuples(np.sin(2 * np.pi * 18 * TIME_S))[0],
+        nominal=tuples(np.sin(2 * np.pi * (18 + 20 * TIME_S) * TIME_S))[0],
+        corrected=tuples(np.sin(2 * np.pi * (18 + TIME_S) * TIME_S))[0],
+    ),
     horizon_s=0.18,
     windows=160,
     whole=PredictionErrors(nominal=0.36, corrected=0.08, null_median=0.07, null_95=0.14, shrunk=0.99),

@@ -113,7 +113,7 @@ def fitted(record, effect=None):
     """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
     reference = nominal_variances_of(linearized(record, record.rig))
     known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
-    context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), tuple(known))
+    context = Search(reference, *fit_nuisance(record, record.rig), tuple(known))
     if effect is None:
         return context.nominal_fit().hypothesis
     asked = mode_screening(record, record.rig, [one for one in known if one.kind.name == effect])
@@ -143,7 +143,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
 def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     record = record_of(hit("displacement", (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.26**2))
     reference = nominal_variances_of(linearized(record, record.rig))
-    context = Search(reference, *fit_nuisance(record, record.rig, rounds=1), ())
+    context = Search(reference, *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
     found = fit_effects(context, (modulus,), modulus.default, context.residual).hypothesis

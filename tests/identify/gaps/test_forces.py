@@ -99,6 +99,3 @@ def test_the_effect_is_found_and_no_gain_taken_for_it(records):
     (factor,) = best.parameters.values()
     assert abs(factor.value - 1.3) < 3 * factor.standard_error
     assert factor.standard_error < 0.05
-    assert [c.name for c in found.curves if "FRF" in c.name] == [
-        f"FRF (H1), frame_0900 over {force}" for force in ("force_1", "force_2")
-    ]

@@ -42,11 +42,11 @@ def test_every_picture_is_a_png_that_shows_something(made):
 
 def test_every_section_has_pictures(made):
     gap, files, _ = made
-    sections = {"large", "why", "where", "far"} | ({"unknown"} if gap.unknown else set())
+    sections = {"large", "why", "where"} | ({"unknown"} if gap.unknown else set())
+    sections |= {"prediction"} if gap.rollout and gap.rollout.example else set()
     sections |= {"next"} if gap.next_experiments else set()
     assert {name.split("_")[0] for name in files} == sections
-    for kind, count in (("where_surface", len(gap.attribution.surface)), ("far_curve", len(gap.curves))):
-        assert sum(name.startswith(kind) for name in files) == count
+    assert sum(name.startswith("where_surface") for name in files) == len(gap.attribution.surface)
 
 
 def test_every_axis_that_counts_is_named_with_its_unit(made):
@@ -157,15 +157,14 @@ def test_the_surface_is_drawn_the_right_way_round(made):
         np.testing.assert_allclose(corners[:, 0, 1], surface.rate_m_per_s)
 
 
-def test_curves_are_those_given(made):
-    gap, _, figures = made
-    for j, curve in enumerate(gap.curves, 1):
-        figure = figures[f"far_curve_{j}"]
-        (axes,) = figure.axes
-        for line, values in zip(axes.get_lines(), (curve.measured, curve.believed, curve.corrected), strict=True):
-            np.testing.assert_array_equal(line.get_ydata(), values)
-        assert (axes.get_yscale() == "log") == curve.logarithmic
-        assert len(figure.legends[0].get_texts()) == 3
+def test_the_predictions_are_drawn_beside_the_measured_motion(gaps):
+    example = gaps["explained"].rollout.example
+    _, figures = drawn(gaps["explained"])
+    (axes,) = figures["prediction_motion"].axes
+    for line, values in zip(axes.get_lines(), (example.measured, example.nominal, example.corrected), strict=True):
+        np.testing.assert_array_equal(line.get_xdata(), example.time_s)
+        np.testing.assert_array_equal(line.get_ydata(), values)
+    assert axes.get_ylabel() == f"velocity of {example.sensor}, m/s"
 
 
 def test_any_name_can_be_drawn(gaps):
@@ -181,4 +180,4 @@ def test_what_is_missing_is_left_out(gaps):
     nothing = Attribution(
         channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
     )
-    assert not pictures(replace(gap, attribution=nothing, curves=(), bands=(), causes=()))
+    assert not pictures(replace(gap, attribution=nothing, bands=(), causes=()))

@@ -102,7 +102,7 @@ def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> 
     )
 
 
-NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, (), {}) for x in np.linspace(-9, 9, 12)))
+NULLS = NullReference("key", tuple(NullSimulation(x, 0.0, 1.0, (0.0,), 0.0, ()) for x in np.linspace(-9, 9, 12)))
 DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 

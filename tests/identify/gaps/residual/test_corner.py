@@ -54,9 +54,7 @@ def test_the_corner_is_raised_where_accelerometers_show_noise_alone():
 def test_a_softening_spring_is_found_from_accelerations():
     cubic = -2e7
     record = recorded("acceleration", f"hardening_spring:cubic_n_per_m3={cubic},relative_position=0.75,body=beam")
-    search = Search(
-        nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig, rounds=1), ()
-    )
+    search = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     spring = next(candidate for candidate in known if candidate.kind.name == "hardening_spring")
     hypothesis = fit_effects(search, (spring,), np.array([cubic / 3, 0.9]), search.residual).hypothesis

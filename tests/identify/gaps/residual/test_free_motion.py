@@ -64,7 +64,7 @@ def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_
     record = decay(tmp_path, f"{effect.split(':')[0]}:{strength}={true}", jitter=1)
     every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
     (candidate,) = [c for c in every_candidate if c.name == effect]
-    linearization, residual = fit_nuisance(record, record.rig, rounds=1)
+    linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, (candidate,))
     estimate = fit_effects(search, (candidate,), candidate.default, residual).hypothesis
     deviation = np.sqrt(estimate.covariance[0, 0])

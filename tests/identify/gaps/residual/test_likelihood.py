@@ -115,17 +115,20 @@ def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit
 
 
 def null(other_costs: float, law: float = -60.0, peak: float = 1.0) -> NullSimulation:
-    return NullSimulation(other_costs + law, law, peak, (0.0,), 0.0, (), {"rms": 1 + peak})
+    return NullSimulation(other_costs + law, law, peak, (0.0,), 0.0, ())
 
 
-def test_p_values_of_nulls_are_uniform():
+@pytest.mark.parametrize("squares", [(40.0, 5.0, 2.0), (300.0, 40.0, 5.0), (2.0, 1.0, 1.0)])
+def test_p_values_of_nulls_are_uniform(squares):
+    """Few squares of normal variables are skewed: taken for normal, p-values would be small too often."""
     rng = np.random.default_rng(3)
     values = []
-    for _ in range(400):
-        other_costs, law, peak = rng.normal(50.0, 9.0, 13), rng.normal(-60.0, 3.0, 13), rng.normal(4.0, 2.0, 13)
+    for _ in range(2000):
+        other_costs, law, peak = (rng.chisquare(count, 13) for count in squares)
         null_reference = NullReference("key", tuple(map(null, other_costs, law, peak))[:12])
         values.append(p_value(null_reference, misfit_of_costs(float(other_costs[12]), float(law[12]), float(peak[12]))))
-    assert np.mean(np.array(values) < 0.05) == pytest.approx(0.05, abs=0.03)
+    assert np.mean(np.array(values) < 0.01) < 0.015
+    assert 0.02 < np.mean(np.array(values) < 0.05) < 0.07
     assert np.mean(np.array(values) < 0.5) == pytest.approx(0.42, abs=0.08)  # 1 - (5/6)^3, of three parts
 
 
@@ -136,20 +139,11 @@ def test_a_bound_that_says_nothing_leaves_a_p_value_alone_and_a_small_one_decide
     assert with_bound(0.6, 1e-9) == pytest.approx(2e-8)
 
 
-def test_figures_of_nulls_lie_within_what_chance_makes():
-    rng, within = np.random.default_rng(4), []
-    for _ in range(400):
-        *peaks, last = rng.normal(4.0, 2.0, 13)
-        reach = NullReference("key", tuple(null(50.0, peak=peak) for peak in peaks)).half_width_95("rms")
-        within.append(abs(last - np.mean(peaks)) < reach)
-    assert np.mean(within) == pytest.approx(0.95, abs=0.03)
-
-
 def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
     rng = np.random.default_rng(5)
     null_reference = NullReference("key", tuple(null(r) for r in rng.normal(50.0, 90.0, 12)))
-    assert p_value(null_reference, misfit_of_costs(50.0, 0.0)) < 1e-4
-    assert p_value(null_reference, misfit_of_costs(50.0, -60.0, 20.0)) < 1e-4
+    assert p_value(null_reference, misfit_of_costs(50.0, 0.0)) < 1e-3
+    assert p_value(null_reference, misfit_of_costs(50.0, -60.0, 20.0)) < 1e-2
     assert p_value(null_reference, misfit_of_costs(50.0, -60.0)) > 0.4
 
 

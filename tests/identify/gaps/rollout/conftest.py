@@ -36,7 +36,7 @@ class Case:
         rig = BELIEVED
         for effect in effects:
             rig = effect_named(effect).applied_to(rig)
-        return fit_nuisance(record_of(self.recording), rig, rounds=1)[1]
+        return fit_nuisance(record_of(self.recording), rig)[1]
 
 
 def machine(seed):
