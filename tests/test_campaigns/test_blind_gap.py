@@ -66,6 +66,11 @@ def run_here(function, parameters, _result_type, folder, _dask=None):
     return [function(p) for p in parameters]
 
 
+def forced_record(*_, **__):
+    """What the tool asks of a record; the recordings here are too short for a true one."""
+    return SimpleNamespace(counted=Counted(1, 1.5), forced=True)
+
+
 @pytest.fixture
 def tool(monkeypatch):
     """Puts other functions in the place of those of the tool under test."""
@@ -88,7 +93,7 @@ def quick(tool):
     tool(
         run_tasks=run_here,
         gap_of=diagnosed,
-        record_of=lambda *_, **__: SimpleNamespace(counted=Counted(1, 1.5)),
+        record_of=forced_record,
         null_reference_made=lambda task: NullReferenceMade(task.key, 30.0, 400.0),
     )
     return calls
@@ -173,7 +178,7 @@ def to_make(cases, folder, which=1):
 
 def test_a_null_reference_that_is_there_costs_nothing(cases, tool, tmp_path):
     asked = []
-    tool(null_reference_of=lambda *_, path, predict: asked.append((path, predict)))
+    tool(null_reference_of=lambda *_, path, predict: asked.append((path, predict)), record_of=forced_record)
     assert null_reference_made(to_make(cases, tmp_path)).cpu_s > 0
     (tmp_path / "0123456789abcdef.json").touch()
     assert null_reference_made(to_make(cases, tmp_path)).cpu_s == 0
@@ -183,7 +188,7 @@ def test_a_null_reference_that_is_there_costs_nothing(cases, tool, tmp_path):
 @pytest.mark.parametrize("which", [0, 1])
 def test_each_record_has_a_null_reference_of_its_own(cases, tool, tmp_path, which):
     asked = []
-    tool(null_reference_of=lambda record, *_, **__: asked.append(record.forces_n))
+    tool(null_reference_of=lambda record, *_, **__: asked.append(record.forces_n), record_of=forced_record)
     null_reference_made(to_make(cases, tmp_path, which))
     name = ("case_000", "case_000_validate")[which]
     np.testing.assert_array_equal(asked[0], read_recording(cases / "recordings" / f"{name}.mcap").forces_n)

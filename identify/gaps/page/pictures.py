@@ -8,7 +8,7 @@ import numpy as np
 
 from identify.gaps.page.unknown_pictures import drawings
 from identify.gaps.results import SAME_EXPERIMENT, Attribution, Gap, ResidualMap, Share
-from identify.gaps.rollout.results import PredictedMotion
+from identify.gaps.rollout.results import PredictionExample
 from identify.gaps.wording import cause_name, is_effective, probability, remaining_probabilities, removed_share_words
 from identify.pages.style import BLUE, GREEN, GREY, INK, RED, Picture, picture
 from identify.pages.wording import percent
@@ -120,7 +120,7 @@ def _experiments(figure: Any, gap: Gap) -> None:
     figure.suptitle(f"Which further recording tells {' from '.join(gap.next_between)}", fontsize=10)
 
 
-def _motion(figure: Any, example: PredictedMotion) -> None:
+def _motion(figure: Any, example: PredictionExample) -> None:
     """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
     for values, colour, width, style, label in (

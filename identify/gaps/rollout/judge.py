@@ -19,7 +19,7 @@ from scipy.stats import t as student
 
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictedMotion, PredictionErrors, Rollout
+from identify.gaps.rollout.results import Code, DecayMode, NullErrors, PredictionErrors, PredictionExample, Rollout
 from identify.gaps.rollout.states import MeasuredMotion, measured_motion
 from identify.gaps.rollout.windows import (
     Windows,
@@ -110,7 +110,7 @@ def _example(
     predict: Predict,
     starts: Int[np.ndarray, " windows"],
     errors: Windows,
-) -> PredictedMotion:
+) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
     rms = rms_by_window(errors)
     window = int(np.argsort(rms)[rms.size // 2])
@@ -120,7 +120,7 @@ def _example(
     shown = slice(-min(samples, SHOWN_SAMPLES), None)
     time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
     measured, *predicted = (row[0, sensor, shown] for row in (rows[0][0], rows[0][1], rows[1][1]))
-    return PredictedMotion(
+    return PredictionExample(
         sensor=nominal.names[sensor],
         unit=("m", "m/s")[min(nominal.orders[sensor], 1)],
         time_s=tuple(time_s[shown].tolist()),

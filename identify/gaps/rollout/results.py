@@ -41,7 +41,7 @@ class DecayMode(msgspec.Struct, frozen=True, kw_only=True):
     corrected: tuple[float, float] | None
 
 
-class PredictedMotion(msgspec.Struct, frozen=True, kw_only=True):
+class PredictionExample(msgspec.Struct, frozen=True, kw_only=True):
     """Measured and predicted motion of a sensor in the window of median error, in `unit`; times are of the record."""
 
     sensor: str
@@ -74,7 +74,7 @@ class Rollout(msgspec.Struct, frozen=True, kw_only=True):
     falls_short: bool = False
     by_sensor: dict[str, PredictionErrors] = {}
     decay: tuple[DecayMode, ...] = ()
-    example: PredictedMotion | None = None
+    example: PredictionExample | None = None
 
     @property
     def vetoed(self) -> bool:

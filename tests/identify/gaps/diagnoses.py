@@ -24,7 +24,7 @@ from identify.gaps.results import (
     UnexplainedShares,
     labels_of,
 )
-from identify.gaps.rollout.results import PredictedMotion, PredictionErrors, Rollout
+from identify.gaps.rollout.results import PredictionErrors, PredictionExample, Rollout
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce, Value
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -311,7 +311,7 @@ BETWEEN = RecordDifferences(
 TIME_S = np.arange(180) / 1000
 PREDICTED = Rollout(
     code="not_vetoed",
-    example=PredictedMotion(
+    example=PredictionExample(
         sensor="barrel_6",
         unit="m/s",
         time_s=tuples(12.4 + TIME_S)[0],
