@@ -19,7 +19,7 @@ from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import joined, joined_contacts
 from identify.signals.kinematics import Use, kinematics
 from rig.errors import RigError
-from rig.model.description import Sensor
+from rig.model.description import Rig, Sensor, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -146,7 +146,10 @@ def _channel_findings(
 
 @dataclass(frozen=True)
 class _Channel:
-    """Samples of one channel in a group (a quantity or "force"), with the forces of the record."""
+    """Samples of one channel in a group (a quantity or "force"), with the forces of the record.
+
+    hit_with are the sensors that an impact in this channel reaches, too.
+    """
 
     group: str
     name: str
@@ -154,6 +157,7 @@ class _Channel:
     rate_hz: float
     forces_n: Rows
     force_names: tuple[str, ...]
+    hit_with: frozenset[str]
 
     @property
     def is_force(self) -> bool:
@@ -185,7 +189,19 @@ def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
             if name in used:
-                yield _Channel(group, name, samples, rig.sample_rate_hz, recording.forces_n, recording.force_names)
+                forces_n, force_names = recording.forces_n, recording.force_names
+                yield _Channel(group, name, samples, rig.sample_rate_hz, forces_n, force_names, _hit_with(rig, name))
+
+
+def _hit_with(rig: Rig, name: str) -> frozenset[str]:
+    """Other sensors on the body of a sensor, and on the bodies that it meets at stops; of a force, all sensors."""
+    sensor = next((s for s in rig.sensors if s.name == name), None)
+    bodies = {body.name for body in rig.bodies} if sensor is None else {sensor.station.body}
+    for contact in rig.contacts:
+        ends = {station.body for station in contact_stations(contact)}
+        if sensor is not None and sensor.station.body in ends and contact.law.has_stops:
+            bodies |= ends
+    return frozenset(s.name for s in rig.sensors if s.station.body in bodies and s.name != name)
 
 
 def _first_fault(channel: _Channel) -> Finding | None:
@@ -215,9 +231,7 @@ def _spike_findings(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[
     deviations = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
         if channel.name not in faulty:
-            other_deviations = [
-                deviation for name, deviation in deviations.items() if name not in (channel.name, *channel.force_names)
-            ]
+            other_deviations = [deviation for name, deviation in deviations.items() if name in channel.hit_with]
             finding = waveforms.spikes(channel.name, deviations[channel.name], other_deviations)
             if finding is not None:
                 yield finding

@@ -155,12 +155,15 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
 
 
 def _open(rig: Rig, motion: Kinematics, factor: int, quantile: float) -> Bool[np.ndarray, " fewer"]:
-    """Mask of the samples at which every contact of the force's body is in the middle of its clearance."""
+    """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
+    spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
     for pair in joined_contacts(rig):
         contact = pair.contact
         if rig.forces[0].body not in (contact.at.body, contact.against.body if contact.against else None):
             continue
+        if not all(rig.contacts[j].law.has_stops for j in pair.members):
+            return np.zeros_like(is_open)
         sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in sides:
             continue

@@ -122,6 +122,8 @@ def _place_outcomes(
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
+    if len(names) == 1 and not nominal[0, :2].any():
+        return _spring_outcome(names[0], nominal, record)
     sides = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
         (estimate,) = fit_joint(record, nominal, _present_sides(nominal[0], record, sides)[None], forms)
@@ -134,6 +136,18 @@ def _place_outcomes(
         reach_m(record), np.where(nearest < ABSENT_STOP_M, nearest, 0.0)
     )  # the nearest is always touched
     return _outcomes_in_reach(names, nominal, record, sides, reach)
+
+
+def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
+    """Outcome of a spring: a contact whose clearances in rig.json are zero.
+
+    Raises ContactRefusedError if it stands still, or if its stiffness is uncertain.
+    """
+    if not np.ptp(record.eta_m):
+        raise refused(RefusalCode.STANDS_STILL)
+    (estimate,) = fit_joint(record, nominal, np.zeros((1, 2), dtype=bool))
+    _check_certain(estimate)
+    return Outcomes({name: estimate}, {})
 
 
 def _present_sides(
@@ -232,10 +246,9 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLa
 def _check_certain(estimate: JointEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
     without_misfit = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
-    for quantity, value, standard_error in (
-        ("clearance", estimate.clearance_m, without_misfit.clearance_error_m),
-        ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS)),
-    ):
+    stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS))
+    clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
+    for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
         if not standard_error < UNCERTAIN_SHARE * value:
             percent = min(100 * standard_error / max(value, 1e-12), 100)
             raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=percent)

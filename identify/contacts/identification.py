@@ -198,7 +198,10 @@ def contact_report(
 
 
 def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> float | None:
-    """Share of the samples beyond the touched stops; None if it depends too much on the 95 % intervals of these."""
+    """Share of the samples beyond the touched stops; None if it depends too much on the 95 % intervals of these,
+    and of a spring."""
+    if estimate.is_spring:
+        return None
     lower, upper = estimate.touched
     (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
 

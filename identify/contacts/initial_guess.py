@@ -104,7 +104,7 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
 
 def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> list[Guess]:
-    """Initial guesses, each with and without the drift of its regression.
+    """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares.
 
     For several contacts, the guesses of least misfit among the nominal clearances and the regressions, for some forces
     F_m at the knees, over the closed samples, on
@@ -112,6 +112,8 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
     sides = np.any(touched, axis=0)
+    if not sides.any():
+        return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots))[1]]
     law, knots = regressed_guess(record, curve, (bool(sides[0]), bool(sides[1])))
     candidates = [(law, knots)]
     if len(nominal) > 1:

@@ -11,8 +11,18 @@ from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, Touched, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import chosen_form, dead_zone_fit, misfit_covariance, tie_of
-from identify.contacts.law_form import DEAD_ZONE, LAW, STIFFNESS, FormName, LawForm, LawParameters, NominalLaws, Signal
+from identify.contacts.law_fit import chosen_form, first_fit, misfit_covariance, tie_of
+from identify.contacts.law_form import (
+    DEAD_ZONE,
+    LAW,
+    SPRING,
+    STIFFNESS,
+    FormName,
+    LawForm,
+    LawParameters,
+    NominalLaws,
+    Signal,
+)
 from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
@@ -78,6 +88,11 @@ class JointEstimate:
         return _clearance(self.touched)
 
     @property
+    def is_spring(self) -> bool:
+        """True of a spring without stops: neither side is fitted, both clearances are zero."""
+        return not any(self.touched)
+
+    @property
     def clearance_m(self) -> float:
         return float(self.clearance @ self.values)
 
@@ -121,7 +136,7 @@ class JointEstimate:
 
 
 def _clearance(touched: tuple[bool, bool]) -> LawParameters:
-    lower, upper = np.array(touched) / sum(touched)
+    lower, upper = np.array(touched) / max(sum(touched), 1)
     return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
 
 
@@ -139,7 +154,8 @@ def fit_joint(
                    - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
 
     The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
-    relative displacement is unknown, lower = upper = half the total play. g and h keep gains from being fitted to the
+    relative displacement is unknown, lower = upper = half the total play. A contact of which neither side is touched is
+    a spring: its clearances stay zero. g and h keep gains from being fitted to the
     noise, which shrinks with the signals. The fit starts from `guesses`. For a single contact the form of the law is
     then chosen among the dead zone and `forms`.
 
@@ -153,12 +169,13 @@ def fit_joint(
     curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
     tie, start_pulls = tie_of(touched, record.sides_known), initial_pulls(record)
     candidates = guesses(without_nuisances(record, start_pulls), curve, nominal, touched)
-    fit = dead_zone_fit(record, curve, tie, candidates, start_pulls)
+    fit = first_fit(record, curve, tie, candidates, start_pulls, DEAD_ZONE if touched.any() else SPRING)
     if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
     _check_bridged(record, fit.state)
     is_single = len(touched) == 1
-    fit = chosen_form(fit, forms if is_single else ())
+    forms = forms if is_single and touched.any() else ()
+    fit = chosen_form(fit, forms)
     state = fit.state
     derivatives, equations, to_law = fit.linearized
     pull_count, free = state.pulls.size, to_law.shape[1]
@@ -175,7 +192,7 @@ def fit_joint(
         curve.curvature @ by_knots,
     )
     of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
-    of_misfit = misfit_covariance(fit, derivatives, part_starts) if forms and is_single else np.zeros_like(of_scatter)
+    of_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else np.zeros_like(of_scatter)
     covariance = of_scatter + of_tolerances + of_drift + of_misfit
     drift_m, drift_m_per_s = drift_signals(record, curve, state.knots, state.pulls)
     if not is_single:

@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from scipy.stats import f
 
 from identify.contacts.contact_record import ContactRecord, Touched
-from identify.contacts.law_form import DEAD_ZONE, FormName, LawForm
+from identify.contacts.law_form import FormName, LawForm
 from identify.contacts.linearization import (
     BorderedEquations,
     Guess,
@@ -89,24 +89,29 @@ class LawFit:
 
 
 def tie_of(touched: Touched, sides_known: bool) -> Float[np.ndarray, "laws free"]:
-    """Matrix from the free parameters to the laws: stops that are not touched have none. Where the zero of the relative
-    displacement is unknown, it is the middle of the first contact's play."""
+    """Matrix from the free parameters to the laws: stops that are not touched have none, nor has a spring. Where the
+    zero of the relative displacement is unknown, it is the middle of the first contact's play."""
     free = np.column_stack([touched, np.ones_like(touched)]).ravel()
     tie = np.eye(free.size)[:, free]
-    return tie if sides_known else np.column_stack([tie[:, 0] + tie[:, 1], tie[:, 2:]])
+    return tie if sides_known or not touched[0].any() else np.column_stack([tie[:, 0] + tie[:, 1], tie[:, 2:]])
 
 
-def dead_zone_fit(
-    record: ContactRecord, curve: Spline, tie: Float[np.ndarray, "laws free"], guesses: list[Guess], pulls: Pulls
+def first_fit(
+    record: ContactRecord,
+    curve: Spline,
+    tie: Float[np.ndarray, "laws free"],
+    guesses: list[Guess],
+    pulls: Pulls,
+    form: LawForm,
 ) -> LawFit:
-    """Fit of a dead zone: the best of the minima from each guess, with settled weights.
+    """Fit of a dead zone or a spring: the best of the minima from each guess, with settled weights.
 
     Raises ContactRefusedError if no guess leads to a minimum.
     """
     rough_n = 0.02 * float(np.std(record.force_n))
     states, refusal = list[State](), refused(RefusalCode.NO_LAW)
     for law, knots in guesses:
-        start = state_at(record, curve, DEAD_ZONE, law, knots, pulls)
+        start = state_at(record, curve, form, law, knots, pulls)
         try:
             states.append(_minimum(record, curve, start, tie, weights_of(record, start, rough_n)))
         except ContactRefusedError as error:

@@ -5,7 +5,8 @@ stop and its reference depth d,
 
     f = k depth |depth / d|^(p - 1) + c rate min(1, |depth| / 10 um)
 
-where p = 1 except for a power law; a stop that cannot pull has f = 0 where f depth < 0.
+where p = 1 except for a power law; a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and
+its damping acts always, f = k eta + c rate.
 """
 
 from dataclasses import dataclass
@@ -41,7 +42,7 @@ LawParameters = Float[np.ndarray, " laws"]
 NominalLaws = Float[np.ndarray, "contacts 4"]
 """Values of the parameters of `LAW` in rig.json."""
 
-FormName = Literal["dead zone", "power law", "cannot pull"]
+FormName = Literal["dead zone", "power law", "cannot pull", "spring"]
 EXPONENTS = (1.0, 3.0)
 """Range of the exponent of a `DeadZone`."""
 
@@ -134,6 +135,8 @@ class LawForm:
         depth, by_eta = spring.penetration_m(eta_m), spring.by_eta_n_per_m(eta_m)
         shape, drag = spring.force_n(eta_m), damper.force_n(eta_m, rate_m_per_s)
         closed = depth != 0
+        if self.name == "spring":
+            drag, closed = rate_m_per_s, np.ones_like(closed)
         if self.name == "cannot pull":
             closed = (stiffness * shape + damping * drag) * depth > 0
         return _Contribution(depth, shape, drag, stiffness, damping, stiffness * by_eta * closed, closed)
@@ -157,7 +160,7 @@ class _Contribution:
         return np.asarray(force * self.closed)
 
 
-DEAD_ZONE = LawForm()
+DEAD_ZONE, SPRING = LawForm(), LawForm("spring")
 
 
 def by_stiffness_and_damping(

@@ -118,7 +118,7 @@ def _drawing(result: Identification) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
     lines: dict[str, tuple[str, ...]] = {
         contact.name: (
-            _interval(contact.clearance_m, "mm", 1e3),
+            *([] if contact.is_spring else [_interval(contact.clearance_m, "mm", 1e3)]),
             _interval(contact.stiffness_n_per_m, "N/m"),
         )
         for contact in result.report.contacts
@@ -145,8 +145,10 @@ def _sentence(result: Identification) -> str:
     if not contacts:
         return "This record tells nothing of the contacts; below stands why, and what to do."
     return "; ".join(
-        f"{c.name}: clearance {_interval(c.clearance_m, 'mm', 1e3)}, stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
-        + (f" ({c.law})" if c.law_sentence else "")
+        f"{c.name}: "
+        + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
+        + f"stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
+        + (f" ({c.law})" if c.law_sentence or c.is_spring else "")
         for c in contacts
     )
 
@@ -172,6 +174,7 @@ def _values(result: Identification, laws: Laws, laws_name: str) -> str:
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
+    first = "stiffness" if contact.is_spring else "clearance"
     for name, estimate, reference_value, unit, scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
@@ -179,11 +182,11 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("stiffness", contact.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
         ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
     ):
-        if estimate is not None:
+        if estimate is not None and not (contact.is_spring and name == "clearance"):
             is_comparable = reference_value and np.isfinite(reference_value)
             difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if is_comparable else ""
             yield (
-                contact.name if name == "clearance" else "",
+                contact.name if name == first else "",
                 f"{name}, {unit}",
                 _interval(estimate, "1", scale),
                 number(scale * reference_value) if np.isfinite(reference_value) else "no stop",

@@ -29,7 +29,7 @@ class Estimate(msgspec.Struct, frozen=True, omit_defaults=True):
 
 class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     """Estimates of a contact. clearance_m is half the total play, or the clearance of the only touched stop; the two
-    sides are given where the zero of eta is known.
+    sides are given where the zero of eta is known. A spring has none: zero.
 
     law is the form that the record supports. A power law k depth |depth / d|^(p - 1) also has its exponent p and its
     reference depth d, and its stiffness k is the force over the depth at d.
@@ -46,6 +46,11 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     law: FormName = "dead zone"
     exponent: Estimate | None = None
     reference_depth_m: float | None = None
+
+    @property
+    def is_spring(self) -> bool:
+        """True of a spring without stops, whose clearance is zero by its description."""
+        return self.law == "spring"
 
     @property
     def law_sentence(self) -> str:

@@ -180,14 +180,20 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
 
 
 def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
-    """Fork with two stops around the upper body, from the lower body or the ground, and its lines of text."""
+    """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground, and its lines
+    of text."""
     x, upper = layout.contact_x(contact), layout.upper_body(contact)
     top, bottom = layout.tops[upper.name], layout.bottom(upper)
     carriers = [s.body for s in contact_stations(contact) if s.body != upper.name]
     foot = layout.tops[carriers[0]] if carriers else bottom + ROOM + LINE * (text.first_line + len(text.lines) - 2)
     kind = "found" if len(text.lines) > 1 else "fork"
-    yield _path(kind, f"M{x - REACH:g},{top - JAW:g}h{2 * REACH:g}V{foot:g}")
-    yield _path(kind, f"M{x - REACH:g},{bottom + JAW:g}h{2 * REACH:g}")
+    if contact.law.has_stops:
+        yield _path(kind, f"M{x - REACH:g},{top - JAW:g}h{2 * REACH:g}V{foot:g}")
+        yield _path(kind, f"M{x - REACH:g},{bottom + JAW:g}h{2 * REACH:g}")
+    else:
+        step = (foot - bottom) / 8
+        turns = f"l-8,{step / 2:g}" + f"l16,{step:g}l-16,{step:g}" * 2 + f"l16,{step:g}l-8,{step / 2:g}"
+        yield _path(kind, f"M{x + REACH:g},{bottom:g}v{step:g}{turns}V{foot:g}")
     if not carriers:
         yield _path("ink", f"M{x + REACH - 20:g},{foot:g}h40")
         yield _path("thin", "".join(f"M{x + REACH - 16 + 8 * k:g},{foot:g}l-6,8" for k in range(5)))

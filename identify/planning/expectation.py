@@ -227,7 +227,7 @@ def _expected_quantity(draws: Sequence[ErrorParts]) -> ExpectedQuantity:
     middle = sorted(draws, key=lambda parts: parts.stated_error)[len(draws) // 2]
     return ExpectedQuantity(
         value=draws[0].value,
-        standard_error=float(np.exp(np.median(logarithms))),
+        standard_error=float(np.exp(np.median(logarithms))) if middle.stated_error else 0.0,
         spread_factor=float(np.exp(np.std(logarithms, ddof=1))) if len(draws) > 1 else 1.0,
         limited_by=middle.source,
     )

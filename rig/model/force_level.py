@@ -35,8 +35,9 @@ def rattling(rig: Rig, low_hz: float, high_hz: float) -> Level:
     """Force (N rms, flat from low to high) that would move the least moved contact, without stops, by 4 clearances rms.
 
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
-    eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w). Rounded to one significant digit; 1 N if no contact has a
-    clearance in reach or none responds to the force. The clearance of a contact is the mean over its stops in reach.
+    eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w), with the springs between bodies. Rounded to one significant
+    digit; 1 N if no contact has a clearance in reach or none responds to the force. The clearance of a contact is the
+    mean over its stops in reach.
     """
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINES)
     squares = np.sum([_squares_by(rig, station, omega) for station in rig.forces], axis=0)
@@ -63,17 +64,30 @@ def reachable_clearance_m(law: ContactLaw) -> float:
 
 
 def _squares_by(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
-    """Mean square receptance over the lines from a force at a station to every relative displacement, m^2/N^2."""
-    driven_body = rig.body(force_at.body)
-    modes, count = modes_of(rig, driven_body), mode_count(driven_body, MODES)
-    natural = 2 * np.pi * modes.frequencies_hz(count)[:, None]
-    ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)[:, None]
+    """Mean square receptance over the lines from a force at a station to every relative displacement, m^2/N^2.
 
-    def shape(station: Station | None) -> np.ndarray:
-        if station is None or station.body != driven_body.name:
-            return np.zeros(count)
-        return modes.shapes(np.array([station.position_m]), count)[0]
-
-    receptances = shape(force_at)[:, None] / (natural**2 - omega**2 + 2j * ratios * natural * omega)
-    contact_shapes = (shape(contact.at) - shape(contact.against) for contact in rig.contacts)
-    return np.array([np.mean(np.abs(row @ receptances) ** 2) for row in contact_shapes])
+    With G the receptances of the bodies without contacts, to the relative displacements eta from a force F and from the
+    forces D eta of the springs, D = k + i w c, the springs hold eta = (1 + G D)^-1 G_F F.
+    """
+    places = [(force_at, None), *((contact.at, contact.against) for contact in rig.contacts)]
+    receptances = np.zeros((len(places), len(places), omega.size), dtype=complex)
+    for body in rig.bodies:
+        modes, count = modes_of(rig, body), mode_count(body, MODES)
+        natural = 2 * np.pi * modes.frequencies_hz(count)[:, None]
+        ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)[:, None]
+        shapes = np.zeros((len(places), count))
+        for i, place in enumerate(places):
+            for sign, station in zip((1, -1), place, strict=True):
+                if station is not None and station.body == body.name:
+                    shapes[i] += sign * modes.shapes(np.array([station.position_m]), count)[0]
+        modal = 1 / (natural**2 - omega**2 + 2j * ratios * natural * omega)
+        receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal)
+    springs = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
+    by_force, by_springs = receptances[1:, 0], receptances[1:][:, springs]
+    if springs:
+        laws = [rig.contacts[j - 1].law for j in springs]
+        dynamic = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
+        feedback = by_springs[[j - 1 for j in springs]] * dynamic
+        held = np.linalg.solve(np.eye(len(springs)) + feedback.transpose(2, 0, 1), receptances[springs, 0].T[..., None])
+        by_force = by_force - np.einsum("csl,sl,ls->cl", by_springs, dynamic, held[..., 0])
+    return np.asarray(np.mean(np.abs(by_force) ** 2, axis=1))

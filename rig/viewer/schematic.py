@@ -5,12 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.model.contact_laws import walls_m
-from rig.model.description import Body, Contact, Rig, Station
+from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
-LENGTH_PX, LEVEL_PX, HALF_PX, GAP_PX, REACH_PX = 800.0, 300.0, 7.0, 12.0, 62.0
+LENGTH_PX, LEVEL_PX, HALF_PX, GAP_PX, REACH_PX, STRUT_PX = 800.0, 300.0, 7.0, 12.0, 62.0, 70.0
 TITLE_PX = -180.0
 SLOT_PX, MASS_HALF_PX = 95.0, 34.0
 LETTERS = {"acceleration": "a", "velocity": "v", "displacement": "x", "strain": "\u03b5"}
@@ -135,9 +135,12 @@ def _ruler(drawing: Drawing, plan: _Plan, body: Body) -> None:
 
 
 def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
-    """Draw the two stops of a contact and their carrier: another body, or the ground."""
+    """Draw the two stops of a contact and their carrier, another body or the ground; or a spring between them."""
     x, name = plan.x(contact.at, contact), contact.at.body
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
+    if not contact.law.has_stops:
+        _strut(drawing, plan, contact)
+        return
     sides = contact.law.sides or (-1, 1)
     for y, side in ((upper, 1), (lower, -1)):
         if side not in sides:
@@ -158,15 +161,31 @@ def _jaws(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
         )
 
 
+def _strut(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
+    """Draw a spring from a body to the one above or below it, or to the ground below."""
+    x, name, against = plan.x(contact.at, contact), contact.at.body, contact.against
+    if against is None:
+        drawing.spring(x, plan.bottom(name), plan.bottom(name) + STRUT_PX)
+        drawing.ground(x, plan.bottom(name) + STRUT_PX)
+        return
+    lower, higher = sorted((name, against.body), key=lambda body: -plan.levels[body])
+    far_x = plan.x(against, contact)
+    drawing.spring(x, plan.bottom(higher), plan.top(lower))
+    end_y = plan.top(lower) if lower == against.body else plan.bottom(higher)
+    drawing.line((x, end_y), (far_x, end_y), colour=BELIEVED_INK)
+
+
 def _clearances(drawing: Drawing, plan: _Plan, contact: Contact) -> None:
     x, name, law = plan.x(contact.at, contact), contact.at.body, contact.law
     upper, lower = plan.top(name) - GAP_PX, plan.bottom(name) + GAP_PX
-    for wall_m, side in walls_m(law):
+    for wall_m, side in walls_m(law) if law.has_stops else ():
         sign, y = ("+", upper) if side > 0 else ("\u2212", lower)
         drawing.text(x + 20, y + 4, f"{sign}{1e3 * abs(wall_m):g} mm", BELIEVED_INK, size=11)
-    y = lower + 22
+    bodies = [station.body for station in contact_stations(contact)]
+    below = name if law.has_stops else min(bodies, key=lambda body: plan.levels[body])
+    text_x, y = x + (8 if law.has_stops else 14), plan.bottom(below) + GAP_PX + 22
     for words in (contact.name, f"{law.stiffness_n_per_m:g} N/m", *_contact_notes(contact)):
-        drawing.text(x + 8, y, words, BELIEVED_INK, size=11)
+        drawing.text(text_x, y, words, BELIEVED_INK, size=11)
         y += 14
 
 

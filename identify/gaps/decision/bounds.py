@@ -24,7 +24,6 @@ from identify.gaps.residual.likelihood import Misfit
 from identify.gaps.results import Matters
 from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, pooled_estimate
 from identify.pages.wording import COVERED
-from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Rig
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
@@ -104,7 +103,7 @@ def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tol
         estimates = [
             estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact == contact.name
         ]
-        if estimates and isinstance(contact.law, DeadZone):
+        if estimates and contact.law.straight:
             estimate = pooled_estimate(estimates)
             bounds += _parameter_bounds(contact, estimate, tolerances)
             p_values.append(_p_value(contact, estimate, tolerances))
@@ -121,8 +120,9 @@ def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tol
 
 def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
     """Parameters of a contact that no record determines, without a bound, and the reason."""
-    names = f"clearance, stiffness and damping of {contact.name}"
-    if not isinstance(contact.law, DeadZone):
+    clearance = "clearance, " if contact.law.has_stops else ""
+    names = f"{clearance}stiffness and damping of {contact.name}"
+    if not contact.law.straight:
         return Bounded(names, "", None, None, 0.0, "its law is no dead zone")
     reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
     return Bounded(names, "", None, None, 0.0, reason, remedy)
@@ -143,7 +143,8 @@ class LawDistance:
 
 def law_distance(estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
     distance = np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
-    stated = np.diag(np.square(stated_deviations(nominal, tolerances)[: distance.size]))
+    deviations = np.array(stated_deviations(nominal, tolerances))[_rows(nominal)]
+    stated = np.diag(np.square(deviations[: distance.size]))
     return LawDistance(distance, estimate.covariance + stated)
 
 
@@ -156,13 +157,20 @@ def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Toler
     distances = np.abs(law_distance(estimate, contact, contact, tolerances).distance)
     half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
-    rows = zip(names, units, distances, half_widths, stated_deviations(contact, tolerances), strict=False)
+    deviations = stated_deviations(contact, tolerances)
+    of_rows = [(names[k], units[k], deviations[k]) for k in _rows(contact)]
+    rows = zip(of_rows, distances, half_widths, strict=False)
     return [
         Bounded(
             f"{name} of {contact.name}", unit, float(value), float(value + half_width), PARAMETER_DEVIATIONS * deviation
         )
-        for name, unit, value, half_width, deviation in rows
+        for (name, unit, deviation), value, half_width in rows
     ]
+
+
+def _rows(contact: Contact) -> list[int]:
+    """Those of clearance, stiffness, damping and offset that a contact has: a spring has stiffness and damping."""
+    return [0, 1, 2, 3] if contact.law.has_stops else [1, 2]
 
 
 def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, float, float, float]:

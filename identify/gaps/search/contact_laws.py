@@ -29,7 +29,7 @@ from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
 from rig.errors import RigError
-from rig.model.contact_laws import ContactLaw, DeadZone
+from rig.model.contact_laws import ContactLaw
 from rig.model.description import ForceSensor, Rig
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -107,7 +107,7 @@ def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
 
 
 def _estimate(contact: str, fit: JointEstimate) -> LawEstimate:
-    rows = [fit.clearance, STIFFNESS, DAMPING]
+    rows = [STIFFNESS, DAMPING] if fit.is_spring else [fit.clearance, STIFFNESS, DAMPING]
     if fit.sides_known and all(fit.touched):
         rows.append(OFFSET)
     quantities = np.array(rows)
@@ -180,8 +180,8 @@ def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Fl
 
 
 def numbers_alone_differ(law: ContactLaw, nominal: ContactLaw) -> bool:
-    """True if both laws are dead zones that differ at most in clearances, stiffness and damping."""
-    if not (isinstance(law, DeadZone) and isinstance(nominal, DeadZone)):
+    """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
+    if type(law) is not type(nominal) or not law.straight:
         return False
     return msgspec.structs.replace(law, **{name: getattr(nominal, name) for name in LAW.names}) == nominal
 

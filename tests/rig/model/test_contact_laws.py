@@ -13,6 +13,7 @@ from rig.model.contact_laws import LAWS, DeadZone, walls_m
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
+from rig.model.contact_laws.spring import Spring
 from rig.simulation.plants.compiled_laws import force_n, law_records
 
 clearances = st.floats(0, 0.1)
@@ -87,7 +88,7 @@ def test_a_bad_value_is_named(field, value):
         DeadZone(**good | {field: value})
 
 
-@pytest.mark.parametrize("kind", LAWS.values())
+@pytest.mark.parametrize("kind", [kind for kind in LAWS.values() if kind.has_stops])
 @given(displacements, rates, clearances, st.booleans())
 def test_a_stop_that_is_not_there_gives_no_force_and_the_other_one_its_own(kind, eta, rate, clearance, is_lower):
     near, lacking = ("lower_clearance_m", "upper_clearance_m")[:: 1 if is_lower else -1]
@@ -121,7 +122,8 @@ EXAMPLES = (
         reference_depth_m=5e-4,
     ),
     HuntCrossley(**STOPS, wear_m_per_s=1e-5, reference_depth_m=5e-4),
-    *(kind(**STOPS) for kind in LAWS.values()),  # a law's own numbers have defaults
+    *(kind(**STOPS) for kind in LAWS.values() if kind.has_stops),  # a law's own numbers have defaults
+    Spring(stiffness_n_per_m=1e4, damping_n_s_per_m=5.0),
 )
 
 
@@ -160,3 +162,9 @@ def test_the_reference_depth_is_where_stiffness_and_damping_are_those_given():
     for law in (DeadZone(**STOPS, exponent=2.0, reference_depth_m=5e-4), HuntCrossley(**STOPS, reference_depth_m=5e-4)):
         np.testing.assert_allclose(law.force_n(np.array([-1.5e-3, 2.5e-3])), [-1e4 * 5e-4, 1e4 * 5e-4])
     assert HuntCrossley(**STOPS, reference_depth_m=5e-4).force_n(2.5e-3, 0.1) == pytest.approx(1e4 * 5e-4 + 5.0 * 0.1)
+
+
+def test_a_spring_has_no_clearance_and_does_not_wear():
+    for field, value in (("lower_clearance_m", 1e-3), ("upper_clearance_m", np.inf), ("wear_m_per_s", 1e-6)):
+        with pytest.raises(RigError, match=f"{field} of a spring is {value}; leave it out, or give the type dead_zone"):
+            Spring(stiffness_n_per_m=1e4, **{field: value})
