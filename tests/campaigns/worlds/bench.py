@@ -216,8 +216,8 @@ BENCHES: dict[str, BenchKind] = {
             "gaussian",
             4096.0,
             (0.5, 200.0),
-            (*HELD_BODIES, *FORCED, *BEAMS),
-            ("mass_moved", "quadratic_drag", "support_moved"),
+            (*HELD_BODIES, *FORCED, *BEAMS, "support_position"),
+            ("mass_moved", "quadratic_drag"),
         ),
         BenchKind(
             "cantilever_hit",

@@ -12,13 +12,16 @@ from rig.model.description import from_json, to_json
 from rig.simulation.reference import BarrelCradle, Sdof
 
 NAMES = sorted(effects())
-NOT_FOR_ONE_MASS = {"clamp_compliance", "contact_position", "youngs_modulus"}
+REFUSED = {
+    "barrel_cradle": {"support_position"},
+    "sdof": {"clamp_compliance", "contact_position", "support_position", "youngs_modulus"},
+}
 RIGS = {"barrel_cradle": BarrelCradle().rig(), "sdof": Sdof().rig()}
 WANTED = {
     "contact": "contact_clearance contact_stiffness contact_damping coulomb_friction nonlinear_contact "
     "asymmetric_clearance clearance_wear contact_position hertz_stop one_stop",
     "structure": "clamp_compliance added_mass youngs_modulus structural_damping hardening_spring linear_spring "
-    "ground_damper ground_friction",
+    "ground_damper ground_friction support_position",
     "loads": "preload base_motion tone",
     "instruments": "sensor_gain sensor_delay common_gain force_gain force_shift",
 }
@@ -47,8 +50,9 @@ def test_every_effect_says_what_it_is(name):
 @pytest.mark.parametrize("rig_name", RIGS)
 def test_every_effect_changes_the_rig_or_says_why_not(name, rig_name):
     machine, effect = RIGS[rig_name], effects()[name]()
-    if rig_name == "sdof" and name in NOT_FOR_ONE_MASS:
-        with pytest.raises(RigError, match=f"effect {name}: rig 'sdof' has no .*beam; choose another place"):
+    if name in REFUSED[rig_name]:
+        missing = "(beam|spring along a body); choose another place"
+        with pytest.raises(RigError, match=f"effect {name}: rig '{rig_name}' has no .*{missing}"):
             effect.applied_to(machine)
         return
     changed = effect.applied_to(machine)
@@ -132,7 +136,7 @@ SCALES = {"barrel_cradle": Scale(RIGS["barrel_cradle"], 14.0, 60.0), "sdof": Sca
 def test_ranges_are_stated_for_the_rig_and_hold_what_is_typical(name, rig_name):
     machine, kind = RIGS[rig_name], effects()[name]
     places = kind.placements(machine, ["cradle_1", "cradle_2"])
-    if rig_name == "sdof" and name in NOT_FOR_ONE_MASS:
+    if name in REFUSED[rig_name]:
         return
     assert places
     for place in places:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from rig.effects import effect_named
+from rig.effects import effect_named, effects
+from rig.effects.base import Scale
 from rig.errors import RigError
 from rig.model.description import PointMass, PointSpring, StaticLoad, Station
 from rig.model.modes import FiniteElementModes, modes_of, participation
@@ -171,3 +172,27 @@ def test_a_hardening_spring_at_rest(run, machine):
     expected = brentq(lambda w: w + 1e4 * w**3 - 0.01, 0, 0.01)
     assert expected < 0.007
     np.testing.assert_allclose(displacement_m, expected, rtol=2e-4)
+
+
+def test_a_support_that_stands_elsewhere_is_a_spring_there():
+    held, moved = (
+        msgspec.structs.replace(MACHINE, springs=(PointSpring(station=Station("cradle", at_m), stiffness_n_per_m=1e8),))
+        for at_m in (0.6, 0.6 - 0.05)
+    )
+    assert effect_named("support_position:shift_m=-0.05").applied_to(held) == moved
+    assert frequencies_hz(moved, "cradle")[0] < 0.99 * frequencies_hz(held, "cradle")[0]
+
+
+def test_supports_stay_on_their_body():
+    near_the_end = PointSpring(station=Station("cradle", 0.97), stiffness_n_per_m=1e6)
+    machine = msgspec.structs.replace(MACHINE, springs=(near_the_end,))
+    kind = effects()["support_position"]
+    (place,) = kind.placements(machine, [])
+    scale = Scale(machine, 14.0, 60.0).with_place(place)
+    shift = kind.parameters(scale)["shift_m"]
+    assert (shift.low, shift.high) == pytest.approx((-0.1, 0.03))
+    assert kind.typical(scale).shift_m == pytest.approx(-0.01)
+    with pytest.raises(RigError, match=r"a point spring stands at 1\.07 m, off 'cradle'"):
+        effect_named("support_position:shift_m=0.1").applied_to(machine)
+    with pytest.raises(RigError, match="has no spring along 'barrel'; choose another place"):
+        effect_named("support_position:body=barrel").applied_to(machine)

@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from rig.effects import effect_named, effects
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
+from tests.campaigns.worlds.bench import BENCHES
 from tests.campaigns.worlds.drawing import DRAWABLE
 from tests.campaigns.worlds.forces import Gaussian
 from tests.campaigns.worlds.instruments import measured
@@ -33,7 +34,7 @@ def plain():
 
 
 def test_the_worlds_know_every_effect_of_the_library():
-    assert set(effects()) <= set(EFFECTS)
+    assert set(effects()) <= {*EFFECTS, *(name for bench in BENCHES.values() for name in bench.effects)}
     assert set(DRAWABLE) == set(EFFECTS) - set(UNSEEN)
 
 
