@@ -83,6 +83,9 @@ def plan(
     if report.changes:
         rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
         console.print(_table(page.CHANGE_HEAD, rows, "What would help, ranked by the widest interval"))
+    if report.effects:
+        title = "Effects that identify gap would name, over all their places"
+        console.print(_table(page.KIND_HEAD, page.kind_rows(report.effects), title))
     for text in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
         say(text)
 

@@ -7,9 +7,11 @@ from pathlib import Path
 from identify.pages import page
 from identify.pages.machine import machine
 from identify.pages.wording import COVERED, interval, number, percent
+from identify.planning.detectable import DetectableEffect
 from identify.planning.expectation import ExpectedQuantity
 from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, IntervalFactor, PlanReport, TriedChange
 from rig.model.description import Rig
+from rig.model.quantities import printed_unit
 
 WORDS = {
     "clearance_m": ("clearance", "mm", 1e3),
@@ -26,6 +28,8 @@ ADVISED = 3
 """Number of changes in the sentence."""
 HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
 CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
+KIND_HEAD = ("effect", "smallest that is named")
+EFFECT_HEAD = ("effect", "at", "smallest that is named", "looks like")
 SENSOR_HEAD = ("without", "widest interval", "times", "changes most")
 
 
@@ -80,6 +84,33 @@ def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
 
 def _factor(largest: IntervalFactor) -> str:
     return f"{largest.contact}: {WORDS[largest.quantity][0]} times {number(largest.factor, 2)}"
+
+
+def effect_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
+    """Row of each effect and place: the smallest size that is named, and what looks like it."""
+    for effect in effects:
+        yield effect.effect, effect.place, _sizes([effect]), ", ".join(effect.alike)
+
+
+def kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
+    """Row of each kind of effect: the range over all its places."""
+    for kind in dict.fromkeys(effect.effect for effect in effects):
+        of_kind = [effect for effect in effects if effect.effect == kind]
+        yield kind, _sizes(of_kind)
+
+
+def _sizes(effects: Sequence[DetectableEffect]) -> str:
+    """Smallest named sizes from the best to the worst place."""
+    unit = "" if effects[0].unit == "1" else f" {printed_unit(effects[0].unit)}"
+    least = min((e.least for e in effects if e.least is not None), default=None)
+    if least is None:
+        return "none of its range"
+    if any(e.greatest is None for e in effects):
+        return f"{number(least, 2)}{unit}, at some places none"
+    greatest = max(e.greatest for e in effects if e.greatest is not None)
+    if greatest < 1.1 * least:
+        return f"{number(least, 2)}{unit}"
+    return f"{number(least, 2)} to {number(greatest, 2)}{unit}"
 
 
 def idle_sentence(plan: PlanReport) -> str:
@@ -144,6 +175,12 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
     if plan.undetermined:
         rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
         sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
+    if plan.effects:
+        text = (
+            "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
+            "a difference from what rig.json says, from the best to the worst place.</p>"
+        )
+        sections.append(("Which effects would be named", text + page.table(KIND_HEAD, kind_rows(plan.effects))))
     if plan.notes:
         sections.append(("To note", page.listed(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
@@ -161,6 +198,13 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
 
 
 def _folded(plan: PlanReport) -> list[tuple[str, str]]:
+    effects = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
+    table = page.table(EFFECT_HEAD, effect_rows(plan.effects))
+    folded = [("Which effects would be named, place by place", effects + table)] if plan.effects else []
+    return [*folded, *_limits(plan)]
+
+
+def _limits(plan: PlanReport) -> list[tuple[str, str]]:
     if not plan.contacts:
         return []
     text = (

@@ -16,6 +16,7 @@ from identify.contacts.separation import check_described
 from identify.gaps.decision.prepare import simulator_named
 from identify.pages.wording import COVERED
 from identify.planning.changes import PlannedChange, changes_of
+from identify.planning.detectable import DetectableEffect, detectable_effects
 from identify.planning.expectation import (
     MISS_ERRORS,
     QUANTITIES,
@@ -64,13 +65,15 @@ def planned(
     all_changes = list(changes_of(test))
     changes = all_changes[:most_changes]
     finalist_count = min(FINALISTS, sum(change.kind != "leave out sensor" for change in changes))
-    run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1)
+    run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1) + 1
 
     def run_all(runs: Sequence[Run], finished_before: int) -> list[SimulatedTest]:
         return mapped(_run, runs, workers, lambda finished: progress((finished_before + finished) / run_count))
 
     expected = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
     results = _tried(test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished))
+    effects, effect_notes = _effects(test, simulator)
+    progress(1.0)
     contacts = expected_contacts(test.rig, expected)
     without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
     return PlanReport(
@@ -83,8 +86,17 @@ def planned(
         sensors=tuple(without),
         simulations=SIMULATIONS,
         simulated_s=min(test.duration_s, LONGEST_SIMULATED_S),
-        notes=tuple(_notes(test, expected, len(changes) < len(all_changes))),
+        effects=effects,
+        notes=(*_notes(test, expected, len(changes) < len(all_changes)), *effect_notes),
     )
+
+
+def _effects(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect, ...], tuple[str, ...]]:
+    """Smallest named effects; or none, and a note, where this side analysis fails."""
+    try:
+        return detectable_effects(test, simulator_named(simulator).simulate, SEEDS[0], LONGEST_SIMULATED_S), ()
+    except Exception as error:
+        return (), (f"which effects would be named could not be computed: {error}",)
 
 
 def _tried(

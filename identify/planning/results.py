@@ -3,6 +3,7 @@
 import msgspec
 
 from identify.planning.changes import ChangeKind
+from identify.planning.detectable import DetectableEffect
 from identify.planning.expectation import ExpectedContact, Undetermined
 from rig.limits import SCHEMA_VERSION
 
@@ -73,6 +74,8 @@ class PlanReport(msgspec.Struct, frozen=True, kw_only=True):
     simulations: int
     """Number of simulated records behind the expected intervals."""
     simulated_s: float
+    effects: tuple[DetectableEffect, ...] = ()
+    """Smallest effects that a diagnosis of such records would name."""
     notes: tuple[str, ...] = ()
     schema_version: int = SCHEMA_VERSION
 

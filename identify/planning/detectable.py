@@ -1,0 +1,188 @@
+"""Smallest effects that a diagnosis of the planned record would name, and those that it could not tell apart.
+
+A machine drawn within the tolerances is simulated under a drawn force, and the nominal rig fitted to its record. In the
+quadratic form of -2 ln p about this fit (`gaps.search.local_model`), with A its matrix, b the columns that every fit
+has and c those of an effect at a place,
+
+    C = A_cc - A_cb A_bb^-1 A_bc
+
+is what a unit of the effect's strength changes -2 ln p by, with all tolerances free. An effect of size x lowers -2 ln
+p of a record by (x sqrt(C) + z)^2, z normal. The joint contact fit adds F = d' V^-1 d where the effect changes
+clearances, stiffness or damping by d per unit, with V the covariance of their distances from rig.json. With T the
+temperature of the posterior and L the logarithm of its odds over the prior ones, the effect is named with 95 % power
+where
+
+    x sqrt(C / T + F) = sqrt(2 L) + 1.645 s,    s = 1 by the contact fit, else 1 / sqrt(T)
+
+and where x sqrt(C) = sqrt(G) + 1.645 at least, with G what the search asks for, if the contact fit adds nothing. Two
+effects look alike where the correlation C_12 / sqrt(C_11 C_22) of their columns is close to one.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+from msgspec.structs import replace
+from threadpoolctl import threadpool_limits
+
+from identify.contacts.law_form import law_numbers
+from identify.gaps.decision.bounds import law_distance
+from identify.gaps.decision.comparison import TEMPERATURE, log_prior
+from identify.gaps.decision.null_simulations import draw_rig, standard_normals
+from identify.gaps.residual.likelihood import nominal_variances_of
+from identify.gaps.residual.residual import linearized
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.candidates import Candidate, candidates, scale_of
+from identify.gaps.search.contact_laws import LawEstimate, law_outcomes, numbers_alone_differ
+from identify.gaps.search.hypothesis import MIN_GAIN, Search
+from identify.gaps.search.local_model import MIN_REMAINING_SHARE, CandidateTerm, LocalModel, local_model
+from identify.gaps.search.nominal import fit_nuisance
+from identify.planning.planned_test import PlannedTest, drawn_forces_n
+from rig.model.description import Rig
+from rig.model.tolerances import Tolerances
+from rig.recording.interfaces import Simulate
+
+ODDS, POWER_QUANTILE = 19.0, 1.645
+"""Posterior odds of an effect that is named, and the normal quantile of 95 % power. Convention."""
+ALIKE = 0.95
+"""Correlation from which two effects look alike: together their strengths are known three times worse. Set by hand."""
+DRAWN_MACHINES = 12
+"""Machines of the Latin hypercube of which the first is simulated."""
+
+
+class DetectableEffect(msgspec.Struct, frozen=True, kw_only=True):
+    """Smallest sizes of an effect at a body, contact or sensor that are named with 95 % power, in `unit`.
+
+    size is the difference of its strength from none, the median over the places along its body; least and greatest are
+    those at the best and at the worst place. They are None where no size within the effect's range is named. alike are
+    the effects that the record does not tell from it.
+    """
+
+    effect: str
+    place: str
+    unit: str
+    size: float | None
+    least: float | None
+    greatest: float | None
+    alike: tuple[str, ...] = ()
+
+
+def detectable_effects(
+    test: PlannedTest, simulate: Simulate, seed: int, longest_s: float
+) -> tuple[DetectableEffect, ...]:
+    """Smallest named sizes of every effect of the library, of a record of the planned length.
+
+    Effects known by their spectrum, and tones, are left out. Raises RigError where the rig cannot be simulated or its
+    record not diagnosed.
+    """
+    simulated_s = min(test.duration_s, longest_s)
+    forces_n = drawn_forces_n(test.with_duration(simulated_s), seed)
+    machine = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINES)[0])
+    with threadpool_limits(1):
+        recording = simulate(test.rig, machine, forces_n, seed)
+        record = record_of(recording, tolerances=test.tolerances)
+        variances = nominal_variances_of(linearized(record, record.rig))
+        linearization, residual = fit_nuisance(record, record.rig)
+        scale = scale_of(record, record.rig)
+        fits = {fit.contact: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
+        library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.forced)
+        steady = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
+        nominal = Search(variances, linearization, residual, tuple(steady)).nominal_fit().hypothesis
+        model = local_model(linearization, residual, variances, record.rig, nominal, steady)
+    by_contacts = {c.name: _by_contact_fit(c, record.rig, fits, test.tolerances) for c in steady}
+    return _detectable(model, library, by_contacts, test.duration_s / simulated_s)
+
+
+def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstimate], tolerances: Tolerances) -> float:
+    """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
+    zero of any other effect, and of a contact that is not determined."""
+    values = candidate.default.copy()
+    values[0] = candidate.neutral + candidate.steps[0]
+    changed = candidate.applied(rig, values)
+    if replace(changed, contacts=rig.contacts) != rig:
+        return 0.0
+    information = 0.0
+    for contact, after in zip(rig.contacts, changed.contacts, strict=True):
+        if after == contact:
+            continue
+        fit = fits.get(contact.name)
+        if fit is None or not numbers_alone_differ(after.law, contact.law):
+            return 0.0
+        distance = fit.quantities @ (law_numbers(after.law) - law_numbers(contact.law))
+        covariance = law_distance(fit, contact, contact, tolerances).covariance
+        information += float(distance @ np.linalg.solve(covariance, distance))
+    return information
+
+
+def _detectable(
+    model: LocalModel, library: Sequence[Candidate], by_contacts: Mapping[str, float], length_ratio: float
+) -> tuple[DetectableEffect, ...]:
+    """Sizes by candidate, from the information of each of its terms, which grows with the record's length, and of the
+    contact fit."""
+    terms = [term for term in model.terms if len(term.columns) == 1]
+    columns = np.array([term.columns[0] for term in terms], dtype=int)
+    information, is_hidden = _information(model, columns)
+    shown = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
+    scale = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
+    correlation = np.abs(information) * np.outer(scale, scale)
+    counts = Counter(candidate.kind.name for candidate in library)
+    by_candidate: dict[str, list[int]] = {}
+    for k, term in enumerate(terms):
+        by_candidate.setdefault(term.candidate.name, []).append(k)
+    effects = []
+    for name, indices in by_candidate.items():
+        candidate = terms[indices[0]].candidate
+        log_odds = float(np.log(ODDS) + log_prior((), counts) - log_prior((candidate.kind.name,), counts))
+        steps = [_named_step(float(shown[k]), by_contacts[name], log_odds) for k in indices]
+        sizes = sorted(_size(terms[k], step) for k, step in zip(indices, steps, strict=True))
+        alike = {
+            terms[other].candidate.name
+            for other in range(len(terms))
+            if terms[other].candidate.name != name and np.max(correlation[indices, other]) > ALIKE
+        }
+        strength = next(p for p in candidate.parameters if p.neutral is not None)
+        effects.append(
+            DetectableEffect(
+                effect=candidate.kind.name,
+                place=", ".join(target or "all" for target in candidate.place.values()),
+                unit=strength.unit,
+                size=_finite(sizes[len(sizes) // 2]),
+                least=_finite(sizes[0]),
+                greatest=_finite(sizes[-1]),
+                alike=tuple(sorted(alike)),
+            )
+        )
+    return tuple(effects)
+
+
+def _information(model: LocalModel, columns: np.ndarray) -> tuple[Float[np.ndarray, "terms terms"], np.ndarray]:
+    """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
+    normal, _ = model.normal(np.zeros(len(model.spectra)), np.arange(len(model.spectra)))
+    base = model.base_columns
+    response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[np.ix_(base, columns)])
+    full = normal[np.ix_(columns, columns)]
+    information = full - normal[np.ix_(columns, base)] @ response
+    return information, np.diag(information) <= MIN_REMAINING_SHARE * np.diag(full)
+
+
+def _named_step(information: float, by_contacts: float, log_odds: float) -> float:
+    """Strength, in steps, that is named with 95 % power; infinite without information."""
+    total = information / TEMPERATURE + by_contacts
+    if not total > 0:
+        return np.inf
+    power = POWER_QUANTILE * (1.0 if by_contacts else 1 / np.sqrt(TEMPERATURE))
+    step = (np.sqrt(2 * log_odds) + power) / np.sqrt(total)
+    return float(step if by_contacts else max(step, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
+
+
+def _size(term: CandidateTerm, step: float) -> float:
+    """Size of a strength; infinite beyond the effect's range."""
+    if step > max(-float(term.low[0]), float(term.high[0])):
+        return np.inf
+    return step * abs(float(term.candidate.steps[term.strengths[0]]))
+
+
+def _finite(size: float) -> float | None:
+    return float(size) if np.isfinite(size) else None
