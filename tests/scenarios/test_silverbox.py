@@ -59,6 +59,7 @@ def duffing():
     return linear, actual, [simulated(linear, actual, force, seed) for seed, force in enumerate(forces)]
 
 
+@pytest.mark.study
 def test_a_simulated_cubic_spring_is_named_and_measured(duffing):
     _, actual, (fit, validation) = duffing
     gap, corrected = diagnose(fit, validation, SIMULATOR)

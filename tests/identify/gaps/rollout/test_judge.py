@@ -26,6 +26,7 @@ pytestmark = pytest.mark.long
 MODES = ((8.4, 0.01, 1.0), (52.3, 0.004, 0.5), (146.0, 0.02, 0.3))
 
 
+@pytest.mark.study
 def test_a_right_correction_shrinks_the_gap_and_is_not_vetoed(damped, nulls):
     rollout = judge_correction(damped.recording, damped.fitted(), damped.fitted(DAMPING), nulls, prediction.modal)
     assert rollout.code == "not_vetoed"
