@@ -38,6 +38,7 @@ def test_every_contact_is_found(name, tmp_path):
             assert estimate.standard_error < 0.02 * true
 
 
+@pytest.mark.study
 def test_nifo_looks_at_each_body_where_the_forces_on_it_act(tmp_path):
     """A shaker up to 100 Hz on the barrel, a hammer on the cradle."""
     test = TESTS["two beams, a shaker and a hammer"]

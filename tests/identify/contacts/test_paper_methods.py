@@ -57,6 +57,7 @@ def is_right(report):
     return abs(contact.clearance_m.value - Sdof().clearance_m) < 4 * contact.clearance_m.standard_error
 
 
+@pytest.mark.study
 def test_a_body_of_three_modes_has_three_equations(tmp_path):
     identification = identify_contact(
         read(recorded(Topology(chain(), 200.0, ""), tmp_path / "r.mcap", duration_s=12.0))

@@ -140,6 +140,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
+@pytest.mark.study
 def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     record = record_of(hit("displacement", (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.26**2))
     reference = nominal_variances_of(linearized(record, record.rig))

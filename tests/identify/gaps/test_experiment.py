@@ -104,6 +104,7 @@ def test_what_differs_is_told_by_some_experiment_and_what_does_not_by_none(belie
 
 
 @pytest.mark.usefixtures("three_experiments")
+@pytest.mark.study
 def test_a_rival_that_is_hardly_known_may_change(believed, cause):
     """Of one effect at two values that the first record leaves open, no record can say which is the true one."""
     record, force_n = believed

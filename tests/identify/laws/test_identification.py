@@ -175,6 +175,7 @@ def test_the_dead_zone_of_one_mass_is_found_exactly(clearance):
     assert clearance.eta_m.size == clearance.force_n.size == law.points
 
 
+@pytest.mark.study
 def test_straight_pieces_lose_against_a_stiffening_law():
     law = identify_law(mass_with(stiffening), seconds=SECONDS).report.laws[0]
     assert law.best in (CUBIC, FORMULA)

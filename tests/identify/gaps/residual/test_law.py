@@ -1,6 +1,7 @@
 """Contact forces against the rig's laws."""
 
 import numpy as np
+import pytest
 from msgspec.structs import replace
 
 from identify.gaps.decision.null_simulations import draw_rig, standard_normals
@@ -15,6 +16,7 @@ from rig.simulation.reference import BarrelCradle, Sdof
 from rig.simulation.replay import modal
 
 
+@pytest.mark.study
 def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     settings = BarrelCradle(sensors="acceleration", duration_s=20.0, noise_density=1e-4)
     believed = settings.rig()
