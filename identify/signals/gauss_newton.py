@@ -8,8 +8,6 @@ import numpy as np
 
 MAX_LENGTHS = 6
 """Lengths of a step that are tried, shorter and shorter, until the cost falls."""
-NEGLIGIBLE_SHARE = 0.1
-"""Share of the least fall below which a step is not taken. Set by hand."""
 
 
 @runtime_checkable
@@ -38,18 +36,22 @@ StepOf = TypeVar("StepOf", bound=Step[Any])
 
 
 def gauss_newton(
-    start: State, linearize: Callable[[State], StepOf], min_fall_of: Callable[[State], float], max_steps: int
+    start: State,
+    linearize: Callable[[State], StepOf],
+    min_fall_of: Callable[[State], float],
+    max_steps: int,
+    negligible_share: float = 0.0,
 ) -> tuple[State, StepOf]:
     """State with the least cost after at most `max_steps` steps, and the last step that was tried.
 
     A step that does not lower the cost is shortened to the minimum of the parabola through both costs with the slope at
     its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
-    than `min_fall_of` the state before it, and before a step that promises less than `NEGLIGIBLE_SHARE` of that.
+    than `min_fall_of` the state before it, and before a step that promises less than `negligible_share` of that.
     """
     state, cost, slow_steps = start, start.cost, 0
     for _ in range(max_steps):
         step, share, min_fall = linearize(state), 1.0, min_fall_of(state)
-        if step.predicted_decrease < NEGLIGIBLE_SHARE * min_fall:
+        if step.predicted_decrease < negligible_share * min_fall:
             break
         candidate, fall = None, -np.inf
         for _ in range(MAX_LENGTHS):

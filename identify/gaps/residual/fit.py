@@ -36,6 +36,8 @@ COST_TOLERANCE = 3e-5
 costs 0.01 of 25 s * 20 Hz = 500 independent samples, 2e-5."""
 UNEXPLAINED_TOLERANCE = 1e-3
 """... or the same decrease as a share of the cost beyond noise. Set by hand."""
+NEGLIGIBLE_SHARE = 0.1
+"""Share of the negligible decrease below which a step is not evaluated. Set by hand."""
 
 Values = Float[np.ndarray, " parameters"]
 Build = Callable[[Values], Rig]
@@ -192,7 +194,7 @@ def fit(
         nuisance = None  # the modes' parameters start at the values that the record's modes give
     start = _Point(values, residual_of(linearization, build(values), nuisance, unknowns))
     step_from = partial(_step, linearization, build, steps, bounds)
-    optimum, step = gauss_newton(start, step_from, _negligible_decrease, max_steps)
+    optimum, step = gauss_newton(start, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
     if linearization.record.modes:  # within a sharp mode's width the nuisance columns change already
         step = step_from(start)
     return Fit(optimum.values, step.covariance, optimum.residual)

@@ -227,8 +227,8 @@ def test_another_law_comes_back_from_json_and_an_unknown_one_is_named():
     rig = small_rig()
     rig = replace(rig, contacts=tuple(replace(c, law=law) for c in rig.contacts))
     assert from_json(to_json(rig), "rig.json of x") == rig
-    with pytest.raises(RigError, match=r"contacts\[0\]\.law\.type is 'spring'; give 'dead_zone'"):
-        from_json(to_json(rig).replace(b"hunt_crossley", b"spring"), "rig.json of x")
+    with pytest.raises(RigError, match=r"contacts\[0\]\.law\.type is 'rubber'; give 'dead_zone'"):
+        from_json(to_json(rig).replace(b"hunt_crossley", b"rubber"), "rig.json of x")
 
 
 def test_a_stop_that_is_not_there_is_null():
