@@ -24,6 +24,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from identify.gaps.decision.null_simulations import (
@@ -133,7 +134,8 @@ def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarra
         p = P( t_(n-1) > (z(x) - (1 - min(nu, 1)) z(m)) / sqrt(1 + 1/n) )
         z(x) = ((1 + sqrt(2 / n_z) (x - m) / s)^(1/3) - 1 + 2 / (9 n_z)) / sqrt(2 / (9 n_z)),   n_z = max(nu, 1)
 
-    with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2.
+    with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
+    place of Student's, as no deviation is estimated.
     """
     nulls = np.sum([reference.statistics for reference, _ in records], axis=0)
     measured = np.sum([[misfit.minus_two_log - misfit.law, misfit.law, misfit.peak] for _, misfit in records], axis=0)
@@ -145,7 +147,8 @@ def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarra
     skew = 2 / (9 * squares)
     normals = (np.cbrt(np.maximum(1 + excess, 0.0)) - 1 + skew) / np.sqrt(skew)
     normals -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
-    return np.asarray(student.sf(normals / np.sqrt(1 + 1 / len(nulls)), len(nulls) - 1))
+    normals /= np.sqrt(1 + 1 / len(nulls))
+    return np.where(deviations < 1, norm.sf(normals), student.sf(normals, len(nulls) - 1))
 
 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:

@@ -142,8 +142,8 @@ def test_a_bound_that_says_nothing_leaves_a_p_value_alone_and_a_small_one_decide
 def test_a_contact_or_a_band_alone_beyond_the_nulls_shows():
     rng = np.random.default_rng(5)
     null_reference = NullReference("key", tuple(null(r) for r in rng.normal(50.0, 90.0, 12)))
-    assert p_value(null_reference, misfit_of_costs(50.0, 0.0)) < 1e-3
-    assert p_value(null_reference, misfit_of_costs(50.0, -60.0, 20.0)) < 1e-2
+    assert p_value(null_reference, misfit_of_costs(50.0, 0.0)) < 1e-4
+    assert p_value(null_reference, misfit_of_costs(50.0, -60.0, 20.0)) < 1e-4
     assert p_value(null_reference, misfit_of_costs(50.0, -60.0)) > 0.4
 
 
