@@ -312,7 +312,7 @@ class HistoryResult(Summarized):
 def _contact_cells(contact: IdentifiedContact) -> dict[str, str]:
     return {
         "contact": contact.name,
-        "clearance, mm": _scaled(contact.clearance, 1e3),
+        "clearance, mm": "" if contact.law == "spring" else _scaled(contact.clearance, 1e3),
         "stiffness, N/m": _scaled(contact.stiffness),
         "damping, N s/m": _scaled(contact.damping),
     }

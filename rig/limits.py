@@ -25,7 +25,7 @@ MAX_DEPTH = 32
 """Deepest nesting of groups, structs, cells and keys."""
 MAX_NAME = 1000
 """Longest name in a file, characters."""
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 """Version of the structure of rig.json, contact.json and gap.json that this program writes; it reads all up to it."""
 
 

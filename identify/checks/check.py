@@ -148,7 +148,7 @@ def _channel_findings(
 class _Channel:
     """Samples of one channel in a group (a quantity or "force"), with the forces of the record.
 
-    hit_with are the sensors that an impact in this channel reaches, too.
+    impact_sensors are the other sensors that show an impact of this channel.
     """
 
     group: str
@@ -157,7 +157,7 @@ class _Channel:
     rate_hz: float
     forces_n: Rows
     force_names: tuple[str, ...]
-    hit_with: frozenset[str]
+    impact_sensors: frozenset[str]
 
     @property
     def is_force(self) -> bool:
@@ -190,17 +190,19 @@ def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
             if name in used:
                 forces_n, force_names = recording.forces_n, recording.force_names
-                yield _Channel(group, name, samples, rig.sample_rate_hz, forces_n, force_names, _hit_with(rig, name))
+                yield _Channel(
+                    group, name, samples, rig.sample_rate_hz, forces_n, force_names, _impact_sensors(rig, name)
+                )
 
 
-def _hit_with(rig: Rig, name: str) -> frozenset[str]:
+def _impact_sensors(rig: Rig, name: str) -> frozenset[str]:
     """Other sensors on the body of a sensor, and on the bodies that it meets at stops; of a force, all sensors."""
     sensor = next((s for s in rig.sensors if s.name == name), None)
     bodies = {body.name for body in rig.bodies} if sensor is None else {sensor.station.body}
     for contact in rig.contacts:
-        ends = {station.body for station in contact_stations(contact)}
-        if sensor is not None and sensor.station.body in ends and contact.law.has_stops:
-            bodies |= ends
+        met_bodies = {station.body for station in contact_stations(contact)}
+        if sensor is not None and sensor.station.body in met_bodies and contact.law.has_stops:
+            bodies |= met_bodies
     return frozenset(s.name for s in rig.sensors if s.station.body in bodies and s.name != name)
 
 
@@ -231,7 +233,7 @@ def _spike_findings(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[
     deviations = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
         if channel.name not in faulty:
-            other_deviations = [deviation for name, deviation in deviations.items() if name in channel.hit_with]
+            other_deviations = [deviation for name, deviation in deviations.items() if name in channel.impact_sensors]
             finding = waveforms.spikes(channel.name, deviations[channel.name], other_deviations)
             if finding is not None:
                 yield finding

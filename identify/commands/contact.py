@@ -108,7 +108,7 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
     for estimate in report.contacts:
         table.add_row(
             estimate.name,
-            _interval(estimate.clearance_m, 1e3),
+            "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
             _interval(estimate.stiffness_n_per_m),
             _interval(estimate.damping_n_s_per_m),
         )

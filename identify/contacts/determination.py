@@ -97,9 +97,12 @@ def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) 
 
 def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names = [rig.contacts[j].name for j in place.members]
+    names, nominal = [rig.contacts[j].name for j in place.members], _nominal_laws(rig, place)
+    is_spring = len(names) == 1 and not place.contact.law.has_stops
     try:
-        outcomes = _place_outcomes(names, _nominal_laws(rig, place), record, forms)
+        outcomes = (
+            _spring_outcome(names[0], nominal, record) if is_spring else _place_outcomes(names, nominal, record, forms)
+        )
     except ContactRefusedError as error:
         return Outcomes.refused(names, error.refusal)
     signs = dict(zip(names, place.signs, strict=True))
@@ -122,8 +125,6 @@ def _place_outcomes(
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
-    if len(names) == 1 and not nominal[0, :2].any():
-        return _spring_outcome(names[0], nominal, record)
     sides = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
         (estimate,) = fit_joint(record, nominal, _present_sides(nominal[0], record, sides)[None], forms)
@@ -139,7 +140,7 @@ def _place_outcomes(
 
 
 def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
-    """Outcome of a spring: a contact whose clearances in rig.json are zero.
+    """Outcome of a spring alone between two places.
 
     Raises ContactRefusedError if it stands still, or if its stiffness is uncertain.
     """

@@ -44,7 +44,8 @@ class IdentifiedContact:
     upper_clearance: EstimatedQuantity | None
     """Clearance of the upper stop, m; None where only the total play is known."""
     law: str
-    """Form of the law that the record supports: "dead zone", "power law" or "cannot pull"."""
+    """Form of the law that the record supports: "dead zone", "power law" or "cannot pull"; "spring" of a spring,
+    whose clearances are zero."""
 
     def __str__(self) -> str:
         return f"{self.name}: clearance {self.clearance}, stiffness {self.stiffness}, damping {self.damping}"

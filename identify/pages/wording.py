@@ -29,10 +29,7 @@ def percent(share: float) -> str:
 
 
 def interval(value: float, standard_error: float, unit: str) -> str:
-    """Value ± 1.96 standard errors, to two digits of these; the unit "1" is not written. A zero without error, as the
-    clearance of a spring, is "none"."""
-    if not value and not standard_error:
-        return "none"
+    """Value ± 1.96 standard errors, to two digits of these; the unit "1" is not written."""
     half = COVERED * standard_error
     named = "" if unit == "1" else f" {printed_unit(unit)}"
     if not math.isfinite(half) or half <= 0:

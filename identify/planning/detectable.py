@@ -23,7 +23,7 @@ from collections.abc import Mapping, Sequence
 
 import msgspec
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
@@ -124,7 +124,7 @@ def _detectable(
     terms = [term for term in model.terms if len(term.columns) == 1]
     columns = np.array([term.columns[0] for term in terms], dtype=int)
     information, is_hidden = _information(model, columns)
-    shown = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
+    information_by_term = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
     scale = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
     correlation = np.abs(information) * np.outer(scale, scale)
     counts = Counter(candidate.kind.name for candidate in library)
@@ -135,13 +135,10 @@ def _detectable(
     for name, indices in by_candidate.items():
         candidate = terms[indices[0]].candidate
         log_odds = float(np.log(ODDS) + log_prior((), counts) - log_prior((candidate.kind.name,), counts))
-        steps = [_named_step(float(shown[k]), by_contacts[name], log_odds) for k in indices]
+        steps = [_named_step(float(information_by_term[k]), by_contacts[name], log_odds) for k in indices]
         sizes = sorted(_size(terms[k], step) for k, step in zip(indices, steps, strict=True))
-        alike = {
-            terms[other].candidate.name
-            for other in range(len(terms))
-            if terms[other].candidate.name != name and np.max(correlation[indices, other]) > ALIKE
-        }
+        largest_correlations = np.max(correlation[indices], axis=0)
+        alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE)} - {name}
         strength = next(p for p in candidate.parameters if p.neutral is not None)
         effects.append(
             DetectableEffect(
@@ -157,7 +154,9 @@ def _detectable(
     return tuple(effects)
 
 
-def _information(model: LocalModel, columns: np.ndarray) -> tuple[Float[np.ndarray, "terms terms"], np.ndarray]:
+def _information(
+    model: LocalModel, columns: Int[np.ndarray, " terms"]
+) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
     normal, _ = model.normal(np.zeros(len(model.spectra)), np.arange(len(model.spectra)))
     base = model.base_columns

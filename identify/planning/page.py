@@ -69,6 +69,9 @@ def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
 
 
 def _interval(quantity: ExpectedQuantity, scale: float, unit: str) -> str:
+    """Expected interval; empty of the clearance of a spring, which is no estimate."""
+    if not quantity.standard_error:
+        return ""
     return interval(scale * quantity.value, scale * quantity.standard_error, unit)
 
 
@@ -145,7 +148,14 @@ def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
 def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] = ()) -> None:
     """Write plan.html."""
     lines: dict[str, Sequence[str]] = {
-        contact.name: (_interval(contact.clearance_m, 1e3, "mm"), _interval(contact.stiffness_n_per_m, 1.0, "N/m"))
+        contact.name: [
+            text
+            for text in (
+                _interval(contact.clearance_m, 1e3, "mm"),
+                _interval(contact.stiffness_n_per_m, 1.0, "N/m"),
+            )
+            if text
+        ]
         for contact in plan.contacts
     }
     lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}

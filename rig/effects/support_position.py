@@ -52,9 +52,11 @@ class SupportPosition(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         body = self.supported_body(rig)
-        return replace(rig, springs=tuple(self._moved(s) if s.station.body == body else s for s in rig.springs))
+        return replace(
+            rig, springs=tuple(self._shifted_spring(s) if s.station.body == body else s for s in rig.springs)
+        )
 
-    def _moved(self, spring: PointSpring) -> PointSpring:
+    def _shifted_spring(self, spring: PointSpring) -> PointSpring:
         return replace(spring, station=Station(spring.station.body, spring.station.position_m + self.shift_m))
 
 

@@ -103,7 +103,7 @@ def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tol
         estimates = [
             estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact == contact.name
         ]
-        if estimates and contact.law.straight:
+        if estimates and contact.law.piecewise_linear:
             estimate = pooled_estimate(estimates)
             bounds += _parameter_bounds(contact, estimate, tolerances)
             p_values.append(_p_value(contact, estimate, tolerances))
@@ -122,7 +122,7 @@ def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> B
     """Parameters of a contact that no record determines, without a bound, and the reason."""
     clearance = "clearance, " if contact.law.has_stops else ""
     names = f"{clearance}stiffness and damping of {contact.name}"
-    if not contact.law.straight:
+    if not contact.law.piecewise_linear:
         return Bounded(names, "", None, None, 0.0, "its law is no dead zone")
     reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
     return Bounded(names, "", None, None, 0.0, reason, remedy)
@@ -143,7 +143,7 @@ class LawDistance:
 
 def law_distance(estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
     distance = np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
-    deviations = np.array(stated_deviations(nominal, tolerances))[_rows(nominal)]
+    deviations = np.array(stated_deviations(nominal, tolerances))[_parameter_indices(nominal)]
     stated = np.diag(np.square(deviations[: distance.size]))
     return LawDistance(distance, estimate.covariance + stated)
 
@@ -158,8 +158,8 @@ def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Toler
     half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
     names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
     deviations = stated_deviations(contact, tolerances)
-    of_rows = [(names[k], units[k], deviations[k]) for k in _rows(contact)]
-    rows = zip(of_rows, distances, half_widths, strict=False)
+    described = [(names[k], units[k], deviations[k]) for k in _parameter_indices(contact)]
+    rows = zip(described, distances, half_widths, strict=False)
     return [
         Bounded(
             f"{name} of {contact.name}", unit, float(value), float(value + half_width), PARAMETER_DEVIATIONS * deviation
@@ -168,8 +168,8 @@ def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Toler
     ]
 
 
-def _rows(contact: Contact) -> list[int]:
-    """Those of clearance, stiffness, damping and offset that a contact has: a spring has stiffness and damping."""
+def _parameter_indices(contact: Contact) -> list[int]:
+    """Indices of a contact's parameters among clearance, stiffness, damping and offset; a spring has the middle two."""
     return [0, 1, 2, 3] if contact.law.has_stops else [1, 2]
 
 

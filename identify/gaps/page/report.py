@@ -37,7 +37,7 @@ CAPTIONS = {
     "Nineteen of twenty null simulations (rig.json within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
-    "the sensor that rig.json predicts worst, in the window of median error.",
+    "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
 }
 """Captions of the wide pictures; the others carry their titles."""
 DRAWING_CAPTION = "The rig, to scale along the bodies; what differs is marked at its place."

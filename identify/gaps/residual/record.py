@@ -19,7 +19,7 @@ from rig.model.tolerances import Tolerances
 
 @dataclass(frozen=True)
 class Counted:
-    """What counts of a record: the recording's samples per time of the residuals, which sets the band, and the end."""
+    """Counted part of a record: the recording's samples per time of the residuals, which sets the band, and the end."""
 
     factor: int
     until_s: float

@@ -117,13 +117,13 @@ def _example(
     sensor = int(np.argmax(np.mean(errors[window] ** 2, axis=1)))
     start, samples = starts[[window]], errors.shape[2]
     rows = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal, corrected)]
-    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    end = slice(-min(samples, SHOWN_SAMPLES), None)
     time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
-    measured, *predicted = (row[0, sensor, shown] for row in (rows[0][0], rows[0][1], rows[1][1]))
+    measured, *predicted = (row[0, sensor, end] for row in (rows[0][0], rows[0][1], rows[1][1]))
     return PredictionExample(
         sensor=nominal.names[sensor],
         unit=("m", "m/s")[min(nominal.orders[sensor], 1)],
-        time_s=tuple(time_s[shown].tolist()),
+        time_s=tuple(time_s[end].tolist()),
         measured=tuple(measured.tolist()),
         nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
         corrected=tuple(np.nan_to_num(predicted[1]).tolist()),

@@ -28,7 +28,7 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     signed: ClassVar[tuple[str, ...]] = ()
     """Fields that may be negative."""
-    straight: ClassVar[bool] = False
+    piecewise_linear: ClassVar[bool] = False
     """True of laws that clearances, stiffness and damping describe, unless further fields say otherwise."""
     has_stops: ClassVar[bool] = True
     """False of a spring, which has no clearances."""

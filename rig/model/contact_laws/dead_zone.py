@@ -32,7 +32,7 @@ class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
     """
 
     signed: ClassVar[tuple[str, ...]] = ("cubic_n_per_m3",)
-    straight: ClassVar[bool] = True
+    piecewise_linear: ClassVar[bool] = True
 
     cubic_n_per_m3: float = 0.0
     friction_n: float = 0.0

@@ -16,7 +16,7 @@ class Spring(ContactLaw, frozen=True, kw_only=True, tag="spring"):
     Its clearances are zero and are not given; it does not wear.
     """
 
-    straight: ClassVar[bool] = True
+    piecewise_linear: ClassVar[bool] = True
     has_stops: ClassVar[bool] = False
 
     lower_clearance_m: float = 0.0

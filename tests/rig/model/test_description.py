@@ -152,15 +152,16 @@ def test_a_text_that_is_no_rig_is_refused_with_its_place(old, new, place):
 
 def test_a_rig_of_a_later_version_is_refused_by_its_version():
     text = to_json(small_rig())
-    field = b'"schema_version": 1'
+    field = b'"schema_version": 2'
     assert field in text
     earlier = msgspec.json.decode(text)
     del earlier["schema_version"]
     assert from_json(msgspec.json.encode(earlier), "rig.json") == small_rig()
+    assert from_json(text.replace(field, b'"schema_version": 1'), "rig.json").contacts == small_rig().contacts
     with pytest.raises(
-        RigError, match=r"^rig\.json of x: schema_version is 2, and this program reads 1 to 1; install a "
+        RigError, match=r"^rig\.json of x: schema_version is 3, and this program reads 1 to 2; install a "
     ):
-        from_json(text.replace(field, b'"schema_version": 2, "new": 0'), "rig.json of x")
+        from_json(text.replace(field, b'"schema_version": 3, "new": 0'), "rig.json of x")
 
 
 @pytest.mark.parametrize("number", [b"2e200", b"-2" + 200 * b"0"])

@@ -1,5 +1,6 @@
 """The JSON Schema of rig.json: it takes what is read, and refuses what is refused."""
 
+import jsonschema
 import msgspec
 import pytest
 
@@ -9,7 +10,6 @@ from rig.model.description import from_json, to_json
 from rig.model.schema import rig_schema, schema_of
 from rig.simulation.reference import BarrelCradle, Sdof
 
-jsonschema = pytest.importorskip("jsonschema")
 VALIDATOR = jsonschema.Draft202012Validator
 RIGS = {"sdof": Sdof().rig(), "barrel_cradle": BarrelCradle().rig()}
 LAW = ["contacts", 0, "law"]

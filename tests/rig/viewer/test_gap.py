@@ -49,7 +49,7 @@ def test_what_acts_is_marked_at_its_place(tmp_path, name):
     ("text", "said"),
     [
         ("{", "is no gap.json"),
-        ('{"schema_version": 2}', "schema_version is 2, and this program reads 1 to 1"),
+        ('{"schema_version": 3}', "schema_version is 3, and this program reads 1 to 2"),
         ('{"verdict": "unknown"}', "is no gap.json"),
         (GAPS["explained"], "has 0.2 m on 'cradle'"),
         (GAPS["one_mass"], "is of a record longer than 19 s"),

@@ -363,7 +363,7 @@ def test_curves_that_cannot_be_used_are_named(mass, tmp_path, name, text, said):
     [
         (None, "cannot be opened"),
         ("{", "is no contact.json"),
-        ('{"schema_version": 2}', "schema_version is 2, and this program reads 1 to 1"),
+        ('{"schema_version": 3}', "schema_version is 3, and this program reads 1 to 2"),
         ('{"contacts": [{"name": "stop"}]}', "is no contact.json"),
         ("\xff", "is no contact.json"),
         pytest.param('{"a": ' + 20_000 * "[", "is no contact.json", id="nested"),
