@@ -16,6 +16,10 @@ import jaxtyping
 import pytest
 from hypothesis import settings
 
+import tests.type_checking
+
+jaxtyping.install_import_hook(["rig", "identify"], f"{tests.type_checking.checked.__module__}.checked")
+
 for library in ("OPENBLAS", "OMP", "MKL"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 

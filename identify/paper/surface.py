@@ -13,6 +13,8 @@ from rig.model.contact_laws import penetration_m
 
 LEAST_CONTACT_SHARE = 2e-3
 """Share of the time for which a contact must be closed to determine its clearance."""
+LARGEST_LOG_KAPPA = 20.0
+"""Largest ln kappa of the density of a relative displacement, of one standard deviation: a rigid stop."""
 
 
 @dataclass(frozen=True)
@@ -124,37 +126,38 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
 
         log p = const - a eta - b eta^2 / 2 - kappa dz(eta; lower, upper)^2 / 2
 
-    a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record.
+    a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record;
+    NaN for a stop that is not reached in each of them.
     """
     edges = np.linspace(eta_m.min(), eta_m.max(), 401)
-    middles = (edges[:-1] + edges[1:]) / 2
     scale = float(np.std(eta_m))
+    x = (edges[:-1] + edges[1:]) / 2 / scale
 
     def fit(
         sample: Float[np.ndarray, " samples"], starts: list[Float[np.ndarray, " parameters"]]
     ) -> Float[np.ndarray, " parameters"]:
         counts = np.histogram(sample, edges)[0] / sample.size
 
-        def cost(p: Float[np.ndarray, " parameters"]) -> float:
-            lower, upper = np.abs(p[3:]) * scale
-            x = middles / scale
-            exponent = (
-                -p[0] * x
-                - p[1] * x**2 / 2
-                - np.exp(min(p[2], 20.0)) * (penetration_m(middles, lower, upper) / scale) ** 2 / 2
-            )
+        def cost(p: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
+            """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
+            depth, kappa = penetration_m(x, *np.abs(p[3:])), np.exp(min(p[2], LARGEST_LOG_KAPPA))
+            exponent = -p[0] * x - p[1] * x**2 / 2 - kappa * depth**2 / 2
             top = exponent.max()
-            return float(-(counts @ exponent) + top + np.log(np.exp(exponent - top).sum()))
+            density = np.exp(exponent - top)
+            total = density.sum()
+            by_log_kappa = -kappa * depth**2 / 2 * (p[2] < LARGEST_LOG_KAPPA)
+            by_stops = kappa * np.sign(p[3:, None]) * np.maximum([-depth, depth], 0)
+            gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / total - counts)
+            return float(-(counts @ exponent) + top + np.log(total)), gradient
 
-        attempts = [
-            minimize(cost, s, method="Nelder-Mead", options={"maxiter": 4000, "xatol": 1e-5, "fatol": 1e-10})
-            for s in starts
-        ]
+        attempts = [minimize(cost, s, jac=True, method="BFGS", options={"gtol": 1e-8}) for s in starts]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / scale
     best = fit(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
-    part_stops_m = np.array([np.abs(fit(p, [best])[3:]) for p in np.array_split(eta_m, PARTS)]) * scale
+    parts_m = np.array_split(eta_m, PARTS)
+    part_stops_m = np.array([np.abs(fit(part_m, [best])[3:]) for part_m in parts_m]) * scale
+    part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
     lower, upper = np.abs(best[3:]) * scale
     lower_error_m, upper_error_m, half_error_m = (
         float(np.std(x, ddof=1) / np.sqrt(PARTS))

@@ -11,9 +11,9 @@ from itertools import pairwise
 import msgspec
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.optimize import minimize_scalar
+from scipy.optimize import brentq, minimize_scalar
 from scipy.special import logsumexp
-from scipy.stats import kstest
+from scipy.stats import chi2, kstest
 
 from identify.gaps.decision.comparison import PRIOR_NOTHING, PRIOR_UNKNOWN, TEMPERATURE
 from identify.gaps.decision.verdict import UNKNOWN_PLACES
@@ -64,9 +64,14 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 class Tempered(msgspec.Struct, frozen=True):
-    """The temperature at which the right hypotheses are likeliest; without are cases whose right one was not judged."""
+    """The temperature at which the right hypotheses are likeliest; without are cases whose right one was not judged.
+
+    interval_95 holds the temperatures whose likelihood is not lower than the largest by more than chi-squared allows
+    (Wilks, Ann. Math. Stat. 9, 1938).
+    """
 
     temperature: float
+    interval_95: tuple[float, float]
     mean_log_probability: float
     at_present: float
     """The mean logarithm of the right hypothesis' probability at the temperature in use."""
@@ -177,8 +182,13 @@ def calibrated_temperature(cases: Sequence[Hypotheses]) -> Tempered:
         return float(np.mean([one.log_right(temperature) for one in known]))
 
     if not known:
-        return Tempered(TEMPERATURE, np.nan, np.nan, 0, len(cases))
+        return Tempered(TEMPERATURE, TEMPERATURES, np.nan, np.nan, 0, len(cases))
     bounds = tuple(np.log(TEMPERATURES))
     found = minimize_scalar(lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded")
     best = float(np.exp(found.x))
-    return Tempered(best, mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))
+    least = mean_log(best) - float(chi2.ppf(0.95, 1)) / (2 * len(known))
+    low, high = (
+        float(brentq(lambda t: mean_log(t) - least, *sorted((best, end)))) if mean_log(end) < least else end
+        for end in TEMPERATURES
+    )
+    return Tempered(best, (low, high), mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))

@@ -69,6 +69,7 @@ def _reliability(found: Reliability | None) -> str:
 def temperature_told(found: Tempered) -> str:
     """The calibrated temperature in one line."""
     return (
-        f"temperature {found.temperature:.3g}: mean ln probability of what is right {found.mean_log_probability:.3f}, "
+        f"temperature {found.temperature:.3g} ({found.interval_95[0]:.3g} to {found.interval_95[1]:.3g}): mean ln "
+        f"probability of what is right {found.mean_log_probability:.3f}, "
         f"at present {found.at_present:.3f}; {found.cases} cases, of {found.without} more it was not judged"
     )

@@ -138,6 +138,7 @@ def test_the_temperature_that_drew_the_answers_is_found():
         cases.append(Hypotheses(prior, costs, right))
     found = calibrated_temperature(cases)
     assert found.temperature == pytest.approx(temperature, rel=0.15)
+    assert found.interval_95[0] < temperature < found.interval_95[1] < 2 * found.interval_95[0]
     assert found.mean_log_probability > found.at_present
     assert (found.cases, found.without) == (700, 0)
 
