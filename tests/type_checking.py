@@ -1,4 +1,4 @@
-"""Run-time checks of types and shapes while the suite runs: the check that `--jaxtyping-packages` of pyproject.toml names."""
+"""Types and shapes checked at run time while the suite runs, by beartype and jaxtyping."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -9,5 +9,5 @@ Checked = TypeVar("Checked", bound=Callable[..., object])
 
 
 def checked(function: Checked) -> Checked:
-    """Return a function that beartype checks; one defined in a function as it is, since every call would compile its check."""
+    """Function whose calls beartype checks; one defined within another as it is, since each call would compile it."""
     return function if "<locals>" in function.__qualname__ else beartype(function)
