@@ -155,7 +155,7 @@ class _Channel:
     name: str
     samples: Row
     rate_hz: float
-    forces_n: Rows
+    record_forces_n: Rows
     force_names: tuple[str, ...]
     impact_sensors: frozenset[str]
 
@@ -209,7 +209,7 @@ def _impact_sensors(rig: Rig, name: str) -> frozenset[str]:
 def _first_fault(channel: _Channel) -> Finding | None:
     """First fault that a channel's samples show by themselves; it hides the later ones."""
     name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
-    forces_n, force_names = channel.forces_n, channel.force_names
+    forces_n, force_names = channel.record_forces_n, channel.force_names
     checks: list[Callable[[], Finding | None]] = [
         lambda: waveforms.dead(name, samples, force_names),
         lambda: waveforms.clipped(name, samples),

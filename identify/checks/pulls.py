@@ -108,18 +108,18 @@ def broken_tolerances(
         return [], np.zeros(0)
     observed = _observed(rig, check, channel_indices, tolerances)
     project = Projector(check, channel_indices)
-    parameters, columns = [], []
+    nuisance_parameters, columns = [], []
     for change in changes_of(observed):
-        parameters.append(change.parameter)
+        nuisance_parameters.append(change.parameter)
         columns.append(_Column.of(project(change.at_all_sensors(len(channel_indices)))))
-    if not parameters:
+    if not nuisance_parameters:
         return [], np.zeros(0)
     candidates, added = suspects_of(
-        parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
+        nuisance_parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
     )
     columns += [_Column.of(project(spectra)) for spectra in added]
     residual = project((check.spectra.acceleration - check.by_force)[channel_indices])
-    return _free_the_violated(residual, columns, len(parameters), candidates, tolerances)
+    return _free_the_violated(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
 def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> Observed:

@@ -46,27 +46,27 @@ Row = Float[np.ndarray, " samples"]
 Rows = Float[np.ndarray, "*rows samples"]
 
 
-def dead(name: str, row: Row, forces: Sequence[str] = ("force",)) -> Finding | None:
+def dead(name: str, samples: Row, forces: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: the channel is constant."""
-    if np.ptp(row) > 1e-9 * max(abs(float(row[0])), 1e-300) and np.ptp(row) > 0:
+    if np.ptp(samples) > 1e-9 * max(abs(float(samples[0])), 1e-300) and np.ptp(samples) > 0:
         return None
     return Finding(
         cause="dead",
         channels=(name,),
-        evidence=f"{name} stands at {row[0]:.4g} throughout",
+        evidence=f"{name} stands at {samples[0]:.4g} throughout",
         mend="check its cable and amplifier, unless it did not act, as in a free decay"
         if name in forces
         else "check its cable and amplifier, or take it out of rig.json",
     )
 
 
-def out_of_range(name: str, group: str, row: Row) -> Finding | None:
+def out_of_range(name: str, group: str, samples: Row) -> Finding | None:
     """Finding: values larger than anything on a test rig (100 m, 1e4 m/s, 1e7 m/s^2, a strain of 10, 1e9 N).
 
     The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
     largest, unit = (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
-    reached = float(np.abs(row).max())
+    reached = float(np.abs(samples).max())
     if reached <= largest:
         return None
     return Finding(
@@ -77,11 +77,11 @@ def out_of_range(name: str, group: str, row: Row) -> Finding | None:
     )
 
 
-def clipped(name: str, row: Row) -> Finding | None:
+def clipped(name: str, samples: Row) -> Finding | None:
     """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
-    for side, value in (("largest", row.max()), ("smallest", row.min())):
-        share = float(np.mean(row == value))
-        if share > CLIPPED_SHARE and share * row.size >= 4 and abs(value - row.mean()) > 1.0 * row.std():
+    for side, value in (("largest", samples.max()), ("smallest", samples.min())):
+        share = float(np.mean(samples == value))
+        if share > CLIPPED_SHARE and share * samples.size >= 4 and abs(value - samples.mean()) > 1.0 * samples.std():
             return Finding(
                 cause="clipped",
                 channels=(name,),
@@ -91,13 +91,13 @@ def clipped(name: str, row: Row) -> Finding | None:
     return None
 
 
-def quantised(name: str, row: Row) -> Finding | None:
+def quantised(name: str, samples: Row) -> Finding | None:
     """Finding: the usual step between levels is large, and levels recur, unlike those of a single blow."""
-    levels, counts = np.unique(row[:: max(1, row.size // 20_000)], return_counts=True)
+    levels, counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
     recur = (counts.sum() - counts.max()) / levels.size
     if levels.size > 2000 or levels.size < 3 or recur < MIN_RECURRENCE:
         return None
-    step, rms = float(np.median(np.diff(levels))), float(row.std())
+    step, rms = float(np.median(np.diff(levels))), float(samples.std())
     if step < COARSE_STEP * rms:
         return None
     return Finding(
@@ -108,18 +108,20 @@ def quantised(name: str, row: Row) -> Finding | None:
     )
 
 
-def held(name: str, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
+def held(name: str, samples: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
-    is_repeated = np.diff(row) == 0
+    is_repeated = np.diff(samples) == 0
     edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
     starts, stops = edges[::2], edges[1::2]
     if not starts.size or np.mean(is_repeated) > 0.3:
         return None
     force_size = np.abs(np.atleast_2d(force))
     onset = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
-    is_held = (stops - starts >= HELD_SAMPLES) & (starts > onset) & ~np.isin(row[starts], (row.max(), row.min()))
+    is_held = (
+        (stops - starts >= HELD_SAMPLES) & (starts > onset) & ~np.isin(samples[starts], (samples.max(), samples.min()))
+    )
     if name in forces:
-        is_held &= row[starts] != 0
+        is_held &= samples[starts] != 0
     if not is_held.any():
         return None
     longest = int(np.max((stops - starts)[is_held])) + 1
@@ -132,9 +134,9 @@ def held(name: str, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -
     )
 
 
-def neighbour_deviation(row: Row) -> Row:
+def neighbour_deviation(samples: Row) -> Row:
     """Deviation of each sample from the cubic through its four neighbours, over the usual deviation nearby."""
-    deviation = np.abs(row[2:-2] - (4 * (row[1:-3] + row[3:-1]) - row[:-4] - row[4:]) / 6)
+    deviation = np.abs(samples[2:-2] - (4 * (samples[1:-3] + samples[3:-1]) - samples[:-4] - samples[4:]) / 6)
     return np.asarray(
         np.r_[0, 0, deviation / np.maximum(_moving_mean(deviation, 201), 0.02 * deviation.mean() + 1e-300), 0, 0]
     )
@@ -205,14 +207,14 @@ def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
                 )
 
 
-def noise(name: str, rate_hz: float, row: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
+def noise(name: str, rate_hz: float, samples: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
     quiet = quiet_samples(force, rate_hz)
-    share = float(row[:quiet].std() / row.std()) if quiet else 0.0
+    share = float(samples[:quiet].std() / samples.std()) if quiet else 0.0
     if share < NOISE_SHARE:
         return None
     quiet_roughness, driven_roughness = (
-        float(np.diff(samples).std() / samples.std()) for samples in (row[:quiet], row[quiet:])
+        float(np.diff(part).std() / part.std()) for part in (samples[:quiet], samples[quiet:])
     )
     if quiet_roughness < ROUGHNESS_RATIO * driven_roughness:
         return Finding(
@@ -230,11 +232,11 @@ def noise(name: str, rate_hz: float, row: Row, force: Rows, forces: Sequence[str
     )
 
 
-def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
+def mains(rate_hz: float, samples: Row, force: Rows) -> tuple[float, float] | None:
     """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one."""
     quiet = quiet_samples(force, rate_hz)
-    samples = row[:quiet] if quiet > 0.4 * rate_hz else row
-    centred = samples - samples.mean()
+    quietest = samples[:quiet] if quiet > 0.4 * rate_hz else samples
+    centred = quietest - quietest.mean()
     amplitude = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
     hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
     resolution_hz = hz[1]
@@ -249,14 +251,16 @@ def mains(rate_hz: float, row: Row, force: Rows) -> tuple[float, float] | None:
             float(amplitude[on_tone].max()),
             float(np.sqrt(np.mean(amplitude[off_tone] ** 2))),
         )
-        if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > TONE_SHARE * float(row.std()):
+        if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > TONE_SHARE * float(
+            samples.std()
+        ):
             return float(hz[on_tone][np.argmax(amplitude[on_tone])]), tone_amplitude
     return None
 
 
-def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
+def hum(name: str, rate_hz: float, samples: Row, force: Rows) -> Finding | None:
     """Finding: a mains tone."""
-    tone, amplitude = mains(rate_hz, row, force), float(row.std() * np.sqrt(2))
+    tone, amplitude = mains(rate_hz, samples, force), float(samples.std() * np.sqrt(2))
     if tone is None or amplitude == 0:  # also of values so small that their squares are zero
         return None
     hz, tone_amplitude = tone
@@ -269,9 +273,11 @@ def hum(name: str, rate_hz: float, row: Row, force: Rows) -> Finding | None:
     )
 
 
-def offset(name: str, row: Row, usual_rms: float | None = None) -> Finding | None:
+def offset(name: str, samples: Row, usual_rms: float | None = None) -> Finding | None:
     """Finding: samples with a mean that should have none: of an acceleration, or of motion before the force begins."""
-    mean, rms = (float(row.mean()), float(row.std())) if usual_rms is None else (float(row.mean()), usual_rms)
+    mean, rms = (
+        (float(samples.mean()), float(samples.std())) if usual_rms is None else (float(samples.mean()), usual_rms)
+    )
     if abs(mean) <= OFFSET_SHARE * rms or not rms:
         return None
     return Finding(
@@ -282,10 +288,10 @@ def offset(name: str, row: Row, usual_rms: float | None = None) -> Finding | Non
     )
 
 
-def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
+def drift(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
-    length = row.size
-    power = np.abs(np.fft.rfft((row - row.mean()) * np.hanning(length))) ** 2
+    length = samples.size
+    power = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(length))) ** 2
     slow_lines = int(DRIFT_BELOW_HZ * length / rate_hz) + 1
     share = float(np.sqrt(np.sum(power[1:slow_lines]) / np.sum(power)))
     if share < DRIFT_SHARE:
@@ -298,10 +304,10 @@ def drift(name: str, rate_hz: float, row: Row) -> Finding | None:
     )
 
 
-def not_at_rest(name: str, rate_hz: float, row: Row, first_s: float) -> Finding | None:
+def not_at_rest(name: str, rate_hz: float, samples: Row, first_s: float) -> Finding | None:
     """Finding: the channel moves by a part of its usual motion within the record's first moments."""
-    first = row[: max(8, round(first_s * rate_hz))]
-    if first.std() < MOVING_SHARE * row.std():
+    first = samples[: max(8, round(first_s * rate_hz))]
+    if first.std() < MOVING_SHARE * samples.std():
         return None
     return Finding(
         cause="not at rest",

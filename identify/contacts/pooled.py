@@ -72,14 +72,14 @@ def longest_segment_s(path: Path) -> float:
     Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
     """
     per_s, bound = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
-    longest_s = bound / (MEMORY_COPIES * LAST_SEGMENT_RATIO * per_s) - RING_S
-    if longest_s < SHORTEST_S:
+    memory_limit_s = bound / (MEMORY_COPIES * LAST_SEGMENT_RATIO * per_s) - RING_S
+    if memory_limit_s < SHORTEST_S:
         raise RigError(
             f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RING_S:g} s at once take "
             f"more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
             "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
         )
-    return min(SEGMENT_S, longest_s)
+    return min(SEGMENT_S, memory_limit_s)
 
 
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:

@@ -116,16 +116,16 @@ def write_page(
 
 def _drawing(result: Identification) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
-    lines: dict[str, tuple[str, ...]] = {
+    contact_lines: dict[str, tuple[str, ...]] = {
         contact.name: (
             *([] if contact.is_spring else [_interval(contact.clearance_m, "mm", 1e3)]),
             _interval(contact.stiffness_n_per_m, "N/m"),
         )
         for contact in result.report.contacts
     }
-    lines |= {unanswered.name: ("not told by this record",) for unanswered in result.report.unanswered}
+    contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in result.report.unanswered}
     caption = "<figcaption>The rig, to scale along the bodies, and what was identified (95 % intervals).</figcaption>"
-    return f"<figure>{machine(result.rig, lines)}{caption}</figure>"
+    return f"<figure>{machine(result.rig, contact_lines)}{caption}</figure>"
 
 
 def _variance_table(result: Identification) -> str:

@@ -47,20 +47,20 @@ def drift(quantity: QuantityHistory) -> str:
     """Change along the trend ± 95 %, in its unit and, if smaller than the mean, in per cent of it."""
     if quantity.drift is None:
         return ""
-    _, unit, scale = WORDS[quantity.quantity]
+    _, unit, unit_factor = WORDS[quantity.quantity]
     change, error = quantity.drift.value, quantity.drift.standard_error
     share = f" ({100 * change / quantity.mean:+.2g} %)" if abs(change) < abs(quantity.mean) else ""
-    return interval(scale * change, scale * error, unit) + share
+    return interval(unit_factor * change, unit_factor * error, unit) + share
 
 
 def rows(history: History) -> Iterator[tuple[str, ...]]:
     """Yield for each quantity its name, mean, change along the trend, p of the trend and p of the differences."""
     for quantity in history.quantities:
-        _, unit, scale = WORDS[quantity.quantity]
+        _, unit, unit_factor = WORDS[quantity.quantity]
         chances = (
             "" if p is None else f"{p:.2g}" if p > 0 else "< 1e-300" for p in (quantity.p_trend, quantity.p_different)
         )
-        yield quantity_name(quantity), f"{number(scale * quantity.mean)} {unit}", drift(quantity), *chances
+        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *chances
 
 
 def csv_of(history: History) -> bytes:

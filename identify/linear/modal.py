@@ -150,7 +150,7 @@ def _without_higher_modes(
     contact_force_n: Float[np.ndarray, "contacts samples"],
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
-    body, fitted, keep = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
+    body, fitted_modes, keep = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
     length = next_fast_len(motion.samples, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
     forces = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
@@ -160,7 +160,7 @@ def _without_higher_modes(
     drive = np.stack([*(shape_at(body, s, body.max_modes) for s in rig.forces), *contacts])
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     higher_modes = np.zeros((len(in_coordinates), frequency_hz.size), dtype=complex)
-    for m in range(fitted, body.max_modes):
+    for m in range(fitted_modes, body.max_modes):
         response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * (drive[:, m] @ forces)
         for i, weight in enumerate(in_coordinates[:, m]):
             higher_modes[i] += weight * response
@@ -235,15 +235,15 @@ def _truncation_error(
     inverse_shapes: Float[np.ndarray, "modes stations"],
 ) -> Float[np.ndarray, " modes"]:
     """Share of each fitted coordinate that the higher modes contribute (`Transformation.lost`)."""
-    fitted, all_modes = inverse_shapes.shape[0], body.max_modes
-    if fitted >= all_modes:
-        return np.zeros(fitted)
+    fitted_modes, all_modes = inverse_shapes.shape[0], body.max_modes
+    if fitted_modes >= all_modes:
+        return np.zeros(fitted_modes)
     natural_hz = body.frequencies_hz(all_modes)
-    highest_hz = natural_hz[fitted - 1] or natural_hz[fitted]
+    highest_hz = natural_hz[fitted_modes - 1] or natural_hz[fitted_modes]
     response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * highest_hz)
     loaded = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
     loaded += [s for s in rig.forces if s.body == body.name]
     drive = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
-    error = inverse_shapes @ body.shapes(positions_m, all_modes) - np.eye(fitted, all_modes)
-    return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted]))
+    error = inverse_shapes @ body.shapes(positions_m, all_modes) - np.eye(fitted_modes, all_modes)
+    return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted_modes]))

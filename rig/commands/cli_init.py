@@ -51,12 +51,12 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
             refuse_existing(path, force, new_folder=True)
         start = _started(kind, helps, {k: v for k, v in texts.items() if v is not None})
         with working(f"describing a rig of the kind {name}"):
-            rig, notes = start.described()
+            rig, rig_notes = start.described()
         written = write_start(rig, start.map_text(rig), out)
         if as_json:
-            print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": notes}))
+            print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": rig_notes}))
             return
-        for note in notes:
+        for note in rig_notes:
             print(note)
         print(
             f"{', '.join(map(str, written))}: written; next: rig draw {written[0]}; name your file's columns in "

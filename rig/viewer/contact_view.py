@@ -83,14 +83,14 @@ class ContactMotion:
         return float((self.time_s.size - 1) / (self.time_s[-1] - self.time_s[0])) if self.time_s.size > 1 else 1.0
 
     @cached_property
-    def plotted(self) -> Int[np.ndarray, " plotted"]:
+    def plotted_samples(self) -> Int[np.ndarray, " plotted_samples"]:
         """Plotted samples: all near a contact, every `stride`-th and the frames elsewhere; at most MAX_PLOTTED."""
         reach = max(1, round(NEAR_S * self.rate_hz))
         is_plotted = maximum_filter1d(self.closed.view(np.uint8), 2 * reach + 1, mode="constant").view(bool)
         is_plotted[:: self.stride] = True
         is_plotted[self.frames] = True
-        plotted = np.flatnonzero(is_plotted)
-        return plotted[:: -(-plotted.size // MAX_PLOTTED)] if plotted.size else plotted
+        plotted_samples = np.flatnonzero(is_plotted)
+        return plotted_samples[:: -(-plotted_samples.size // MAX_PLOTTED)] if plotted_samples.size else plotted_samples
 
     @property
     def colours(self) -> UInt8[np.ndarray, "frames 3"]:
@@ -182,11 +182,11 @@ def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) ->
         names = [f"{contact_motion.wall_source if label == 'walls' else label} {limit:+.5g} mm" for limit in limits]
         send_lines(stream, f"{path}/{label}", end_times_s, np.tile(limits[:, None], 2), names, (colour,))
         legend += [(label, colour) for label in names]
-    value = 1e3 * contact_motion.relative_m[None, contact_motion.plotted]
+    value = 1e3 * contact_motion.relative_m[None, contact_motion.plotted_samples]
     send_lines(
         stream,
         f"{path}/value",
-        contact_motion.time_s[contact_motion.plotted],
+        contact_motion.time_s[contact_motion.plotted_samples],
         value,
         [contact_motion.contact.name],
         (contact_motion.colour,),
@@ -268,8 +268,8 @@ def send_phase(stream: rr.RecordingStream, contact_motion: ContactMotion) -> Non
         style(stream, f"{path}/{name}", rr.LineStrips2D([line], **law_style))
     line_style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
     style(stream, f"{path}/seen", line_style)
-    points = axes.points(1e3 * contact_motion.relative_m, contact_motion.force_n)[contact_motion.plotted]
-    frame_places = np.searchsorted(contact_motion.plotted, contact_motion.frames)
+    points = axes.points(1e3 * contact_motion.relative_m, contact_motion.force_n)[contact_motion.plotted_samples]
+    frame_places = np.searchsorted(contact_motion.plotted_samples, contact_motion.frames)
     strips = [points[a : b + 1] for a, b in pairwise(frame_places)]
     send(stream, f"{path}/seen", contact_motion.time_s[contact_motion.frames[1:]], rr.LineStrips2D, strips=strips)
 

@@ -205,7 +205,7 @@ def _send_series(
     legend: list[tuple[str, Colour]] = []
     for contact_motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if contact_motion.force_n is not None:
-            name, plotted_samples = contact_motion.contact.name, contact_motion.plotted
+            name, plotted_samples = contact_motion.contact.name, contact_motion.plotted_samples
             plotted_s, force_n = contact_motion.time_s[plotted_samples], contact_motion.force_n[None, plotted_samples]
             send_lines(stream, entity("contact_force", name), plotted_s, force_n, [name], (colour,))
             legend.append((name, colour))

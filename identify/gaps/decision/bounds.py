@@ -95,13 +95,16 @@ def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
 
 def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
-    outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
+    record_outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
     bounds: list[Bounded] = []
     p_values: list[float] = []
     pooled: list[LawEstimate] = []
     for contact in rig.contacts:
         estimates = [
-            estimate for outcome in outcomes for estimate in outcome.estimates if estimate.contact == contact.name
+            estimate
+            for record_outcome in record_outcomes
+            for estimate in record_outcome.estimates
+            if estimate.contact == contact.name
         ]
         if estimates and contact.law.piecewise_linear:
             estimate = pooled_estimate(estimates)
@@ -112,7 +115,11 @@ def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tol
             bounds.append(
                 _undetermined_parameters(
                     contact,
-                    [outcome.refusals[contact.name] for outcome in outcomes if contact.name in outcome.refusals],
+                    [
+                        record_outcome.refusals[contact.name]
+                        for record_outcome in record_outcomes
+                        if contact.name in record_outcome.refusals
+                    ],
                 )
             )
     return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled))

@@ -42,8 +42,8 @@ def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: 
     fields["at"] = ""
     if "relative_position" in candidate.parameters.names:
         share = float(values[candidate.parameters.names.index("relative_position")])
-        body = candidate.place.get("body") or rig.forces[0].body
-        fields["at"] = f" at {share * rig.body(body).length_m:.2f} m"
+        body_name = candidate.place.get("body") or rig.forces[0].body
+        fields["at"] = f" at {share * rig.body(body_name).length_m:.2f} m"
     return candidate.kind.words.format_map(fields)
 
 
@@ -110,12 +110,12 @@ def cause_of(
     validated, hypothesis = weighted.validated, weighted.validated.hypothesis
     parameters: dict[str, Value] = {}
     places: dict[str, str] = {}
-    deviations = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     words, first_column = [], 0
     for label, candidate in zip(labels_of(hypothesis.effects), hypothesis.candidates, strict=True):
         columns = slice(first_column, first_column + len(candidate.parameters))
         first_column = columns.stop
-        values, errors = hypothesis.values[columns], deviations[columns]
+        values, errors = hypothesis.values[columns], standard_errors[columns]
         determined_change = identifiable_change(
             record.rig, candidate, values, hypothesis.covariance[columns, columns], record.highest_hz
         )

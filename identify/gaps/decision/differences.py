@@ -220,8 +220,8 @@ def differences(
     record_set = _RecordSet(records, variances_by_record, comparable)
     initial = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial, progress)
-    order = np.argsort(levels_n) if have_levels(levels_n) else None
-    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, order)
+    records_by_level = np.argsort(levels_n) if have_levels(levels_n) else None
+    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, records_by_level)
     different = [test.candidate.name for test in tests]
     shared = _pool_shared_values(record_set, varying.effects, initial.effect_names, different)
     progress(1.0)
@@ -265,10 +265,9 @@ def _fit_differing_values(
     initial: EffectValues,
     tests: Sequence[HomogeneityTest],
     tested_effect_count: int,
-    order: Int[np.ndarray, " records"] | None,
+    records_by_level: Int[np.ndarray, " records"] | None,
 ) -> tuple[VaryingParameters, list[ParameterByRecord]]:
-    """Joint fit of each record's strengths of the effects that differ, and their rows; order sorts the records by
-    level."""
+    """Joint fit of each record's strengths of the effects that differ, and their rows."""
     effects = initial
     for test in tests:
         effects = effects.with_effect(test.candidate, test.values)
@@ -277,7 +276,7 @@ def _fit_differing_values(
     if not tests:
         return varying, []
     varying, estimate = record_set.fitted(varying)
-    return varying, _parameter_rows(varying, estimate, tested_effect_count, order)
+    return varying, _parameter_rows(varying, estimate, tested_effect_count, records_by_level)
 
 
 def _pool_shared_values(
@@ -313,7 +312,7 @@ def _parameter_rows(
     varying: VaryingParameters,
     estimate: PooledEstimate,
     comparison_count: int,
-    order: Int[np.ndarray, " records"] | None = None,
+    records_by_level: Int[np.ndarray, " records"] | None = None,
 ) -> list[ParameterByRecord]:
     """Result rows of the parameters; comparisons is the number of effects tested (Bonferroni), 0 for the cause."""
     record_count, parameter_count = varying.record_values.shape
@@ -334,7 +333,9 @@ def _parameter_rows(
                 values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend(values, covariance) if comparison_count else "none",
-                by_level="none" if order is None else _trend(values[order], covariance[np.ix_(order, order)]),
+                by_level="none"
+                if records_by_level is None
+                else _trend(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
             )
         )
     return rows

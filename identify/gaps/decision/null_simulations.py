@@ -222,9 +222,9 @@ def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate
         forces_n[0, : excitation_n.size] = excitation_n
         return _unforced(cut_recording(simulate(rig, actual, forces_n, seed), slice(start, start + samples)))
 
-    def scaled(shape: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def scaled(pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
-        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * shape
+        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * pulse
         for _ in range(SCALING_STEPS):
             rows = _motion(decay(measured.rig, measured.rig, excitation_n, scaled_samples, 0), extent)
             excitation_n = excitation_n * _largest(measured_rows) / _largest(rows)
@@ -232,9 +232,9 @@ def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate
         return float(np.linalg.norm(levels - measured_levels)), excitation_n
 
     half_sines = [max(2, round(share * period)) for share in BLOW_PERIODS]
-    shapes = [np.sin(np.pi * np.arange(samples) / samples) for samples in half_sines]
-    shapes.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period)) ** 2)
-    _, excitation_n = min((scaled(shape) for shape in shapes), key=lambda result: result[0])
+    pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in half_sines]
+    pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period)) ** 2)
+    _, excitation_n = min((scaled(pulse) for pulse in pulses), key=lambda result: result[0])
 
     def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
         return decay(rig, actual, excitation_n, forces_n.shape[1], seed)

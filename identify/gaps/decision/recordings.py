@@ -148,7 +148,7 @@ def sound_channels(recording: Recording, excluded: tuple[str, ...] = ()) -> tupl
     for name, channels in channel_groups(rig).items():
         group = recording.signals[name]
         sound_signals[name] = Signals(
-            channels, group.start_s, group.values[[group.channels.names.index(n) for n in channels.names]]
+            channels, group.start_s, group.values[[group.channels.names.index(name) for name in channels.names]]
         )
     return Recording(rig, sound_signals, recording.provenance), faults
 

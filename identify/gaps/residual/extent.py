@@ -203,7 +203,7 @@ def noise_corner_hz(
 def is_free(rig: Rig, body: str) -> bool:
     """True if a body is an unsupported mass."""
     mass = rig.body(body)
-    supports = [s.station for s in rig.springs] + [s for c in rig.contacts for s in contact_stations(c)]
+    supports = [s.station for s in rig.springs] + [s for contact in rig.contacts for s in contact_stations(contact)]
     return mass.is_mass and bool(mass.rigid_modes) and all(s.body != body for s in supports)
 
 

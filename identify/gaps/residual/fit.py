@@ -75,7 +75,7 @@ class NormalEquations:
 
     def unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """Steps of each contact's unknowns that belong to a step of the other parameters."""
-        return [start - coupled @ step for start, coupled in self.eliminated]
+        return [start - unknowns_by_nuisance @ step for start, unknowns_by_nuisance in self.eliminated]
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,13 @@ class Eliminated:
     """Unknowns of one contact, eliminated from the normal equations of the nuisance parameters.
 
     With J the contact residual's columns by its unknowns and r the residual: rows are its columns N by the nuisance
-    parameters, coupled = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r. straight_fall is
-    the fall of the cost to that of r, in which the excess of pulls is straight (`residual_beyond`).
+    parameters, unknowns_by_nuisance = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r.
+    straight_fall is the fall of the cost to that of r, in which the excess of pulls is straight (`residual_beyond`).
     """
 
     solver: SuperLU
     rows: Float[np.ndarray, "_ nuisances"]
-    coupled: Float[np.ndarray, "unknowns nuisances"]
+    unknowns_by_nuisance: Float[np.ndarray, "unknowns nuisances"]
     solved: Float[np.ndarray, "unknowns nuisances"]
     gradient: Float[np.ndarray, " unknowns"]
     solved_gradient: Float[np.ndarray, " unknowns"]
@@ -126,10 +126,10 @@ class ReducedEquations:
         unknown_solutions = []
         for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
-            coupled = contact.columns.T @ contact_columns
-            solved = eliminated.solver.solve(coupled)
-            matrix[:count, count:] += eliminated.rows.T @ contact_columns - eliminated.coupled.T @ solved
-            matrix[count:, count:] += contact_columns.T @ contact_columns - coupled.T @ solved
+            unknowns_by_nuisance = contact.columns.T @ contact_columns
+            solved = eliminated.solver.solve(unknowns_by_nuisance)
+            matrix[:count, count:] += eliminated.rows.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved
+            matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_nuisance.T @ solved
             gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.gradient
             unknown_solutions.append((eliminated.solved_gradient, np.concatenate([eliminated.solved, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
@@ -153,12 +153,14 @@ def reduced_equations(
         side = contact.sides_after() if sides is None else sides[j]
         columns, piece = contact.columns_beyond(side), contact.residual_beyond(side)
         solver, rows = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
-        unknown_gradient, coupled = columns.T @ piece, columns.T @ rows
-        solved = solver.solve(coupled)
-        matrix = matrix + rows.T @ rows - coupled.T @ solved
+        unknown_gradient, unknowns_by_nuisance = columns.T @ piece, columns.T @ rows
+        solved = solver.solve(unknowns_by_nuisance)
+        matrix = matrix + rows.T @ rows - unknowns_by_nuisance.T @ solved
         gradient = gradient + rows.T @ contact.residual - solved.T @ unknown_gradient
         unknown_step, straight_fall = solver.solve(unknown_gradient), contact.cost - float(piece @ piece)
-        eliminated.append(Eliminated(solver, rows, coupled, solved, unknown_gradient, unknown_step, straight_fall))
+        eliminated.append(
+            Eliminated(solver, rows, unknowns_by_nuisance, solved, unknown_gradient, unknown_step, straight_fall)
+        )
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 

@@ -89,10 +89,10 @@ def ground_forces(
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_motions = displaced_at(responses, sensor_stations, springs, displacements)
+    spring_displacements = displaced_at(responses, sensor_stations, springs, displacements)
     damper_motions = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
     forces = []
-    for spring, displacement in zip(springs, spring_motions, strict=True):
+    for spring, displacement in zip(springs, spring_displacements, strict=True):
         (fine,), window = _oversampled(record, 3, displacement)
         forces.append((spring.station, -_spectrum_on_lines(record, window * spring.law.force_n(fine / window))))
     for damper, velocity in zip(dampers, damper_motions, strict=True):
@@ -115,11 +115,11 @@ def ground_force_changes(
 ) -> list[tuple[Station, Spectrum]]:
     """Directional derivative of each of the `ground_forces` along a change of the displacements."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_motions = [displaced_at(responses, sensor_stations, springs, d) for d in (displacements, changes)]
+    spring_displacements = [displaced_at(responses, sensor_stations, springs, d) for d in (displacements, changes)]
     velocities = _velocities(record, displacements), 1j * record.omega * changes
     damper_motions = [displaced_at(responses, sensor_stations, dampers, v) for v in velocities]
     force_changes = []
-    for spring, displacement, displacement_change in zip(springs, *spring_motions, strict=True):
+    for spring, displacement, displacement_change in zip(springs, *spring_displacements, strict=True):
         (fine, change), window = _oversampled(record, 3, displacement, displacement_change)
         force_changes.append(
             (spring.station, -_spectrum_on_lines(record, spring.law.by_eta_n_per_m(fine / window) * change))

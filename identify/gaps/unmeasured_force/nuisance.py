@@ -17,37 +17,37 @@ def whitened_record(record: Record, rig: Rig) -> WhitenedRecord:
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
-    bare = bare_residual(record, rig)
-    return with_columns(bare, *nuisance_columns(bare))
+    whitened = bare_residual(record, rig)
+    return with_columns(whitened, *nuisance_columns(whitened))
 
 
 def nuisance_columns(
-    bare: WhitenedRecord,
+    whitened: WhitenedRecord,
 ) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Nuisance parameters, the columns D by one tolerance of each, and the trace term 2 Re tr(dD/dA) of each."""
-    model = bare.model
-    delivered_norm, bodies = float(np.linalg.norm(bare.record.delivered)), [r.body.name for r in model.responses]
+    model = whitened.model
+    delivered_norm, bodies = float(np.linalg.norm(whitened.record.delivered)), [r.body.name for r in model.responses]
     parameters: list[Nuisance] = []
     columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace_terms: list[float] = []
-    measured = _measured_motion(bare)
+    measured = _measured_motion(whitened)
     for changes in (
         changes_of(measured, common=False),
         crosstalk_of(measured),
         state_changes(model.free, bodies, model.sensor_response, delivered_norm),
     ):
         for change in changes:
-            column = bare.gated_residual(change.at_all_sensors(len(bare.record.sensors)) / model.deviation)
+            column = whitened.gated_residual(change.at_all_sensors(len(whitened.record.sensors)) / model.deviation)
             if np.any(column):
                 parameters.append(change.parameter)
                 columns.append(column.astype(np.complex64))  # they are many
-                trace_terms.append(_data_trace(bare, change))
-    return tuple(parameters), np.array(columns).reshape(len(columns), *bare.residual.shape), np.array(trace_terms)
+                trace_terms.append(_data_trace(whitened, change))
+    return tuple(parameters), np.array(columns).reshape(len(columns), *whitened.residual.shape), np.array(trace_terms)
 
 
-def _measured_motion(bare: WhitenedRecord) -> Observed:
+def _measured_motion(whitened: WhitenedRecord) -> Observed:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
-    record, model = bare.record, bare.model
+    record, model = whitened.record, whitened.model
     highest = MODE_REACH * record.omega[-1] / (2 * np.pi)
     return Observed(
         sensors=record.sensors,
@@ -65,20 +65,20 @@ def _measured_motion(bare: WhitenedRecord) -> Observed:
                 np.flatnonzero((response.dynamics.natural_hz > 0) & (response.dynamics.natural_hz < highest)),
                 modal_inverse(record, response),
             )
-            for response, motion in zip(model.responses, bare.modal_accelerations, strict=True)
+            for response, motion in zip(model.responses, whitened.modal_accelerations, strict=True)
         ),
     )
 
 
-def _data_trace(bare: WhitenedRecord, change: Change) -> float:
+def _data_trace(whitened: WhitenedRecord, change: Change) -> float:
     """Twice the trace of a column's derivative by the data, 2 Re sum of tr(dD/dA); zero if it does not read them."""
     if change.reading is None:
         return 0.0
-    response, deviation = bare.model.sensor_response, bare.model.deviation
+    response, deviation = whitened.model.sensor_response, whitened.model.deviation
     pattern = np.zeros_like(response)
     pattern[change.sensors] = change.reading.pattern
-    weighted_rows = bare.project((change.reading.weights[:, None] * deviation / response.conj())[:, bare.lines])
-    pattern_rows = bare.project((pattern / deviation)[:, bare.lines])
+    weighted_rows = whitened.project((change.reading.weights[:, None] * deviation / response.conj())[:, whitened.lines])
+    pattern_rows = whitened.project((pattern / deviation)[:, whitened.lines])
     return 2 * float(np.sum(weighted_rows.conj() * pattern_rows).real)
 
 

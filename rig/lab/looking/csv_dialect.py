@@ -124,7 +124,7 @@ def _encoding(path: Path) -> str:
     if (zeros := head.count(0)) > len(head) / 4:
         return "utf-16-le" if head[1::2].count(0) > zeros / 2 else "utf-16-be"
     try:
-        for _ in _decoded(path, "utf-8"):
+        for _ in _decoded_pieces(path, "utf-8"):
             pass
     except UnicodeDecodeError:
         return _western(path)
@@ -146,7 +146,7 @@ def _western(path: Path) -> str:
     return "cp1252"
 
 
-def _decoded(path: Path, encoding: str) -> Iterator[str]:
+def _decoded_pieces(path: Path, encoding: str) -> Iterator[str]:
     decoder = codecs.getincrementaldecoder(encoding)()
     with path.open("rb") as stream:
         for piece in chain(iter(partial(stream.read, BYTES_AT_ONCE), b""), [b""]):

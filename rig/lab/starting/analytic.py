@@ -106,21 +106,24 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
             raise RigError(
                 f"overlap_start_m is {overlap_start}; give a place on the cradle, 0 to below {self.cradle_length_m} m"
             )
-        places = self.contacts_m or (overlap_start, overlap_end)
-        if outside := [p for p in places if not overlap_start <= p <= overlap_end]:
+        contacts_on_cradle_m = self.contacts_m or (overlap_start, overlap_end)
+        if outside := [p for p in contacts_on_cradle_m if not overlap_start <= p <= overlap_end]:
             raise RigError(
                 f"contacts_m has {outside[0]} m, where the beams do not lie side by side; give {overlap_start:g} to "
                 f"{overlap_end:g} m"
             )
-        on_barrel = [round(p - overlap_start, 12) for p in places]
+        contacts_on_barrel_m = [round(p - overlap_start, 12) for p in contacts_on_cradle_m]
         force_m = self.barrel_length_m if self.force_m is None else self.force_m
         sensed = {
-            "cradle": self.cradle_stations_m or spread(list(places), cradle.length_m, avoided_m=(0.0,)),
-            "barrel": self.barrel_stations_m or spread([*on_barrel, force_m], barrel.length_m),
+            "cradle": self.cradle_stations_m or spread(list(contacts_on_cradle_m), cradle.length_m, avoided_m=(0.0,)),
+            "barrel": self.barrel_stations_m or spread([*contacts_on_barrel_m, force_m], barrel.length_m),
         }
         rig = self._rig(
             (cradle, barrel),
-            [(Station("barrel", b), Station("cradle", c)) for b, c in zip(on_barrel, places, strict=True)],
+            [
+                (Station("barrel", b), Station("cradle", c))
+                for b, c in zip(contacts_on_barrel_m, contacts_on_cradle_m, strict=True)
+            ],
             Station("barrel", force_m),
             [Station(name, x) for name, positions in sensed.items() for x in positions],
         )
