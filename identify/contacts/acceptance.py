@@ -11,9 +11,10 @@ import numpy as np
 
 from identify.checks import check_recording, naming
 from identify.checks.findings import Cause, Finding
-from identify.contacts.determination import Outcomes, determine
+from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS, FormName
+from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, is_unforced, separate
 from identify.linear.modal import NEARLY_INVISIBLE

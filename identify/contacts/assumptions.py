@@ -65,9 +65,18 @@ def assumptions(result: Identification) -> Iterator[str]:
     )
     for place in result.same_place:
         if len(place.members) > 1:
+            stops = sum(rig.contacts[j].law.has_stops for j in place.members)
+            told = [
+                *(["the slope within the gap is the spring's"] if stops < len(place.members) else []),
+                *(
+                    ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
+                        : stops - 1
+                    ]
+                ),
+            ]
             yield (
-                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
-                "has the knee that comes nearest to its clearance and stiffness in rig.json."
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{' and '.join(told)}."
             )
     if is_unforced(motion):
         yield (

@@ -10,9 +10,9 @@ from jaxtyping import Float
 from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.acceptance import checked_contacts, equation_findings
-from identify.contacts.determination import Outcomes
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
+from identify.contacts.outcomes import Outcomes
 from identify.contacts.paper_methods import (
     PaperMethods,
     SignalsByLaw,

@@ -31,6 +31,7 @@ class RemedyCode(StrEnum):
     RECORD_LONGER_OR_OTHER_FORCE = "record_longer_or_other_force"
     EXCITE_MORE_OR_SEPARATE_STOPS = "excite_more_or_separate_stops"
     SEPARATE_STOPS = "separate_stops"
+    DESCRIBE_SPRING = "describe_spring"
 
 
 class RefusalCode(StrEnum):
@@ -56,6 +57,7 @@ class RefusalCode(StrEnum):
     UNCERTAIN = "uncertain"
     NOT_SEPARABLE = "not_separable"
     INTERCHANGEABLE = "interchangeable"
+    NO_GAP = "no_gap"
 
 
 REMEDIES: Mapping[RemedyCode, str] = {
@@ -81,6 +83,8 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS: "excite the rig more strongly, use stops that differ more, or measure "
     "the force at one of them",
     RemedyCode.SEPARATE_STOPS: "use stops that differ more, or measure the force at one of them",
+    RemedyCode.DESCRIBE_SPRING: 'if it is a spring, give it that law, "law": {"type": "spring", "stiffness_n_per_m": '
+    "...}; if it is a stop, its clearance",
 }
 
 CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
@@ -114,7 +118,7 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         RemedyCode.RECORD_FORCE_OR_RELEASE,
     ),
     RefusalCode.TOO_MANY_CONTACTS: (
-        "{contacts} contacts stand between the same places, of which a record tells {at_most} at most",
+        "{contacts} stand between the same places, of which a record tells {at_most} at most",
         RemedyCode.DESCRIBE_FEWER_CONTACTS,
     ),
     RefusalCode.STANDS_STILL: ("its relative displacement stands still", RemedyCode.CHECK_DISPLACEMENT_SENSOR),
@@ -156,6 +160,10 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         "places: by rig.json, of which clearances are taken to be sure to 20 % and stiffnesses to a factor of two, "
         "they may as well be exchanged",
         RemedyCode.SEPARATE_STOPS,
+    ),
+    RefusalCode.NO_GAP: (
+        "rig.json gives it stops with clearances of zero, and the record shows no gap either",
+        RemedyCode.DESCRIBE_SPRING,
     ),
 }
 """Cause, with its evidence in braces, and usual remedy by code."""
