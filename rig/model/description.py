@@ -32,6 +32,7 @@ from rig.model.components import (
 )
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.decoding import converted
+from rig.model.nodes import with_positions
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
 from rig.model.structure import Structure
@@ -251,9 +252,10 @@ def check_given(rig: Rig, source: str) -> None:
     for label, station in places:
         body = rig.body(station.body)
         if isinstance(body, Structure) and not body.has_shapes_at(station.position_m):
+            named = " or give a station by its node" if any(row.node for row in body.rows) else ""
             raise RigError(
                 f"{source}: {label} stands at {station.position_m} m of {body.name!r}, where its modal basis gives no "
-                "shapes; add a row for that place"
+                f"shapes; add a row for that place{named}"
             )
 
 
@@ -263,9 +265,9 @@ def to_json(rig: Rig) -> bytes:
 
 def _in_types(decoded: Any) -> Any:
     """Description in the values of the types: a law without a type is a dead zone, a clearance of null infinite, and
-    "ground" no station. The name of its JSON Schema is left out.
+    "ground" no station; nodes' names are their positions (`rig.model.nodes`). The name of its JSON Schema is left out.
 
-    Raises RigError, without the file's name, for another word than "ground".
+    Raises RigError, without the file's name, for another word than "ground", and for an unknown node.
     """
     if not isinstance(decoded, dict):
         return decoded
@@ -284,6 +286,7 @@ def _in_types(decoded: Any) -> Any:
         if isinstance(law := contact.get("law"), dict):
             law.setdefault("type", "dead_zone")
             law |= {name: math.inf for name in CLEARANCES if name in law and law[name] is None}
+    with_positions(decoded)
     return decoded
 
 

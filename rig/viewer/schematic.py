@@ -7,6 +7,7 @@ from pathlib import Path
 from rig.model.contact_laws import walls_m
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
+from rig.model.structure import Structure
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
@@ -215,7 +216,7 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
     for station, letters in quantities.items():
         x, top = plan.x(station, plan.rig.sensors), plan.top(station.body)
         drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR_INK, fill=SENSOR_INK)
-        place = "" if station.body in plan.slots else f"  {station.position_m:g} m"
+        place = "" if station.body in plan.slots else f"  {_place_name(plan.rig, station)}"
         drawing.text(
             x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
         )
@@ -223,6 +224,13 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
         used = dict.fromkeys(s.quantity for s in plan.rig.sensors)
         key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
         drawing.text(0.0, TITLE_PX + 20, f"sensors: {key}", SENSOR_INK)
+
+
+def _place_name(rig: Rig, station: Station) -> str:
+    """Name of the node where the places of a modal basis have no axis, else the position."""
+    body = rig.body(station.body)
+    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(station.position_m)
+    return f"{station.position_m:g} m" if node is None else f"node {node}"
 
 
 def _attached(drawing: Drawing, plan: _Plan) -> None:
