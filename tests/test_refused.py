@@ -12,7 +12,7 @@ from identify.contacts.refusals import ContactRefusedError
 from rig.errors import RigError
 from rig.lab.importing import import_file
 from rig.model.contact_laws.spring import Spring
-from rig.model.description import BaseMotion, PointMass, to_json
+from rig.model.description import BaseMotion, PointSpring, to_json
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.fmu import export_fmu
 from rig.simulation.plants import ancf
@@ -131,8 +131,8 @@ def simulated(rig, plant):
 
 CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "no contact": contact(replace(SDOF, contacts=())),
-    "point masses, springs, dampers, loads in rig.json": contact(
-        replace(SDOF, masses=(PointMass(station=SDOF.force_at, mass_kg=0.1),))
+    "dampers, loads, tones, cubic springs in rig.json": contact(
+        replace(SDOF, springs=(PointSpring(station=SDOF.force_at, cubic_n_per_m3=1e9),))
     ),
     "three contacts of two masses": contact(
         replace(CHAIN, contacts=(*CHAIN.contacts, replace(CHAIN.contacts[1], name="wall", at=CHAIN.contacts[0].at)))

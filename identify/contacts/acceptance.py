@@ -22,6 +22,7 @@ from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
+from rig.model.modes import condensed
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -81,12 +82,13 @@ def checked_contacts(
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
-    zone, or the one of `forms` that the record supports.
+    zone, or the one of `forms` that the record supports. Masses, linear springs, supports and clamps are part of the
+    bodies of the separation's rig (`rig.model.modes.condensed`).
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     check_described(recording.rig)
-    separation = separate(recording, use, tolerances)
+    separation = separate(replace(recording, rig=condensed(recording.rig)), use, tolerances)
     return accept(separation, determine(separation, forms))
 
 

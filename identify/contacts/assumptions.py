@@ -10,6 +10,7 @@ from identify.contacts.law_form import STIFFNESS
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from rig.model.description import Station
+from rig.model.modes import condensed
 from rig.model.tolerances import EXACT
 
 SHORTEST_QUIET_S = 0.3
@@ -39,7 +40,8 @@ def assumptions(result: Identification) -> Iterator[str]:
     yield (
         "The bodies are those of rig.json, linear: "
         + "; ".join(
-            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}" for b in rig.bodies
+            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}"
+            for b in condensed(rig).bodies
         )
         + "."
     )

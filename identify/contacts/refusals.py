@@ -62,7 +62,8 @@ class RefusalCode(StrEnum):
 
 REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_CONTACTS: "describe them in rig.json",
-    RemedyCode.LEAVE_OUT_ATTACHMENTS: "it takes beams, structures and masses on springs, without attachments",
+    RemedyCode.LEAVE_OUT_ATTACHMENTS: "leave it out: it takes beams, structures and masses "
+    "with point masses, linear springs, supports and clamps; identify gap takes the others",
     RemedyCode.MOTION_AGAINST_BASE: "of one mass give its motion against the base, and minus its mass times the base's "
     "acceleration as the force; of other bodies hold the base still and measure an exciting force",
     RemedyCode.ADD_SENSOR: "put a sensor there",

@@ -26,6 +26,7 @@ from rig.model.components import (
     Sensor,
     StaticLoad,
     Station,
+    Support,
     Tone,
     check_name,
     contact_stations,
@@ -53,6 +54,7 @@ __all__ = [
     "Sensor",
     "StaticLoad",
     "Station",
+    "Support",
     "Tone",
     "check_given",
     "check_name",
@@ -95,6 +97,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Attached point masses."""
     springs: tuple[PointSpring, ...] = ()
     """Springs from a body to the base."""
+    supports: tuple[Support, ...] = ()
+    """Pins and rollers of the base along a body."""
     clamps: tuple[Clamp, ...] = ()
     """Compliance of the clamps of beams."""
     loads: tuple[StaticLoad, ...] = ()
@@ -139,17 +143,14 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for kind, attached in (
             ("point mass", self.masses),
             ("point spring", self.springs),
+            ("support", self.supports),
             ("point load", self.loads),
             ("point damper", self.dampers),
             ("tone", self.tones),
         ):
             for item in attached:
                 self._check_station(f"a {kind}", item.station)
-        for clamp in self.clamps:
-            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
-                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
-        if len({c.body for c in self.clamps}) < len(self.clamps):
-            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
+        self._check_held()
         for body in self.bodies if self.base_motion else ():
             _check_carried(body)
 
@@ -205,6 +206,27 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             _check_names(f"rig {self.name!r}", "channel", [*self.force_names, *(s.name for s in self.sensors)])
         for name, station in zip(self.force_names, self.forces, strict=True):
             self._check_station(f"the {name}", station)
+
+    def _check_held(self) -> None:
+        for support in self.supports:
+            self._check_support(support)
+        for clamp in self.clamps:
+            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
+                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
+        if len({c.body for c in self.clamps}) < len(self.clamps):
+            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
+
+    def _check_support(self, support: Support) -> None:
+        body, position_m = self.body(support.station.body), support.station.position_m
+        if body.is_mass:
+            raise RigError(
+                f"a support holds {body.name!r}, a mass; supports stand along beams and structures, a mass has its own "
+                "spring, frequency_hz"
+            )
+        if body.clamped and position_m == 0:
+            raise RigError(f"a support stands at the clamped end of {body.name!r}, which is held there; leave it out")
+        if sum(other.station == support.station for other in self.supports) > 1:
+            raise RigError(f"more than one support stands at {position_m} m of {body.name!r}; give one")
 
     def _check_station(self, label: str, station: Station) -> None:
         body = self.body(station.body)
