@@ -25,6 +25,7 @@ class RemedyCode(StrEnum):
     DESCRIBE_FEWER_CONTACTS = "describe_fewer_contacts"
     CHECK_DISPLACEMENT_SENSOR = "check_displacement_sensor"
     EXCITE_MORE = "excite_more"
+    EXCITE_MORE_OR_QUIETER = "excite_more_or_quieter"
     EXCITE_MORE_OR_DISPLACEMENTS = "excite_more_or_displacements"
     EXCITE_MORE_OR_CHECK_RIG = "excite_more_or_check_rig"
     CHECK_NOISE_OR_EXCITE_MORE = "check_noise_or_excite_more"
@@ -77,13 +78,16 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_FEWER_CONTACTS: "describe them as fewer",
     RemedyCode.CHECK_DISPLACEMENT_SENSOR: "look for a dead displacement sensor",
     RemedyCode.EXCITE_MORE: "excite the rig more strongly",
+    RemedyCode.EXCITE_MORE_OR_QUIETER: "excite the rig more strongly, or take quieter sensors",
     RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS: "excite the rig more strongly, or measure displacements",
     RemedyCode.EXCITE_MORE_OR_CHECK_RIG: "excite the rig more strongly, or check rig.json",
     RemedyCode.CHECK_NOISE_OR_EXCITE_MORE: "check their noise and gains, or excite the rig more strongly",
-    RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer or change the force",
+    RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer, excite the rig more strongly, or measure displacements at "
+    "its places; if it never opens, give it the law of a spring",
     RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS: "excite the rig more strongly, use stops that differ more, or measure "
     "the force at one of them",
-    RemedyCode.SEPARATE_STOPS: "use stops that differ more, or measure the force at one of them",
+    RemedyCode.SEPARATE_STOPS: "let clearances or stiffnesses in rig.json differ as theirs do, use stops that differ "
+    "more, or measure the force at one of them",
     RemedyCode.DESCRIBE_SPRING: 'if it is a spring, give it that law, "law": {"type": "spring", "stiffness_n_per_m": '
     "...}; if it is a stop, its clearance",
 }
@@ -123,7 +127,10 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         RemedyCode.DESCRIBE_FEWER_CONTACTS,
     ),
     RefusalCode.STANDS_STILL: ("its relative displacement stands still", RemedyCode.CHECK_DISPLACEMENT_SENSOR),
-    RefusalCode.HARDLY_CLOSES: ("it hardly ever closes in this record", RemedyCode.EXCITE_MORE),
+    RefusalCode.HARDLY_CLOSES: (
+        "it hardly ever closes in this record, or not visibly above the noise",
+        RemedyCode.EXCITE_MORE_OR_QUIETER,
+    ),
     RefusalCode.ONE_STOP_TOUCHED: (
         "only one of its stops is clearly touched, so its play cannot be told",
         RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS,
