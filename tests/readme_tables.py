@@ -23,6 +23,7 @@ from rig.model.description import (
     Sensor,
     StaticLoad,
     Station,
+    Support,
     Tone,
 )
 from rig.model.oscillator import Oscillator
@@ -45,6 +46,7 @@ OBJECTS: dict[str, type[msgspec.Struct]] = {
     "station, force_at (or a list of them, where several measured forces act at once), at, against": Station,
     "masses": PointMass,
     "springs": PointSpring,
+    "supports": Support,
     "dampers": PointDamper,
     "clamps": Clamp,
     "loads": StaticLoad,

@@ -11,7 +11,8 @@ import identify
 from identify.contacts.refusals import ContactRefusedError
 from rig.errors import RigError
 from rig.lab.importing import import_file
-from rig.model.description import BaseMotion, PointMass, to_json
+from rig.model.contact_laws.spring import Spring
+from rig.model.description import BaseMotion, PointSpring, to_json
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.fmu import export_fmu
 from rig.simulation.plants import ancf
@@ -67,11 +68,30 @@ def stops(believed, true, rms_n=12.0):
     def run(folder):
         rig, actual = (topologies.progressive_stop("displacement", *laws) for laws in (believed, true))
         case = topologies.Topology(rig, rms_n, "")
-        path = topologies.recorded(case, folder / "r.mcap", duration_s=12.0, actual=actual)
-        *_, last = identify.contact(path).found.outcomes.refusals.values()
-        raise ContactRefusedError(last)
+        last_refusal(case, actual, folder)
 
     return run
+
+
+def last_refusal(case, actual, folder):
+    """Raise the refusal of the last contact of a topology that is refused."""
+    path = topologies.recorded(case, folder / "r.mcap", duration_s=12.0, actual=actual)
+    *_, last = identify.contact(path).found.outcomes.refusals.values()
+    raise ContactRefusedError(last)
+
+
+def spring_beside(rig, springs):
+    """Springs between the places of the rig's first contact, of which none is told."""
+    struts = [replace(rig.contacts[0], name=f"strut {k}", law=Spring(stiffness_n_per_m=2e4)) for k in range(springs)]
+    case = topologies.Topology(replace(rig, contacts=(*rig.contacts, *struts)), 12.0, "")
+    return lambda folder: last_refusal(case, None, folder)
+
+
+def spring_as_stop():
+    """A spring that rig.json describes as a dead zone without clearance."""
+    rig = topologies.one_mass(0.0)
+    spring = replace(rig.contacts[0], law=Spring(stiffness_n_per_m=2e4, damping_n_s_per_m=10.0))
+    return lambda folder: last_refusal(topologies.Topology(rig, 12.0, ""), replace(rig, contacts=(spring,)), folder)
 
 
 def laboratory_gap(test, **given):
@@ -111,8 +131,8 @@ def simulated(rig, plant):
 
 CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "no contact": contact(replace(SDOF, contacts=())),
-    "point masses, springs, dampers, loads in rig.json": contact(
-        replace(SDOF, masses=(PointMass(station=SDOF.force_at, mass_kg=0.1),))
+    "dampers, loads, tones, cubic springs in rig.json": contact(
+        replace(SDOF, springs=(PointSpring(station=SDOF.force_at, cubic_n_per_m3=1e9),))
     ),
     "three contacts of two masses": contact(
         replace(CHAIN, contacts=(*CHAIN.contacts, replace(CHAIN.contacts[1], name="wall", at=CHAIN.contacts[0].at)))
@@ -120,6 +140,8 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "two stops on one mass that are believed alike": stops(((7e-4, 3e4), (6.5e-4, 3e4)), ((5e-4, 8e3), (1e-3, 1e5))),
     "two stops on one mass whose knees coincide": stops(((5e-4, 8e3), (1e-3, 1e5)), ((7e-4, 8e3), (7e-4, 5e4))),
     "a stop behind another that is not reached": stops(((2e-4, 8e3), (5e-3, 1e5)), ((2e-4, 8e3), (5e-3, 1e5)), 4.0),
+    "two springs between the same places": spring_beside(topologies.one_mass(4e-4), springs=2),
+    "a spring that is described as a stop without clearance": spring_as_stop(),
     "strain gauges alone": contact(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s": contact(BEAMS, seconds=4.0),
     "two beams, force not recorded, diagnosed": gap(BarrelCradle(sensors="displacement").rig(), forced=False),

@@ -11,9 +11,10 @@ import numpy as np
 
 from identify.checks import check_recording, naming
 from identify.checks.findings import Cause, Finding
-from identify.contacts.determination import Outcomes, determine
+from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS, FormName
+from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, is_unforced, separate
 from identify.linear.modal import NEARLY_INVISIBLE
@@ -21,6 +22,7 @@ from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
+from rig.model.modes import condensed
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -80,12 +82,13 @@ def checked_contacts(
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
-    zone, or the one of `forms` that the record supports.
+    zone, or the one of `forms` that the record supports. Masses, linear springs, supports and clamps are part of the
+    bodies of the separation's rig (`rig.model.modes.condensed`).
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     check_described(recording.rig)
-    separation = separate(recording, use, tolerances)
+    separation = separate(replace(recording, rig=condensed(recording.rig)), use, tolerances)
     return accept(separation, determine(separation, forms))
 
 

@@ -10,6 +10,7 @@ from identify.contacts.law_form import STIFFNESS
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from rig.model.description import Station
+from rig.model.modes import condensed
 from rig.model.tolerances import EXACT
 
 SHORTEST_QUIET_S = 0.3
@@ -39,7 +40,8 @@ def assumptions(result: Identification) -> Iterator[str]:
     yield (
         "The bodies are those of rig.json, linear: "
         + "; ".join(
-            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}" for b in rig.bodies
+            f"{b.name}, {_frequencies(b.frequencies_hz(min(4 + b.rigid_modes, b.max_modes)))}"
+            for b in condensed(rig).bodies
         )
         + "."
     )
@@ -65,9 +67,18 @@ def assumptions(result: Identification) -> Iterator[str]:
     )
     for place in result.same_place:
         if len(place.members) > 1:
+            stops = sum(rig.contacts[j].law.has_stops for j in place.members)
+            told = [
+                *(["the slope within the gap is the spring's"] if stops < len(place.members) else []),
+                *(
+                    ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
+                        : stops - 1
+                    ]
+                ),
+            ]
             yield (
-                f"{place.contact.name} act between the same places: the record tells the sum of their forces; each "
-                "has the knee that comes nearest to its clearance and stiffness in rig.json."
+                f"{place.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{' and '.join(told)}."
             )
     if is_unforced(motion):
         yield (

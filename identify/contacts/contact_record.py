@@ -9,9 +9,6 @@ from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Drift
 from identify.signals.scores import COUNTED_HZ, quiet_deviation
 
-Touched = Bool[np.ndarray, "contacts 2"]
-"""Contacts x (lower, upper): True where the record determines that stop."""
-
 CLEAR_SHARE = 0.1
 """A contact is clearly closed where its force exceeds this share of the force's 99.5 % quantile, ..."""
 QUIET_FACTOR, NOISE_FACTOR = 8.0, 5.0

@@ -1,55 +1,38 @@
 """Second stage, determination: the joint estimate of every contact, or why the record does not determine it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from identify.contacts.contact_record import ContactRecord, touched_stops
-from identify.contacts.initial_guess import initial_pulls, reach_m, without_nuisances
+from identify.contacts.initial_guess import initial_pulls, reach_m, spring_guess, without_nuisances, without_spring
 from identify.contacts.joint_fit import JointEstimate, fit_joint
 from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS, FormName, NominalLaws, law_numbers
+from identify.contacts.outcomes import NO_OUTCOMES, Outcomes, check_certain
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation
 from identify.linear.joined import Joined
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
-UNCERTAIN_SHARE = 0.1
-"""Standard error over the value, of clearance and of stiffness, from which an estimate is refused."""
 MOST_CONTACTS = 3
 """Contacts between the same places that have fewer parameters than a record has parts for their scatter."""
 UNTOUCHED_STOP_RATIO = 2.0
 """A stop whose nominal clearance is so many times the reach of the motion is not touched, whatever its error."""
 ABSENT_STOP_RATIO = 10.0
 """A stop whose nominal clearance is so many times the largest relative displacement does not exist."""
+GAPLESS_CODES = (RefusalCode.NO_STIFFNESS, RefusalCode.NO_LAW, RefusalCode.UNCERTAIN, RefusalCode.NOT_SEPARABLE)
+"""Refusals that a spring which is described as a stop without clearance leads to."""
+SPRING_UNEXPLAINED_SHARE = 0.05
+"""Share of the force that a spring may leave where the stops beside it are taken not to be reached."""
 NOMINAL_SPREAD, EXCHANGE_DISTANCE, SMALLEST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
 """Standard deviations of clearance and stiffness in rig.json, as shares; the distance in them that rules out that two
 contacts are exchanged."""
 COUPLING_ROUNDS = 3
 """Rounds of fits where slow motions are coupled: a coupling is a small share of the forces."""
-
-
-@dataclass(frozen=True)
-class Outcomes:
-    """Outcome of every contact by its name: its joint estimate where the record determines it, else the refusal."""
-
-    estimates: Mapping[str, JointEstimate]
-    refusals: Mapping[str, Refusal]
-
-    @staticmethod
-    def refused(names: Sequence[str], refusal: Refusal) -> "Outcomes":
-        """Outcomes of contacts that are all refused for one reason."""
-        return Outcomes({}, dict.fromkeys(names, refusal))
-
-    def joined(self, further: "Outcomes") -> "Outcomes":
-        """Outcomes with those of further contacts."""
-        return Outcomes({**self.estimates, **further.estimates}, {**self.refusals, **further.refusals})
-
-
-NO_OUTCOMES = Outcomes({}, {})
 
 
 def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcomes:
@@ -98,18 +81,33 @@ def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) 
 def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
     names, nominal = [rig.contacts[j].name for j in place.members], _nominal_laws(rig, place)
-    is_spring = len(names) == 1 and not place.contact.law.has_stops
+    springs = [not rig.contacts[j].law.has_stops for j in place.members]
     try:
-        outcomes = (
-            _spring_outcome(names[0], nominal, record) if is_spring else _place_outcomes(names, nominal, record, forms)
-        )
+        if not any(springs):
+            outcomes = _place_outcomes(names, nominal, record, forms)
+        elif len(names) == 1:
+            outcomes = _spring_outcome(names[0], nominal, record)
+        else:
+            outcomes = _outcomes_beside_spring(names, nominal, record, np.array(springs))
     except ContactRefusedError as error:
-        return Outcomes.refused(names, error.refusal)
+        outcomes = Outcomes.refused(names, error.refusal)
+    outcomes = replace(outcomes, refusals=_without_gaps(rig, outcomes.refusals))
     signs = dict(zip(names, place.signs, strict=True))
     estimates = {
         name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
     return replace(outcomes, estimates=estimates)
+
+
+def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusal]:
+    """Refusals, with the advice to describe a spring where stops without clearances show no law with a gap."""
+    gapless = {
+        c.name for c in rig.contacts if c.law.has_stops and not (c.law.lower_clearance_m or c.law.upper_clearance_m)
+    }
+    return {
+        name: refused(RefusalCode.NO_GAP).refusal if name in gapless and refusal.code in GAPLESS_CODES else refusal
+        for name, refusal in refusals.items()
+    }
 
 
 def _nominal_laws(rig: Rig, place: Joined) -> NominalLaws:
@@ -128,15 +126,96 @@ def _place_outcomes(
     sides = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
         (estimate,) = fit_joint(record, nominal, _present_sides(nominal[0], record, sides)[None], forms)
-        _check_certain(estimate)
+        check_certain(estimate)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
-        raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=len(names), at_most=MOST_CONTACTS)
+        raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
     nearest = nominal[:, :2].min(axis=0)
     reach = np.maximum(
         reach_m(record), np.where(nearest < ABSENT_STOP_M, nearest, 0.0)
     )  # the nearest is always touched
-    return _outcomes_in_reach(names, nominal, record, sides, reach)
+    return _outcomes_in_reach(names, nominal, record, sides, reach, np.zeros(len(names), dtype=bool))
+
+
+def _outcomes_beside_spring(
+    names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
+) -> Outcomes:
+    """Outcomes of a spring and of stops that share a relative displacement, in the direction of the first contact. The
+    spring alone where no stop is determined and it leaves no more than `SPRING_UNEXPLAINED_SHARE` of the force: then
+    the stops are not reached.
+
+    Raises ContactRefusedError of too many contacts, or if they stand still.
+    """
+    if np.sum(are_springs) > 1:
+        raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{np.sum(are_springs)} springs", at_most=1)
+    if len(names) > MOST_CONTACTS:
+        raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
+    if not np.ptp(record.eta_m):
+        raise refused(RefusalCode.STANDS_STILL)
+    outcomes = NO_OUTCOMES
+    try:
+        spring, eta_m = spring_guess(without_nuisances(record, initial_pulls(record)))
+        laws = np.where(are_springs[:, None], spring, nominal)
+        outcomes = _stops_beside_spring(names, laws, record, eta_m, are_springs)
+    except ContactRefusedError as error:
+        outcomes = Outcomes.refused(names, error.refusal)
+    stops = {name for name, is_spring in zip(names, are_springs, strict=True) if not is_spring}
+    if stops & outcomes.estimates.keys():
+        return outcomes
+    return _spring_without_stops(names, nominal, record, are_springs) or outcomes
+
+
+def _stops_beside_spring(
+    names: Sequence[str],
+    laws: NominalLaws,
+    record: ContactRecord,
+    eta_m: Float[np.ndarray, " samples"],
+    are_springs: Bool[np.ndarray, " contacts"],
+) -> Outcomes:
+    """Outcomes of stops with a spring of that law beside them; eta_m is the relative displacement with its drift."""
+    (spring,) = laws[are_springs]
+    of_stops = without_spring(without_nuisances(record, initial_pulls(record)), spring)
+    sides = np.array(touched_stops(of_stops))
+    if len(names) > 2:
+        return _outcomes_in_reach(names, laws, record, sides, np.array([-eta_m.min(), eta_m.max()]), are_springs)
+    touched = np.zeros((len(names), 2), dtype=bool)
+    touched[~are_springs] = _present_sides(laws[~are_springs][0], of_stops, sides)
+    return _certain_outcomes(names, fit_joint(record, laws, touched))
+
+
+def _certain_outcomes(names: Sequence[str], estimates: Sequence[JointEstimate]) -> Outcomes:
+    """Outcomes of one stop and a spring, each refused by itself if it is uncertain."""
+    outcomes = NO_OUTCOMES
+    for name, estimate in zip(names, estimates, strict=True):
+        try:
+            check_certain(estimate)
+        except ContactRefusedError as error:
+            outcomes = outcomes.joined(Outcomes({}, {name: error.refusal}))
+        else:
+            outcomes = outcomes.joined(Outcomes({name: estimate}, {}))
+    return outcomes
+
+
+def _spring_without_stops(
+    names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
+) -> Outcomes | None:
+    """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
+    number = int(np.argmax(are_springs))
+    try:
+        outcomes = _spring_outcome(names[number], nominal[are_springs], record)
+    except ContactRefusedError:
+        return None
+    spring = outcomes.estimates[names[number]]
+    if spring.unexplained > SPRING_UNEXPLAINED_SHARE:
+        return None
+    eta_m = record.eta_m + spring.drift_m
+    reach = np.array([-eta_m.min(), eta_m.max()])
+    unreached = {
+        name: _not_reached(law, reach) if np.all(law[:2] > reach) else refused(RefusalCode.HARDLY_CLOSES).refusal
+        for name, law, is_spring in zip(names, nominal, are_springs, strict=True)
+        if not is_spring
+    }
+    return outcomes.joined(Outcomes({}, unreached))
 
 
 def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
@@ -147,7 +226,7 @@ def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> O
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
     (estimate,) = fit_joint(record, nominal, np.zeros((1, 2), dtype=bool))
-    _check_certain(estimate)
+    check_certain(estimate)
     return Outcomes({name: estimate}, {})
 
 
@@ -172,13 +251,14 @@ def _outcomes_in_reach(
     record: ContactRecord,
     sides: Bool[np.ndarray, "2"],
     reach: Float[np.ndarray, "2"],
+    are_springs: Bool[np.ndarray, " contacts"],
 ) -> Outcomes:
     """Outcomes of several contacts by one fit, or one refusal for all. A contact with a nominal clearance beyond the
     reach of the motion is left out as not reached if the record does not determine it."""
-    presumed_touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides
+    presumed_touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides & ~are_springs[:, None]
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
-        in_reach = np.any((nominal[:, :2] <= reach_ratio * reach) & sides, axis=1)
+        in_reach = np.any((nominal[:, :2] <= reach_ratio * reach) & sides, axis=1) | are_springs
         reached = [name for name, is_in_reach in zip(names, in_reach, strict=True) if is_in_reach]
         unreached = Outcomes(
             {},
@@ -207,12 +287,12 @@ def _certain_estimates(
     nominal: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
 ) -> tuple[JointEstimate, ...]:
     """Estimates by one fit; raises ContactRefusedError unless it determines all contacts."""
-    if not (np.all(touched) or record.sides_known):
+    if not (np.all(touched) or record.sides_known or not np.all(touched.any(axis=1))):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
     estimates = fit_joint(record, nominal, touched)
     try:
         for estimate in estimates:
-            _check_certain(estimate)
+            check_certain(estimate)
     except ContactRefusedError:
         if len(estimates) == 1:
             raise
@@ -242,17 +322,6 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLa
     if alternatives and alternatives[0][0] - least_square < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
     return best
-
-
-def _check_certain(estimate: JointEstimate) -> None:
-    """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
-    without_misfit = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
-    stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS))
-    clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
-    for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
-        if not standard_error < UNCERTAIN_SHARE * value:
-            percent = min(100 * standard_error / max(value, 1e-12), 100)
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=percent)
 
 
 def _not_reached(law: Float[np.ndarray, "4"], reach: Float[np.ndarray, "2"]) -> Refusal:

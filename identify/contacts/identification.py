@@ -10,9 +10,9 @@ from jaxtyping import Float
 from identify.checks.findings import Finding
 from identify.contacts import results
 from identify.contacts.acceptance import checked_contacts, equation_findings
-from identify.contacts.determination import Outcomes
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
+from identify.contacts.outcomes import Outcomes
 from identify.contacts.paper_methods import (
     PaperMethods,
     SignalsByLaw,
@@ -94,6 +94,7 @@ class Identification:
 class _SeparatedContacts:
     """Results of the first three stages without the nuisance signals, which take much memory."""
 
+    rig: Rig
     motion: Kinematics
     same_place: tuple[Joined, ...]
     separated_n: Float[np.ndarray, "places fewer"]
@@ -131,7 +132,7 @@ def identify_contact(
     progress(0.5)
     single_contacts = {place.members[0] for place in separated.same_place if len(place.members) == 1}
     methods = paper_methods(
-        rig,
+        separated.rig,
         separated.motion,
         separated.signals,
         stops_of(rig, separated.outcomes),
@@ -161,6 +162,7 @@ def _separated_contacts(recording: Recording, use: Use, tolerances: Tolerances |
     contacts = checked_contacts(recording, use, tolerances, FORMS)
     separation = contacts.separation
     return _SeparatedContacts(
+        rig=separation.rig,
         motion=separation.motion,
         same_place=separation.same_place,
         separated_n=separation.forces.force_n,

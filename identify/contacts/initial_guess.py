@@ -1,7 +1,8 @@
 """Initial guesses of a contact's law, of the drift of its relative displacement, and of the modes' initial states.
 
 The law of one contact is regressed on the samples at which it is clearly closed. The force of several dead zones that
-share a relative displacement has a knee at each stop, as of a soft bumper with a hard stop behind it.
+share a relative displacement has a knee at each stop, as of a soft bumper with a hard stop behind it. A spring beside
+stops is subtracted first; its stiffness is the one of a scan that leaves least.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,10 +14,18 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, Touched, clearly_closed, touched_stops
-from identify.contacts.law_form import LAW, LawParameters, NominalLaws, by_stiffness_and_damping
+from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, clearly_closed, touched_stops
+from identify.contacts.law_form import (
+    LAW,
+    LawForm,
+    LawParameters,
+    NominalLaws,
+    Touched,
+    by_stiffness_and_damping,
+    linear_form,
+)
 from identify.contacts.linearization import Guess, ground_force_n
-from identify.contacts.refusals import RefusalCode, refused
+from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.drift import Spline, spline
 from identify.signals.refit import refit_until_settled
 
@@ -35,6 +44,8 @@ SOFT_STOP_SHARE = 0.01
 """A soft stop is closed where the force exceeds this share of its 99.5 % quantile."""
 MOST_GUESSES = 4
 """Guesses that are fitted by Gauss-Newton."""
+SPRING_SHARES = np.geomspace(1e-3, 1.0, 16)
+"""Stiffnesses that are tried for a spring beside stops, over the secant of the largest forces."""
 REWEIGHTING_ROUNDS = 30
 LEAST_DEVIATION_SHARE = 1e-3
 """Deviations below this share of the median deviation weigh as much as that share."""
@@ -104,16 +115,22 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
 
 def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> list[Guess]:
-    """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares.
+    """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
+    beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
     For several contacts, the guesses of least misfit among the nominal clearances and the regressions, for some forces
     F_m at the knees, over the closed samples, on
 
         eta + b = +-(c_1 + |f| / k_1 - sum_m (1 / K_m - 1 / K_m+1) max(|f| - F_m, 0)),    K_m = k_1 + ... + k_m
     """
-    sides = np.any(touched, axis=0)
+    sides, form = np.any(touched, axis=0), linear_form(touched)
     if not sides.any():
-        return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots))[1]]
+        return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots), form)[1]]
+    if form.springs:
+        are_stops = touched.any(axis=1)
+        (spring,) = nominal[~are_stops]
+        of_stops = guesses(without_spring(record, spring), curve, nominal[are_stops], touched[are_stops])
+        return _with_spring(record, curve, nominal, form, of_stops)
     law, knots = regressed_guess(record, curve, (bool(sides[0]), bool(sides[1])))
     candidates = [(law, knots)]
     if len(nominal) > 1:
@@ -123,12 +140,76 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
     candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if curve.knots]
     if len(nominal) == 1:
         return candidates
-    ranked = sorted((_refined_guess(record, curve, *guess) for guess in candidates), key=lambda refined: refined[0])
+    return _best_guesses(record, curve, candidates, form)
+
+
+def _with_spring(
+    record: ContactRecord, curve: Spline, nominal: NominalLaws, form: LawForm, of_stops: Sequence[Guess]
+) -> list[Guess]:
+    """Guesses of stops with the spring of `nominal` beside them."""
+    candidates: list[Guess] = []
+    for law, knots in of_stops:
+        laws = nominal.copy()
+        laws[np.isin(np.arange(len(laws)), form.springs, invert=True)] = law.reshape(-1, len(LAW))
+        candidates.append((laws.ravel(), knots))
+    return _best_guesses(record, curve, candidates, form)
+
+
+def _best_guesses(record: ContactRecord, curve: Spline, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
+    """Refined guesses of least misfit."""
+    ranked = sorted((_refined_guess(record, curve, *guess, form) for guess in candidates), key=lambda pair: pair[0])
     return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
+def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecord:
+    """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
+    remains, as of a spring to the ground."""
+    *_, stiffness, damping = spring.tolist()
+    eta, velocity = (row[:: record.factor][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s))
+    drift = record.drift and replace(
+        record.drift,
+        spring_n_per_m=record.drift.spring_n_per_m + stiffness,
+        damper_n_s_per_m=record.drift.damper_n_s_per_m + damping,
+    )
+    return replace(record, force_n=record.force_n - stiffness * eta - damping * velocity, drift=drift)
+
+
+def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray, " samples"]]:
+    """Spring beside stops, and the relative displacement with its drift, m: of the stiffnesses `SPRING_SHARES`, the one
+    that leaves least of the force beside one stop, then the spring of that least-squares solution once more.
+
+    Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
+    """
+    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
+    form = LawForm(springs=(1,))
+    force_n, eta_m = (float(np.quantile(np.abs(row), 0.995)) for row in (record.force_n, record.eta_m))
+    tried_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_SHARES
+    springs = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in tried_n_per_m]
+    least, best = np.inf, None
+    for number in range(len(springs) + 1):
+        if number < len(springs):
+            spring = springs[number]
+        elif best is not None:
+            spring = best[0][len(LAW) :]
+        try:
+            law, knots = regressed_guess(without_spring(record, spring), curve)
+        except ContactRefusedError:
+            continue
+        for drift_knots in (knots, np.zeros_like(knots)):
+            misfit, guess = _refined_guess(record, curve, np.concatenate([law, spring]), drift_knots, form)
+            if misfit < least:
+                least, best = misfit, guess
+    if best is None:
+        raise refused(RefusalCode.NO_STIFFNESS)
+    return best[0][len(LAW) :], record.eta_m + curve.value @ best[1]
+
+
 def _refined_guess(
-    record: ContactRecord, curve: Spline, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"]
+    record: ContactRecord,
+    curve: Spline,
+    law_parameters: LawParameters,
+    knots: Float[np.ndarray, " knots"],
+    form: LawForm,
 ) -> tuple[float, Guess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
@@ -138,7 +219,7 @@ def _refined_guess(
     )
     eta = (record.eta_m + curve.value @ knots)[at_force]
     rate = (record.velocity_m_per_s + curve.rate @ knots)[at_force]
-    columns = np.stack([row for single in laws for row in by_stiffness_and_damping(single, eta, rate)], axis=1)
+    columns = np.stack(by_stiffness_and_damping(form, laws.ravel(), eta, rate), axis=1)
     force = record.force_n - ground_force_n(record, curve) @ knots
     coefficients, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import norm, t
 
-from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, Touched, clearly_closed
+from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
 from identify.contacts.law_fit import chosen_form, first_fit, misfit_covariance, tie_of
 from identify.contacts.law_form import (
@@ -22,6 +22,8 @@ from identify.contacts.law_form import (
     LawParameters,
     NominalLaws,
     Signal,
+    Touched,
+    linear_form,
 )
 from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
@@ -155,9 +157,9 @@ def fit_joint(
 
     The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
     relative displacement is unknown, lower = upper = half the total play. A contact of which neither side is touched is
-    a spring: its clearances stay zero. g and h keep gains from being fitted to the
-    noise, which shrinks with the signals. The fit starts from `guesses`. For a single contact the form of the law is
-    then chosen among the dead zone and `forms`.
+    a spring: its clearances stay zero, and beside stops it fixes the zero of the relative displacement. g and h keep
+    gains from being fitted to the noise, which shrinks with the signals. The fit starts from `guesses`. For a single
+    contact the form of the law is then chosen among the dead zone and `forms`.
 
     The covariance is a sandwich estimate over sixteenths of the record, as residuals may be coloured, plus the effect
     of a unit error in each row of the priors; it holds for any weights. Where forms are tried, `misfit_covariance` is
@@ -167,9 +169,11 @@ def fit_joint(
     cannot be told apart.
     """
     curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    tie, start_pulls = tie_of(touched, record.sides_known), initial_pulls(record)
+    form = linear_form(touched)
+    sides_known = record.sides_known or bool(form.springs)
+    tie, start_pulls = tie_of(touched, sides_known), initial_pulls(record)
     candidates = guesses(without_nuisances(record, start_pulls), curve, nominal, touched)
-    fit = first_fit(record, curve, tie, candidates, start_pulls, DEAD_ZONE if touched.any() else SPRING)
+    fit = first_fit(record, curve, tie, candidates, start_pulls, form)
     if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
     _check_bridged(record, fit.state)
@@ -206,14 +210,14 @@ def fit_joint(
             of_tolerances=of_tolerances[block, block],
             of_drift=of_drift[block, block],
             of_misfit=of_misfit[block, block],
-            sides_known=record.sides_known,
+            sides_known=sides_known,
             touched=(lower, upper),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained=_unexplained(record, state),
             halves=_halves(by_parts @ to_law[block].T, (_clearance((lower, upper)), STIFFNESS)),
-            form=state.form,
+            form=SPRING if not (lower or upper) else replace(state.form, springs=()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.shapes else 0.0,
         )
@@ -254,7 +258,7 @@ def _curvature_pull(curve: Spline, state: State) -> float:
 def _check_bridged(record: ContactRecord, state: State) -> None:
     """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
     penetrations."""
-    if record.drift is None or record.drift.spring_n_per_m > 0:
+    if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.springs:
         return
     closed = clearly_closed(record)
     between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * record.factor / record.sample_rate_hz

@@ -18,8 +18,8 @@ from jaxtyping import Bool, Float, Int
 from scipy.linalg import block_diag
 from scipy.stats import f
 
-from identify.contacts.contact_record import ContactRecord, Touched
-from identify.contacts.law_form import FormName, LawForm
+from identify.contacts.contact_record import ContactRecord
+from identify.contacts.law_form import FormName, LawForm, Touched
 from identify.contacts.linearization import (
     BorderedEquations,
     Guess,
@@ -170,8 +170,9 @@ def _to_law(state: State, tie: Float[np.ndarray, "laws free"]) -> Float[np.ndarr
 
 
 def _scatter(state: State) -> float:
-    """Standard deviation of the residual while the contact is open; of the whole residual if it never is."""
-    open_residual = state.residual[np.abs(state.by_eta) < 1e-3 * state.stiffness_n_per_m]
+    """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
+    of_stops_n_per_m = np.abs(state.by_eta - state.springs_n_per_m)
+    open_residual = state.residual[of_stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
     return float(np.std(open_residual)) if np.any(open_residual) else float(np.std(state.residual))
 
 

@@ -6,7 +6,7 @@ stop and its reference depth d,
     f = k depth |depth / d|^(p - 1) + c rate min(1, |depth| / 10 um)
 
 where p = 1 except for a power law; a stop that cannot pull has f = 0 where f depth < 0. A spring has no clearance, and
-its damping acts always, f = k eta + c rate.
+its damping acts always, f = k eta + c rate. It may stand alone or beside stops between the same places.
 """
 
 from dataclasses import dataclass
@@ -37,6 +37,8 @@ ABSENT_STOP_M = 1e6
 """Clearance that stands for a stop that is not there, out of every motion's reach: sums over the parameters are
 finite."""
 
+Touched = Bool[np.ndarray, "contacts 2"]
+"""Contacts x (lower, upper): True where the record determines that stop."""
 LawParameters = Float[np.ndarray, " laws"]
 """Values of the parameters of `LAW`, contact by contact."""
 NominalLaws = Float[np.ndarray, "contacts 4"]
@@ -56,10 +58,14 @@ def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
 
 @dataclass(frozen=True)
 class LawForm:
-    """Form of a law. At the reference depth a power law has the force of a linear stop of the same stiffness."""
+    """Form of a law. At the reference depth a power law has the force of a linear stop of the same stiffness.
+
+    springs are the numbers of those contacts that have no stops.
+    """
 
     name: FormName = "dead zone"
     reference_depth_m: float = 1e-4
+    springs: tuple[int, ...] = ()
 
     @property
     def shapes(self) -> int:
@@ -115,10 +121,13 @@ class LawForm:
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
     ) -> "list[_Contribution]":
         exponent = self.exponent(law_parameters)
-        return [self._contribution(row, exponent, eta_m, rate_m_per_s) for row in self.contacts(law_parameters)]
+        return [
+            self._contribution(row, exponent, eta_m, rate_m_per_s, number in self.springs)
+            for number, row in enumerate(self.contacts(law_parameters))
+        ]
 
     def _contribution(
-        self, contact_parameters: LawParameters, exponent: float, eta_m: Signal, rate_m_per_s: Signal
+        self, contact_parameters: LawParameters, exponent: float, eta_m: Signal, rate_m_per_s: Signal, is_spring: bool
     ) -> "_Contribution":
         lower, upper, stiffness, damping = contact_parameters.tolist()
         spring, damper = (
@@ -135,7 +144,7 @@ class LawForm:
         depth, by_eta = spring.penetration_m(eta_m), spring.by_eta_n_per_m(eta_m)
         shape, drag = spring.force_n(eta_m), damper.force_n(eta_m, rate_m_per_s)
         closed = depth != 0
-        if self.name == "spring":
+        if is_spring:
             drag, closed = rate_m_per_s, np.ones_like(closed)
         if self.name == "cannot pull":
             closed = (stiffness * shape + damping * drag) * depth > 0
@@ -160,12 +169,18 @@ class _Contribution:
         return np.asarray(force * self.closed)
 
 
-DEAD_ZONE, SPRING = LawForm(), LawForm("spring")
+DEAD_ZONE, SPRING = LawForm(), LawForm("spring", springs=(0,))
+
+
+def linear_form(touched: Touched) -> LawForm:
+    """Dead zones, and a spring where neither side is touched."""
+    springs = tuple(np.flatnonzero(~touched.any(axis=1)).tolist())
+    return LawForm("spring" if len(springs) == len(touched) else "dead zone", springs=springs)
 
 
 def by_stiffness_and_damping(
-    law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
-) -> tuple[Signal, Signal]:
-    """Forces of a dead zone of unit stiffness and of one of unit damping, for a contact's motion."""
-    (contribution,) = DEAD_ZONE._contributions(law_parameters, eta_m, rate_m_per_s)
-    return contribution.spring_m, contribution.damper
+    form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
+) -> list[Signal]:
+    """Forces of unit stiffness and of unit damping of every contact, for their motion."""
+    contributions = form._contributions(law_parameters, eta_m, rate_m_per_s)
+    return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper)]

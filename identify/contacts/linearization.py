@@ -42,9 +42,17 @@ class State:
 
     @property
     def stiffness_n_per_m(self) -> float:
-        """Stiffness of the contact that closes first, N/m."""
-        lower, upper, stiffness, _ = self.form.contacts(self.law_parameters).T
+        """Stiffness of the stop that closes first, N/m; of a spring without stops, its own."""
+        contacts = self.form.contacts(self.law_parameters)
+        stops = np.delete(contacts, self.form.springs, axis=0)
+        lower, upper, stiffness, _ = (stops if len(stops) else contacts).T
         return float(stiffness[np.argmin(np.minimum(lower, upper))])
+
+    @property
+    def springs_n_per_m(self) -> float:
+        """Stiffness of the springs beside stops, N/m; zero of a spring without stops."""
+        springs = self.form.contacts(self.law_parameters)[list(self.form.springs), 2]
+        return float(springs.sum()) if self.form.name != "spring" else 0.0
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from identify.contacts.determination import UNCERTAIN_SHARE, Outcomes
 from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.outcomes import UNCERTAIN_SHARE, Outcomes
 from identify.contacts.separation import Separation
 from identify.linear.modal import (
     ModalEquation,

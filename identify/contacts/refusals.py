@@ -25,12 +25,14 @@ class RemedyCode(StrEnum):
     DESCRIBE_FEWER_CONTACTS = "describe_fewer_contacts"
     CHECK_DISPLACEMENT_SENSOR = "check_displacement_sensor"
     EXCITE_MORE = "excite_more"
+    EXCITE_MORE_OR_QUIETER = "excite_more_or_quieter"
     EXCITE_MORE_OR_DISPLACEMENTS = "excite_more_or_displacements"
     EXCITE_MORE_OR_CHECK_RIG = "excite_more_or_check_rig"
     CHECK_NOISE_OR_EXCITE_MORE = "check_noise_or_excite_more"
     RECORD_LONGER_OR_OTHER_FORCE = "record_longer_or_other_force"
     EXCITE_MORE_OR_SEPARATE_STOPS = "excite_more_or_separate_stops"
     SEPARATE_STOPS = "separate_stops"
+    DESCRIBE_SPRING = "describe_spring"
 
 
 class RefusalCode(StrEnum):
@@ -56,11 +58,13 @@ class RefusalCode(StrEnum):
     UNCERTAIN = "uncertain"
     NOT_SEPARABLE = "not_separable"
     INTERCHANGEABLE = "interchangeable"
+    NO_GAP = "no_gap"
 
 
 REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_CONTACTS: "describe them in rig.json",
-    RemedyCode.LEAVE_OUT_ATTACHMENTS: "it takes beams, structures and masses on springs, without attachments",
+    RemedyCode.LEAVE_OUT_ATTACHMENTS: "leave it out: it takes beams, structures and masses "
+    "with point masses, linear springs, supports and clamps; identify gap takes the others",
     RemedyCode.MOTION_AGAINST_BASE: "of one mass give its motion against the base, and minus its mass times the base's "
     "acceleration as the force; of other bodies hold the base still and measure an exciting force",
     RemedyCode.ADD_SENSOR: "put a sensor there",
@@ -74,13 +78,18 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_FEWER_CONTACTS: "describe them as fewer",
     RemedyCode.CHECK_DISPLACEMENT_SENSOR: "look for a dead displacement sensor",
     RemedyCode.EXCITE_MORE: "excite the rig more strongly",
+    RemedyCode.EXCITE_MORE_OR_QUIETER: "excite the rig more strongly, or take quieter sensors",
     RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS: "excite the rig more strongly, or measure displacements",
     RemedyCode.EXCITE_MORE_OR_CHECK_RIG: "excite the rig more strongly, or check rig.json",
     RemedyCode.CHECK_NOISE_OR_EXCITE_MORE: "check their noise and gains, or excite the rig more strongly",
-    RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer or change the force",
+    RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer, excite the rig more strongly, or measure displacements at "
+    "its places; if it never opens, give it the law of a spring",
     RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS: "excite the rig more strongly, use stops that differ more, or measure "
     "the force at one of them",
-    RemedyCode.SEPARATE_STOPS: "use stops that differ more, or measure the force at one of them",
+    RemedyCode.SEPARATE_STOPS: "let clearances or stiffnesses in rig.json differ as theirs do, use stops that differ "
+    "more, or measure the force at one of them",
+    RemedyCode.DESCRIBE_SPRING: 'if it is a spring, give it that law, "law": {"type": "spring", "stiffness_n_per_m": '
+    "...}; if it is a stop, its clearance",
 }
 
 CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
@@ -114,11 +123,14 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         RemedyCode.RECORD_FORCE_OR_RELEASE,
     ),
     RefusalCode.TOO_MANY_CONTACTS: (
-        "{contacts} contacts stand between the same places, of which a record tells {at_most} at most",
+        "{contacts} stand between the same places, of which a record tells {at_most} at most",
         RemedyCode.DESCRIBE_FEWER_CONTACTS,
     ),
     RefusalCode.STANDS_STILL: ("its relative displacement stands still", RemedyCode.CHECK_DISPLACEMENT_SENSOR),
-    RefusalCode.HARDLY_CLOSES: ("it hardly ever closes in this record", RemedyCode.EXCITE_MORE),
+    RefusalCode.HARDLY_CLOSES: (
+        "it hardly ever closes in this record, or not visibly above the noise",
+        RemedyCode.EXCITE_MORE_OR_QUIETER,
+    ),
     RefusalCode.ONE_STOP_TOUCHED: (
         "only one of its stops is clearly touched, so its play cannot be told",
         RemedyCode.EXCITE_MORE_OR_DISPLACEMENTS,
@@ -156,6 +168,10 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         "places: by rig.json, of which clearances are taken to be sure to 20 % and stiffnesses to a factor of two, "
         "they may as well be exchanged",
         RemedyCode.SEPARATE_STOPS,
+    ),
+    RefusalCode.NO_GAP: (
+        "rig.json gives it stops with clearances of zero, and the record shows no gap either",
+        RemedyCode.DESCRIBE_SPRING,
     ),
 }
 """Cause, with its evidence in braces, and usual remedy by code."""

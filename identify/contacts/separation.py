@@ -33,8 +33,8 @@ WELCH_SEGMENT_S, NOISE_POWER_RATIO = 1.0, 4.0
 """Length of Welch's segments, and power over that of the noise that counts as motion."""
 ROUNDING_SHARE = 1e-7
 """Least noise of a contact force over the exciting force: less is rounding, in a record without noise."""
-UNMODELLED_PARTS = ("masses", "springs", "clamps", "loads", "base_motion", "force_sensor", "dampers", "tones")
-"""Fields of a rig that the linear model of the identification leaves out."""
+UNMODELLED_PARTS = ("loads", "base_motion", "force_sensor", "dampers", "tones")
+"""Fields of a rig that the linear model of the identification leaves out; so it does the cubic part of springs."""
 
 
 @dataclass(frozen=True)
@@ -145,6 +145,8 @@ def check_described(rig: Rig) -> None:
             if field == "base_motion":
                 raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field)
+    if any(spring.cubic_n_per_m3 for spring in rig.springs):
+        raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what="springs with cubic_n_per_m3")
 
 
 def _check_displacements(rig: Rig, motion: Kinematics) -> None:

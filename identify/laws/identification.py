@@ -1,6 +1,6 @@
 """Identification of contact laws without assuming one: symbolic regression of the separated force."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -10,7 +10,7 @@ from jaxtyping import Float
 from identify.contacts.acceptance import Contacts, checked_contacts
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import LawForm, LawParameters
+from identify.contacts.law_form import LawForm
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import Estimate, unanswered
 from identify.laws.fitted_laws import (
@@ -242,8 +242,7 @@ def _samples(contacts: Contacts, place: Joined, contact_record: ContactRecord) -
     )
     record, velocity = _drift_corrected(contact_record, estimates[:1])
     if len(estimates) > 1:
-        values = np.array([estimate.values for estimate in estimates]).ravel()
-        damping_n = record.low_passed(partial(_damping_force_n, values), velocity)
+        damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity)
         record = replace(record, force_n=record.force_n - damping_n)
     first = separation.motion.excited_from // contact_record.factor + EDGE_SAMPLES
     last = record.force_n.size - EDGE_SAMPLES
@@ -301,12 +300,11 @@ def _drift_corrected(
     return ForceSamples(eta, force, contact_record.sample_rate_hz, contact_record.factor), velocity
 
 
-def _damping_force_n(law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-    """Part of a joint estimate's force that vanishes at rest."""
-    form = LawForm()
-    return form.force_n(law_parameters, eta_m, rate_m_per_s) - form.force_n(
-        law_parameters, eta_m, np.zeros_like(rate_m_per_s)
-    )
+def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+    """Part of the force of joint estimates that vanishes at rest."""
+    at_rest = np.zeros_like(rate_m_per_s)
+    parts = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates]
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def _evenly_spread(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:

@@ -1,5 +1,6 @@
 """An overlap of the beams other than believed."""
 
+from collections.abc import Mapping
 from typing import Annotated, ClassVar
 
 from msgspec.structs import replace
@@ -13,7 +14,10 @@ class ContactPosition(Effect, frozen=True):
     """The bodies lie `shift_m` farther along each other than believed, so that the contacts strike at other places."""
 
     name: ClassVar[str] = "contact_position"
-    words: ClassVar[str] = "contacts that strike {shift_m} farther along"
+    words: ClassVar[str] = "contacts whose bodies lie {shift_m}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "shift_m": ("less far along each other than believed", "farther along each other than believed")
+    }
     separated_by: ClassVar[str] = "measure where the parts touch"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
 

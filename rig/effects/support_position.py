@@ -1,23 +1,27 @@
 """Supports that stand elsewhere."""
 
-from collections.abc import Sequence
-from typing import Annotated, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar, TypeVar
 
 from msgspec.structs import replace
 
 from rig.effects.base import Effect, Scale
-from rig.model.description import PointSpring, Rig, Station
+from rig.model.description import PointSpring, Rig, Station, Support
 from rig.model.parameters import Parameter, ParameterSet
 
+Hold = TypeVar("Hold", Support, PointSpring)
 REACH = 0.1
 """Largest shift, as a share of the body's length."""
 
 
 class SupportPosition(Effect, frozen=True):
-    """The springs that support a body stand `shift_m` farther along it than believed."""
+    """The supports of a body, or the springs that hold it, stand `shift_m` farther along it than believed."""
 
     name: ClassVar[str] = "support_position"
-    words: ClassVar[str] = "a support of {body} that stands {shift_m} farther along"
+    words: ClassVar[str] = "a support of {body} that stands {shift_m}"
+    signed_words: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "shift_m": ("nearer to the left end", "farther from the left end")
+    }
     separated_by: ClassVar[str] = "measure where the supports stand"
     shift_m: Annotated[float, Parameter("m", -0.05, 0.05, 0.0)] = 0.01
     body: str | None = None
@@ -27,7 +31,7 @@ class SupportPosition(Effect, frozen=True):
         """Up to a tenth of the body, either way, as far as every support stays on it."""
         body = cls(body=scale.place.get("body")).supported_body(scale.rig)
         length_m = scale.rig.body(body).length_m
-        positions_m = [spring.station.position_m for spring in _supports(scale.rig, body)]
+        positions_m = [support.station.position_m for support in _supports(scale.rig, body)]
         most_m = REACH * length_m
         return cls.ranged(shift_m=(max(-most_m, -min(positions_m)), min(most_m, length_m - max(positions_m))))
 
@@ -39,26 +43,33 @@ class SupportPosition(Effect, frozen=True):
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
-        """Every body that springs support along its length."""
+        """Every body that supports or springs hold along its length."""
         del sensors
         return [{"body": body.name} for body in rig.bodies if body.length_m and _supports(rig, body.name)]
 
     def supported_body(self, rig: Rig) -> str:
-        """Name of the body, by default the first that springs support; raises RigError if there is none."""
+        """Name of the body, by default the first that is supported; raises RigError if there is none."""
         for place in self.placements(rig, ()):
             if self.body in (None, place["body"]):
                 return str(place["body"])
-        raise self.missing_place(rig, "spring along a body" if self.body is None else f"spring along {self.body!r}")
-
-    def applied_to(self, rig: Rig) -> Rig:
-        body = self.supported_body(rig)
-        return replace(
-            rig, springs=tuple(self._shifted_spring(s) if s.station.body == body else s for s in rig.springs)
+        raise self.missing_place(
+            rig, "support or spring along a body" if self.body is None else f"support or spring along {self.body!r}"
         )
 
-    def _shifted_spring(self, spring: PointSpring) -> PointSpring:
-        return replace(spring, station=Station(spring.station.body, spring.station.position_m + self.shift_m))
+    def applied_to(self, rig: Rig) -> Rig:
+        moved = _supports(rig, self.supported_body(rig))
+        return replace(
+            rig,
+            supports=tuple(self._shifted(s) if s in moved else s for s in rig.supports),
+            springs=tuple(self._shifted(s) if s in moved else s for s in rig.springs),
+        )
+
+    def _shifted(self, support: Hold) -> Hold:
+        station = support.station
+        return replace(support, station=Station(station.body, station.position_m + self.shift_m))
 
 
-def _supports(rig: Rig, body: str) -> list[PointSpring]:
-    return [spring for spring in rig.springs if spring.station.body == body]
+def _supports(rig: Rig, body: str) -> Sequence[Support | PointSpring]:
+    """Supports of a body; its springs where it has none."""
+    supports = [support for support in rig.supports if support.station.body == body]
+    return supports or [spring for spring in rig.springs if spring.station.body == body]

@@ -129,6 +129,24 @@ class PointSpring(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
         return _without_stops(cubic_n_per_m3=self.cubic_n_per_m3)
 
 
+class Support(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A pin or roller of the base, at which a body does not move but turns freely.
+
+    stiffness_n_per_m is that of a support that gives; None stands for one that is much stiffer than the body
+    (`rig.model.supports`).
+    """
+
+    station: Station
+    stiffness_n_per_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.stiffness_n_per_m is not None and not 0 < self.stiffness_n_per_m < np.inf:
+            raise RigError(
+                f"support: stiffness_n_per_m is {self.stiffness_n_per_m}; give a finite value above zero, or leave it "
+                "out where the support is stiff"
+            )
+
+
 class PointDamper(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A damper from a body to the base: the force c v + F tanh(v / v0) against the velocity, v0 = 0.02 m/s."""
 

@@ -26,12 +26,14 @@ from rig.model.components import (
     Sensor,
     StaticLoad,
     Station,
+    Support,
     Tone,
     check_name,
     contact_stations,
 )
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.decoding import converted
+from rig.model.nodes import with_positions
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
 from rig.model.structure import Structure
@@ -52,6 +54,7 @@ __all__ = [
     "Sensor",
     "StaticLoad",
     "Station",
+    "Support",
     "Tone",
     "check_given",
     "check_name",
@@ -94,6 +97,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Attached point masses."""
     springs: tuple[PointSpring, ...] = ()
     """Springs from a body to the base."""
+    supports: tuple[Support, ...] = ()
+    """Pins and rollers of the base along a body."""
     clamps: tuple[Clamp, ...] = ()
     """Compliance of the clamps of beams."""
     loads: tuple[StaticLoad, ...] = ()
@@ -138,17 +143,14 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for kind, attached in (
             ("point mass", self.masses),
             ("point spring", self.springs),
+            ("support", self.supports),
             ("point load", self.loads),
             ("point damper", self.dampers),
             ("tone", self.tones),
         ):
             for item in attached:
                 self._check_station(f"a {kind}", item.station)
-        for clamp in self.clamps:
-            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
-                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
-        if len({c.body for c in self.clamps}) < len(self.clamps):
-            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
+        self._check_held()
         for body in self.bodies if self.base_motion else ():
             _check_carried(body)
 
@@ -205,6 +207,27 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for name, station in zip(self.force_names, self.forces, strict=True):
             self._check_station(f"the {name}", station)
 
+    def _check_held(self) -> None:
+        for support in self.supports:
+            self._check_support(support)
+        for clamp in self.clamps:
+            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
+                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
+        if len({c.body for c in self.clamps}) < len(self.clamps):
+            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
+
+    def _check_support(self, support: Support) -> None:
+        body, position_m = self.body(support.station.body), support.station.position_m
+        if body.is_mass:
+            raise RigError(
+                f"a support holds {body.name!r}, a mass; supports stand along beams and structures, a mass has its own "
+                "spring, frequency_hz"
+            )
+        if body.clamped and position_m == 0:
+            raise RigError(f"a support stands at the clamped end of {body.name!r}, which is held there; leave it out")
+        if sum(other.station == support.station for other in self.supports) > 1:
+            raise RigError(f"more than one support stands at {position_m} m of {body.name!r}; give one")
+
     def _check_station(self, label: str, station: Station) -> None:
         body = self.body(station.body)
         if not 0 <= station.position_m <= body.length_m:
@@ -251,9 +274,10 @@ def check_given(rig: Rig, source: str) -> None:
     for label, station in places:
         body = rig.body(station.body)
         if isinstance(body, Structure) and not body.has_shapes_at(station.position_m):
+            named = " or give a station by its node" if any(row.node for row in body.rows) else ""
             raise RigError(
                 f"{source}: {label} stands at {station.position_m} m of {body.name!r}, where its modal basis gives no "
-                "shapes; add a row for that place"
+                f"shapes; add a row for that place{named}"
             )
 
 
@@ -263,9 +287,9 @@ def to_json(rig: Rig) -> bytes:
 
 def _in_types(decoded: Any) -> Any:
     """Description in the values of the types: a law without a type is a dead zone, a clearance of null infinite, and
-    "ground" no station. The name of its JSON Schema is left out.
+    "ground" no station; nodes' names are their positions (`rig.model.nodes`). The name of its JSON Schema is left out.
 
-    Raises RigError, without the file's name, for another word than "ground".
+    Raises RigError, without the file's name, for another word than "ground", and for an unknown node.
     """
     if not isinstance(decoded, dict):
         return decoded
@@ -284,6 +308,7 @@ def _in_types(decoded: Any) -> Any:
         if isinstance(law := contact.get("law"), dict):
             law.setdefault("type", "dead_zone")
             law |= {name: math.inf for name in CLEARANCES if name in law and law[name] is None}
+    with_positions(decoded)
     return decoded
 
 

@@ -1,4 +1,4 @@
-"""Modes of a body with its attachments: point masses, springs, a compliant clamp."""
+"""Modes of a body with its attachments: point masses, springs, supports, a compliant clamp."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -11,12 +11,16 @@ from numpy.polynomial.legendre import leggauss
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.description import Body, Rig
+from rig.model.description import Body, Rig, stations_of
 from rig.model.oscillator import Oscillator
-from rig.model.structure import Structure
+from rig.model.structure import SAME_PLACE_M, Structure, structure_of
+from rig.model.supports import attached_springs
 
 ELEMENTS = 80
 """Elements of a beam with attachments: its sixteenth mode is within 0.02 % of Bernoulli-Euler theory."""
+
+CONDENSED_PLACES = 81
+"""Places along a beam at which `condensed` gives its shapes."""
 
 
 @runtime_checkable
@@ -88,13 +92,13 @@ def mode_count(body: Body, modes_per_beam: int) -> int:
 
 
 def modes_of(rig: Rig, body: Body) -> Modes:
-    """Modes of a body in this rig: its own if nothing is attached, else with its masses, linear springs and clamp.
+    """Modes of a body in this rig: its own if nothing is attached, else with masses, linear springs, supports, clamp.
 
     A beam with attachments has 80 Hermite elements; a structure's modes are coupled by the attachments, exact except
     for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
     masses = [m for m in rig.masses if m.station.body == body.name]
-    springs = [s for s in rig.springs if s.station.body == body.name]
+    springs = [s for s in attached_springs(rig) if s.station.body == body.name]
     clamps = [c for c in rig.clamps if c.body == body.name]
     linear = [s for s in springs if s.stiffness_n_per_m or s.rotational_n_m_per_rad]
     if not (masses or linear or clamps):
@@ -111,6 +115,36 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     natural_hz, free = _natural_modes(body, stiffness[held:, held:], mass[held:, held:], floating)
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
     return FiniteElementModes(body, nodes_m, natural_hz, vectors)
+
+
+def condensed(rig: Rig) -> Rig:
+    """Rig whose point masses, linear springs, supports and clamps are part of its bodies, for what asks bodies for
+    their modes: a mass on a stiffer spring, else a structure with the modes `modes_of`.
+
+    Its shapes are given at all stations and at `CONDENSED_PLACES` along the body. A structure loses a mode, the highest
+    one, for each stiff support: that of the support's own motion.
+    """
+    stations = [*(mass.station for mass in rig.masses), *(spring.station for spring in attached_springs(rig))]
+    attached = {station.body for station in stations} | {clamp.body for clamp in rig.clamps}
+    bodies = tuple(_condensed_body(rig, body) if body.name in attached else body for body in rig.bodies)
+    return msgspec.structs.replace(rig, bodies=bodies, masses=(), springs=(), supports=(), clamps=())
+
+
+def _condensed_body(rig: Rig, body: Body) -> Body:
+    modes, count = modes_of(rig, body), body.max_modes
+    if isinstance(modes, Oscillator):
+        return modes
+    if isinstance(body, Structure):
+        stiff = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
+        count = max(1, count - len(stiff))
+    stations = [s.position_m for s in (*stations_of(rig), *rig.forces) if s.body == body.name]
+    positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])
+    positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
+    shapes = modes.shapes(positions_m, count)
+    condensed_body = structure_of(
+        body.name, body.length_m, modes.frequencies_hz(count), modes.damping_ratios(count), positions_m, shapes
+    )
+    return msgspec.structs.replace(condensed_body, has_axis=getattr(body, "has_axis", True))
 
 
 def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
@@ -137,7 +171,7 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
         if point.station.body == body.name:
             row = body.shapes(np.array([point.station.position_m]), count)[0]
             mass += point.mass_kg * np.outer(row, row)
-    for spring in rig.springs:
+    for spring in attached_springs(rig):
         if spring.station.body == body.name:
             place = np.array([spring.station.position_m])
             row, slope = (body.shapes(place, count, order)[0] for order in (0, 1))
@@ -221,7 +255,7 @@ def matrices(
         if point.station.body == body.name:
             row = hermite(nodes_m, point.station.position_m)
             mass += point.mass_kg * np.outer(row, row)
-    for spring in rig.springs:
+    for spring in attached_springs(rig):
         if spring.station.body == body.name:
             row, slope = (hermite(nodes_m, spring.station.position_m, order) for order in (0, 1))
             stiffness += spring.stiffness_n_per_m * np.outer(row, row)

@@ -7,7 +7,9 @@ import msgspec
 
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.base import CLEARANCES
-from rig.model.description import GROUND, SCHEMA_KEY, Contact, Rig
+from rig.model.description import GROUND, SCHEMA_KEY, Contact, Rig, Station
+from rig.model.nodes import NODE, POSITION
+from rig.model.structure import ShapeRow, Structure
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 
@@ -27,7 +29,7 @@ def rig_schema() -> dict[str, Any]:
     """JSON Schema of rig.json.
 
     The types leave out what `rig.model.description.from_json` takes besides: null for a stop that is not there,
-    "ground", a law without a type, and the key that names the schema.
+    "ground", a law without a type, stations by the names of nodes, and the key that names the schema.
     """
     schema = schema_of(Rig, "rig.json")
     definitions = schema["$defs"]
@@ -41,4 +43,16 @@ def rig_schema() -> dict[str, Any]:
     against["anyOf"].append({"const": GROUND})
     against["default"] = GROUND
     schema["properties"][SCHEMA_KEY] = {"type": "string"}
+    _name_nodes(definitions)
     return schema
+
+
+def _name_nodes(definitions: dict[str, Any]) -> None:
+    """Let stations and rows of shapes have a node's name, or its number, in place of a position."""
+    named = {"type": ["string", "integer"], "description": "Name of a node of the structure, in place of position_m."}
+    station, row = definitions[Station.__name__], definitions[ShapeRow.__name__]
+    for definition in (station, row):
+        definition["properties"][NODE] = named
+    row["required"].remove(POSITION)
+    row["anyOf"] = [{"required": [POSITION]}, {"required": [NODE]}]
+    definitions[Structure.__name__]["required"].remove("length_m")

@@ -1,5 +1,6 @@
 """A body of any shape as its modal basis: modes from a finite-element model or an experimental modal analysis."""
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import ClassVar
 
@@ -17,11 +18,12 @@ MAX_TRANSLATION_ERROR = 1e-2
 """Largest error with which rigid-body modes may represent a unit translation."""
 
 
-class ShapeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The value of every mode shape at one place, in 1/sqrt(kg)."""
+class ShapeRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The value of every mode shape at one place, in 1/sqrt(kg); node is its name, by which stations may give it."""
 
     position_m: float
     values: tuple[float, ...]
+    node: str | None = None
 
 
 class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="structure"):
@@ -29,7 +31,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     A mode of frequency 0 is a rigid-body motion. Places are metres from the left end, of a body `length_m` long. Only
     at the given places is a shape exact: a cubic spline (scipy.interpolate.CubicSpline) stands for it between them,
-    a straight line beyond the first and the last.
+    a straight line beyond the first and the last. Where the places have no common axis (has_axis is false), positions
+    only number them: between them the nearest one's shapes hold, and slopes are zero.
     """
 
     is_mass: ClassVar[bool] = False
@@ -40,6 +43,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     natural_hz: tuple[float, ...] = msgspec.field(name="frequencies_hz")
     ratios: tuple[float, ...] = msgspec.field(name="damping_ratios")
     rows: tuple[ShapeRow, ...] = msgspec.field(name="shapes")
+    has_axis: bool = True
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.length_m) and self.length_m > 0):
@@ -148,6 +152,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """True if the modal basis gives shapes at this position."""
         return bool(np.min(np.abs(self.positions_m - position_m)) <= SAME_PLACE_M)
 
+    def node_at(self, position_m: float) -> str | None:
+        """Name of the node at this position; None where there is none."""
+        return next((row.node for row in self.rows if abs(row.position_m - position_m) <= SAME_PLACE_M), None)
+
     def translation(self) -> Float[np.ndarray, " modes"]:
         """Modal coordinates g of a unit translation, in sqrt(kg): sum_i phi_i(x) g_i = 1; g.g is the mass.
 
@@ -171,8 +179,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ) -> Float[np.ndarray, "stations all"]:
         positions, places = np.asarray(positions_m, dtype=float), self.positions_m
         values = np.array([row.values for row in self.rows])
-        if len(places) == 1:
-            return np.repeat(values if order == 0 else np.zeros_like(values), len(positions), axis=0)
+        if len(places) == 1 or not self.has_axis:
+            nearest = values[np.abs(positions[:, None] - places[None, :]).argmin(axis=1)]
+            return nearest if order == 0 else np.zeros_like(nearest)
         spline = _spline(self.rows)
         inside = np.clip(positions, places[0], places[-1])
         if order:
@@ -200,14 +209,18 @@ def structure_of(
     damping_ratios: Float[np.ndarray, " modes"],
     positions_m: Float[np.ndarray, " places"],
     shapes: Float[np.ndarray, "places modes"],
+    nodes: Sequence[str | None] = (),
 ) -> Structure:
-    """Structure from arrays of a finite-element model or a modal analysis."""
+    """Structure from arrays of a finite-element model or a modal analysis, with the names of its nodes if given."""
     return Structure(
         name=name,
         length_m=float(length_m),
         natural_hz=tuple(frequencies_hz.tolist()),
         ratios=tuple(damping_ratios.tolist()),
-        rows=tuple(ShapeRow(float(x), tuple(values)) for x, values in zip(positions_m, shapes.tolist(), strict=True)),
+        rows=tuple(
+            ShapeRow(float(x), tuple(values), node)
+            for x, values, node in zip(positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True)
+        ),
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from rig.model.contact_laws import walls_m
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
+from rig.model.nodes import place_name
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
@@ -86,7 +87,7 @@ def _items_on(rig: Rig, body: Body) -> Iterator[object]:
     yield from (station for station in dict.fromkeys(rig.forces) if station.body == body.name)
     if any(s.station.body == body.name for s in rig.sensors):
         yield rig.sensors
-    for attached in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones):
+    for attached in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
         yield from (item for item in attached if item.station.body == body.name)
 
 
@@ -121,7 +122,9 @@ def _ruler(drawing: Drawing, plan: _Plan, body: Body) -> None:
     rig, left_px, y = plan.rig, plan.lefts[body.name], plan.bottom(body.name) + REACH_PX + 34
     stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
     stations += [
-        item.station for group in (rig.masses, rig.springs, rig.dampers, rig.loads, rig.tones) for item in group
+        item.station
+        for group in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
+        for item in group
     ]
     places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
     drawing.line((left_px, y), (left_px + plan.scale * body.length_m, y), colour=GREY, width=1.0)
@@ -215,7 +218,7 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
     for station, letters in quantities.items():
         x, top = plan.x(station, plan.rig.sensors), plan.top(station.body)
         drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR_INK, fill=SENSOR_INK)
-        place = "" if station.body in plan.slots else f"  {station.position_m:g} m"
+        place = "" if station.body in plan.slots else f"  {place_name(plan.rig.body(station.body), station.position_m)}"
         drawing.text(
             x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
         )
@@ -235,6 +238,9 @@ def _attached(drawing: Drawing, plan: _Plan) -> None:
         cubic, turning = (spring.cubic_n_per_m3, "N/m\u00b3"), (spring.rotational_n_m_per_rad, "N m/rad")
         values = [(spring.stiffness_n_per_m, "N/m"), cubic, turning]
         _grounded(drawing, plan, spring.station, spring, drawing.spring, values)
+    for support in rig.supports:
+        values = [(support.stiffness_n_per_m or 0.0, "N/m")]
+        _grounded(drawing, plan, support.station, support, drawing.pin, values)
     for damper in rig.dampers:
         values = [(damper.damping_n_s_per_m, "N s/m"), (damper.friction_n, "N friction")]
         _grounded(drawing, plan, damper.station, damper, drawing.damper, values)
@@ -261,7 +267,7 @@ def _grounded(
     shape: Callable[[float, float, float], None],
     values: list[tuple[float, str]],
 ) -> None:
-    """Draw a spring or damper under a body, with its non-zero values."""
+    """Draw a spring, support or damper under a body, with its non-zero values."""
     x, bottom = plan.x(station, item), plan.bottom(station.body)
     shape(x, bottom, bottom + REACH_PX)
     drawing.ground(x, bottom + REACH_PX)

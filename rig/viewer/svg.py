@@ -80,6 +80,10 @@ class Drawing:
         turns: Sequence[Point] = [(x + (7 if k % 2 else -7), top + step * (k + 0.5)) for k in range(1, 7)]
         self.line((x, top), (x, top + step), *turns, (x, bottom - step), (x, bottom))
 
+    def pin(self, x: float, top: float, bottom: float) -> None:
+        """Draw a support, the triangle of a pin."""
+        self.line((x, top), (x - 12, bottom), (x + 12, bottom), (x, top))
+
     def damper(self, x: float, top: float, bottom: float) -> None:
         middle = (top + bottom) / 2
         self.line((x, top), (x, middle))

@@ -26,13 +26,13 @@ MULTIPLE_RATIO = 2.0
 """Ratio from which a factor is stated as a multiple; nearer to one, it is larger or smaller by per cent."""
 DIGITS = 3
 """Significant digits of a phrase. Display."""
-UNKNOWN_STRENGTH = "unknown strength"
+UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
 
 
 def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
     fields = {
-        p.name: _value_words(p, float(value)) if with_strength or p.neutral is None else UNKNOWN_STRENGTH
+        p.name: _strength_words(candidate, p, float(value), with_strength or p.neutral is None)
         for p, value in zip(candidate.parameters, values, strict=True)
     }
     for field, place in candidate.place.items():
@@ -45,6 +45,18 @@ def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: 
         body_name = candidate.place.get("body") or rig.forces[0].body
         fields["at"] = f" at {share * rig.body(body_name).length_m:.2f} m"
     return candidate.kind.words.format_map(fields)
+
+
+def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is_known: bool) -> str:
+    """Value of a parameter, with its direction in words where it has one."""
+    if parameter.name not in candidate.kind.signed_words:
+        return _value_words(parameter, value) if is_known else UNKNOWN_STRENGTH
+    negative, positive = candidate.kind.signed_words[parameter.name]
+    return (
+        f"{_value_words(parameter, abs(value))} {negative if value < 0 else positive}"
+        if is_known
+        else UNKNOWN_DIRECTION
+    )
 
 
 def _value_words(parameter: Parameter, value: float) -> str:

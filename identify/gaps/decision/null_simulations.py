@@ -83,6 +83,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
         force_sensor=replace(rig.force_sensor, gain=gain),
         masses=tuple(m for m in rig.masses if m.station.body not in modal_bodies),
         springs=tuple(_remaining_springs(rig, modal_bodies)),
+        supports=(),
         clamps=(),
     )
 

@@ -181,6 +181,7 @@ class ModeShapes:
             np.where(rigid, 0.0, [mode.ratio for mode in self.modes]),
             self.places,
             self.shapes,
+            [str(node) for node in self.nodes],
         )
 
 
@@ -260,7 +261,9 @@ def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]
     except RigError as error:
         raise file.wrong(str(error)) from error
     shapes = fit.residues / np.sqrt(fit.residues[nodes.index(driving_node)])
-    body = structure_of(file.path.stem, length_m, fit.frequencies_hz, fit.ratios, places, shapes)
+    body = structure_of(
+        file.path.stem, length_m, fit.frequencies_hz, fit.ratios, places, shapes, [str(node) for node in nodes]
+    )
     notes = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
         f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}",

@@ -123,6 +123,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             np.append(np.zeros(2), body.ratios),
             places,
             np.append(rigid, body.shapes(places, body.max_modes), axis=1),
+            [row.node for row in body.rows],
         )
 
 

@@ -14,6 +14,7 @@ from rig.model.beam import Beam
 from rig.model.description import Body, PointSpring, Rig, Station
 from rig.model.modes import held_coordinates, with_attachments
 from rig.model.oscillator import Oscillator
+from rig.model.supports import attached_springs
 from rig.simulation.plants.connectors import Extra, GroundedForce, Section, add_contact, add_grounded
 from rig.simulation.plants.loading import connections
 from rig.simulation.plants.mesh import Mesh, by_node, inertia, mesh_positions, static_load
@@ -121,7 +122,7 @@ _ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_
 
 
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
-    """Add the beams' point masses, linear springs and compliant clamps as nodal mass and stiffness matrices."""
+    """Add the beams' point masses, linear springs, supports and clamps as nodal mass and stiffness matrices."""
 
     def add(station: Station, **matrices: Float[np.ndarray, "4 4"]) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
@@ -130,7 +131,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
 
     for point in rig.masses:
         add(point.station, massMatrix=np.diag([point.mass_kg, point.mass_kg, 0.0, 0.0]))
-    for spring in rig.springs:
+    for spring in attached_springs(rig):
         add(
             spring.station, stiffnessMatrix=np.diag([0.0, spring.stiffness_n_per_m, 0.0, spring.rotational_n_m_per_rad])
         )

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinates, hermite, matrices
+from rig.model.supports import attached_springs
 from rig.simulation.plants.loading import connections, equilibrium
 
 ROUNDING = 1e-14
@@ -45,7 +46,7 @@ class Mesh:
 def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
     """Node positions of about `element_count` elements, and one wherever something acts on the beam or is attached."""
     acted_on = [s for c in rig.contacts for s in contact_stations(c)]
-    acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in rig.springs)]
+    acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in attached_springs(rig))]
     acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
     corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
     largest = beam.length_m / element_count * (1 + 1e-9)

@@ -67,7 +67,8 @@ def test_the_code_stands_beside_the_reason_in_contact_json():
     plain = msgspec.json.decode(msgspec.json.encode(entry))
     assert plain == {
         "name": "stop",
-        "reason": "its stiffness is uncertain by 12 % or more; record longer or change the force",
+        "reason": "its stiffness is uncertain by 12 % or more; record longer, excite the rig more strongly, or measure "
+        "displacements at its places; if it never opens, give it the law of a spring",
         "code": "uncertain",
         "remedy": "record_longer_or_other_force",
         "evidence": {"quantity": "stiffness", "uncertain_percent": 12.4},

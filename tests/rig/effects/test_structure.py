@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from rig.effects import effect_named, effects
 from rig.effects.base import Scale
 from rig.errors import RigError
-from rig.model.description import PointMass, PointSpring, StaticLoad, Station
+from rig.model.description import PointMass, PointSpring, StaticLoad, Station, Support
 from rig.model.modes import FiniteElementModes, modes_of, participation
 from rig.simulation.plants.ancf import ELEMENTS
 from rig.simulation.plants.finite_elements import build
@@ -137,12 +137,28 @@ def test_modulus_and_damping():
             assert damped_body.damping_ratio == pytest.approx(2.5 * body.damping_ratio)
 
 
-@pytest.mark.parametrize(
-    "text",
-    ["added_mass:relative_position=0.37", "added_mass:body=cradle", "clamp_compliance", "youngs_modulus"],
+SUPPORTED = msgspec.structs.replace(
+    MACHINE, supports=tuple(Support(station=Station(body, 0.35)) for body in ("barrel", "cradle"))
 )
-def test_the_finite_elements_of_exudyn_have_the_same_frequencies(text):
-    machine = effect_named(text).applied_to(MACHINE)
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [
+        *(
+            effect_named(text).applied_to(MACHINE)
+            for text in (
+                "added_mass:relative_position=0.37",
+                "added_mass:body=cradle",
+                "clamp_compliance",
+                "youngs_modulus",
+            )
+        ),
+        SUPPORTED,
+        effect_named("support_position").applied_to(SUPPORTED),
+    ],
+)
+def test_the_finite_elements_of_exudyn_have_the_same_frequencies(machine):
     container = exu.SystemContainer()
     system = container.AddSystem()
     build(exu, system, machine, [0.0], ELEMENTS)
@@ -183,6 +199,15 @@ def test_a_support_that_stands_elsewhere_is_a_spring_there():
     assert frequencies_hz(moved, "cradle")[0] < 0.99 * frequencies_hz(held, "cradle")[0]
 
 
+def test_of_a_body_with_supports_these_move_and_its_springs_stay():
+    spring = PointSpring(station=Station("cradle", 0.3), stiffness_n_per_m=1e3)
+    held, moved = (
+        msgspec.structs.replace(MACHINE, springs=(spring,), supports=(Support(station=Station("cradle", at_m)),))
+        for at_m in (0.6, 0.65)
+    )
+    assert effect_named("support_position:shift_m=0.05").applied_to(held) == moved
+
+
 def test_supports_stay_on_their_body():
     near_the_end = PointSpring(station=Station("cradle", 0.97), stiffness_n_per_m=1e6)
     machine = msgspec.structs.replace(MACHINE, springs=(near_the_end,))
@@ -194,5 +219,5 @@ def test_supports_stay_on_their_body():
     assert kind.typical(scale).shift_m == pytest.approx(-0.01)
     with pytest.raises(RigError, match=r"a point spring stands at 1\.07 m, off 'cradle'"):
         effect_named("support_position:shift_m=0.1").applied_to(machine)
-    with pytest.raises(RigError, match="has no spring along 'barrel'; choose another place"):
+    with pytest.raises(RigError, match="has no support or spring along 'barrel'; choose another place"):
         effect_named("support_position:body=barrel").applied_to(machine)

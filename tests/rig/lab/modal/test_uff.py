@@ -258,6 +258,9 @@ def test_what_is_no_uff_file_is_refused(tmp_path, content, capfd):
 
 def test_a_structure_of_one_mode_with_the_same_frequency_twice_is_kept(tmp_path):
     body, _ = read(tmp_path, [nodes(), *(shape(k, 50.0, SHAPES[:, k], 1.0) for k in range(2))])
+    named = [body.node_at(x) for x in body.positions_m]
+    assert sorted(map(int, named)) == sorted(nodes()["node_nums"])
+    shapes = body.shapes(body.positions_m, 2)
     assert body == structure_of(
-        "arm", body.length_m, np.full(2, 50.0), np.full(2, 0.01), body.positions_m, body.shapes(body.positions_m, 2)
+        "arm", body.length_m, np.full(2, 50.0), np.full(2, 0.01), body.positions_m, shapes, named
     )

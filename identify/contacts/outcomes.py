@@ -1,0 +1,42 @@
+"""Outcomes of contacts: the joint estimate of each, or why the record does not determine it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from identify.contacts.joint_fit import JointEstimate
+from identify.contacts.law_form import STIFFNESS
+from identify.contacts.refusals import Refusal, RefusalCode, refused
+
+UNCERTAIN_SHARE = 0.1
+"""Standard error over the value, of clearance and of stiffness, from which an estimate is refused."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """Outcome of every contact by its name: its joint estimate where the record determines it, else the refusal."""
+
+    estimates: Mapping[str, JointEstimate]
+    refusals: Mapping[str, Refusal]
+
+    @staticmethod
+    def refused(names: Sequence[str], refusal: Refusal) -> "Outcomes":
+        """Outcomes of contacts that are all refused for one reason."""
+        return Outcomes({}, dict.fromkeys(names, refusal))
+
+    def joined(self, further: "Outcomes") -> "Outcomes":
+        """Outcomes with those of further contacts."""
+        return Outcomes({**self.estimates, **further.estimates}, {**self.refusals, **further.refusals})
+
+
+NO_OUTCOMES = Outcomes({}, {})
+
+
+def check_certain(estimate: JointEstimate) -> None:
+    """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
+    without_misfit = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
+    stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS))
+    clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
+    for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
+        if not standard_error < UNCERTAIN_SHARE * value:
+            percent = min(100 * standard_error / max(value, 1e-12), 100)
+            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=percent)

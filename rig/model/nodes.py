@@ -1,0 +1,93 @@
+"""Places of a modal basis by the names of its nodes, as rig.json may give them instead of positions.
+
+A row of shapes may have a name, `"node": "17"`, and a station may give it, `{"body": "plate", "node": "17"}`. Where no
+row of a structure has a position (the points of a plate have no common axis), its positions are the numbers of the rows
+from 0, which stand for the names alone: `has_axis` of such a structure is false.
+"""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from rig.errors import RigError, meant
+from rig.model.structure import Structure
+
+NODE, POSITION = "node", "position_m"
+MOST_LISTED = 12
+"""Nodes that an error lists where no name is near."""
+
+
+def with_positions(decoded: Mapping[str, Any]) -> None:
+    """Set the position of every row and station of a decoded rig.json that a node's name stands for.
+
+    Raises RigError, without the file's name, of a name that the basis lacks or has twice, and of a station with both a
+    name and another position.
+    """
+    bodies = decoded.get("bodies")
+    places: dict[str, dict[str, float]] = {}
+    for number, body in enumerate(bodies if isinstance(bodies, list) else []):
+        if isinstance(body, dict) and body.get("type") == Structure.__struct_config__.tag:
+            places[str(body.get("name"))] = _nodes(f"bodies[{number}]", body)
+    for place, station in _stations({key: value for key, value in decoded.items() if key != "bodies"}, ""):
+        _set_position(place, station, places)
+
+
+def _nodes(place: str, body: dict[str, Any]) -> dict[str, float]:
+    """Positions by the names of the nodes of a structure, whose rows get positions where none has one."""
+    rows = body.get("shapes")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        return {}
+    for row in rows:
+        _name_as_text(row)
+    if rows and all(NODE in row and POSITION not in row for row in rows):
+        for k, row in enumerate(rows):
+            row[POSITION] = float(k)
+        body.setdefault("length_m", max(float(len(rows) - 1), 1.0))
+        body["has_axis"] = False
+    named = [row for row in rows if isinstance(row.get(NODE), str) and POSITION in row]
+    if doubled := [row[NODE] for k, row in enumerate(named) if row[NODE] in [n[NODE] for n in named[:k]]]:
+        raise RigError(f"{place}.shapes: more than one node is named {doubled[0]!r}; names must differ")
+    return {row[NODE]: row[POSITION] for row in named}
+
+
+def _stations(value: Any, place: str, depth: int = 4) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Stations with a node, and their places in the description, to so many levels."""
+    if isinstance(value, dict) and "body" in value and NODE in value:
+        yield place, value
+    if not depth:
+        return
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _stations(item, f"{place}.{key}" if place else str(key), depth - 1)
+    elif isinstance(value, list):
+        for number, item in enumerate(value):
+            yield from _stations(item, f"{place}[{number}]", depth - 1)
+
+
+def _set_position(place: str, station: dict[str, Any], places: Mapping[str, Mapping[str, float]]) -> None:
+    _name_as_text(station)
+    body, name = str(station["body"]), station.pop(NODE)
+    if not isinstance(name, str):
+        raise RigError(f"{place}.node is {name!r}; give the name of a node, as text or number")
+    nodes = places.get(body, {})
+    if not nodes:
+        raise RigError(f"{place}.node is {name!r}, and {body!r} has no nodes with names; give position_m")
+    if name not in nodes:
+        listed = ", ".join(list(nodes)[:MOST_LISTED]) + (", ..." if len(nodes) > MOST_LISTED else "")
+        raise RigError(f"{place}.node is {name!r}{meant(name, nodes)}; the modal basis of {body!r} has {listed}")
+    if station.setdefault(POSITION, nodes[name]) != nodes[name]:
+        raise RigError(
+            f"{place} gives node {name!r}, which stands at {nodes[name]} m, and position_m {station[POSITION]}; "
+            "leave one out"
+        )
+
+
+def _name_as_text(value: dict[str, Any]) -> None:
+    """Take a node's number as its name."""
+    if isinstance(value.get(NODE), int) and not isinstance(value[NODE], bool):
+        value[NODE] = str(value[NODE])
+
+
+def place_name(body: Any, position_m: float) -> str:
+    """Position on a body in words; the name of the node where the places of a modal basis have no axis."""
+    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(position_m)
+    return f"{position_m:g} m" if node is None else f"node {node}"

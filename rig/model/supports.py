@@ -1,0 +1,38 @@
+"""Supports of bodies as springs to the base, and how stiff one is whose stiffness is not given."""
+
+import numpy as np
+
+from rig.errors import RigError
+from rig.model.components import PointSpring, Support
+from rig.model.description import Body, Rig
+
+STIFF = 1e5
+"""Stiffness of a support that is not given, over that of its body there."""
+
+
+def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
+    """Springs of a rig and its supports as springs.
+
+    Raises RigError if a support stands where its body cannot move.
+    """
+    return (*rig.springs, *(_spring(rig.body(support.station.body), support) for support in rig.supports))
+
+
+def _spring(body: Body, support: Support) -> PointSpring:
+    stiffness = support.stiffness_n_per_m
+    return PointSpring(
+        station=support.station, stiffness_n_per_m=_stiff_n_per_m(body, support) if stiffness is None else stiffness
+    )
+
+
+def _stiff_n_per_m(body: Body, support: Support) -> float:
+    """Stiffness that holds a body, N/m: `STIFF` times 1 / sum phi^2 / omega^2 over its elastic modes there."""
+    omega = 2 * np.pi * body.frequencies_hz(body.max_modes)
+    shapes = body.shapes(np.array([support.station.position_m]), body.max_modes)[0]
+    compliance_m_per_n = float(np.sum(shapes[omega > 0] ** 2 / omega[omega > 0] ** 2))
+    if not compliance_m_per_n * STIFF > np.finfo(float).tiny:
+        raise RigError(
+            f"a support stands at {support.station.position_m} m of {body.name!r}, which does not bend there; leave "
+            "it out, or give stiffness_n_per_m"
+        )
+    return STIFF / compliance_m_per_n
