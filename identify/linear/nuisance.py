@@ -29,6 +29,7 @@ class NuisanceKind(StrEnum):
     POSITION = "position"
     DELAY = "delay"
     HIGH_PASS = "high-pass"
+    ZERO = "zero"
     CROSSTALK = "crosstalk"
     FORCE_GAIN = "force gain"
     MASS = "mass"
@@ -75,7 +76,8 @@ class Observed:
     """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
 
     by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration.
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. zero_errors are the spectra
+    of one standard deviation of each sensor's zero, None where all zeros are known.
     """
 
     sensors: tuple[Sensor, ...]
@@ -87,6 +89,7 @@ class Observed:
     by_force: Complex[np.ndarray, "forces sensors lines"]
     displaced: Complex[np.ndarray, "sensors lines"]
     bodies: tuple[BodyMotion, ...]
+    zero_errors: Complex[np.ndarray, "sensors lines"] | None = None
 
     @property
     def is_read(self) -> bool:
@@ -154,6 +157,8 @@ def _sensor_changes(observed: Observed) -> Iterator[Change]:
                     displaced = factor * observed.displaced[[i]] if channel == displacement else None
                     reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
                     yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
+        if observed.zero_errors is not None and not sensor.measures.translates:
+            yield Change(Nuisance(NuisanceKind.ZERO, sensor.name), [i], observed.zero_errors[[i]])
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:
@@ -204,7 +209,7 @@ def _position_changes(observed: Observed, motion: BodyMotion, rows: list[int]) -
     """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
-    slopes = motion.response.slopes([observed.sensors[i].station for i in rows])[:, motion.moving]
+    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving]
     twice = integrated(observed.omega, -2, CORNER_HZ)
     for i, slope, turned in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
         sensor, displacement = observed.sensors[i], observed.displaced_by[i]
@@ -224,7 +229,7 @@ def _mode_changes(observed: Observed, motion: BodyMotion, rows: list[int], commo
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode."""
     response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
-    shapes = response.shapes([observed.sensors[i].station for i in rows])[:, motion.moving]
+    shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving]
     if common and tolerances.mass:
         delivered = -tolerances.mass * sensor_response * times(shapes, motion.acceleration)
         yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)

@@ -1,0 +1,101 @@
+"""Strain gauges in the separation of contact forces: further measured rows of its least squares, beside the stations.
+
+A gauge at the distance h from the neutral fibre shows
+
+    epsilon = -h w''(x) = sum_m -h phi_m''(x) q_m,   q_m = a_m / -omega^2
+
+the same modal sums as a displacement, down to 0 Hz: the slow bending that accelerometers lose. Rigid-body motion bends
+nothing. A bridge has no zero of its own: the mean before the force is subtracted, and its error is a nuisance.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+from msgspec.structs import replace as with_fields
+
+from identify.contacts.station_spectra import SpectralLines
+from identify.signals.beginning import excitation_start
+from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
+from rig.model.description import Sensor
+from rig.recording import Recording
+
+
+@dataclass(frozen=True)
+class Gauges:
+    """Strain gauges of a record that begins at rest, each with its fibre_m.
+
+    strain is their signal less its mean before the force; noise its standard deviation per sample, zero_error that of
+    the subtracted mean.
+    """
+
+    sensors: tuple[Sensor, ...]
+    strain: Float[np.ndarray, "gauges samples"]
+    noise: Float[np.ndarray, " gauges"]
+    zero_error: Float[np.ndarray, " gauges"]
+
+    def rows(self, lines: SpectralLines, mean_power: float, usable: Bool[np.ndarray, "gauges lines"]) -> "GaugeRows":
+        """Rows of the separation, in a unit in which each gauge has the mean power of the stations' accelerations: all
+        errors then have a common floor. Lines that are not usable are zero in the signal and in its response."""
+        spectra = lines.spectra(self.strain)
+        for i, sensor in enumerate(self.sensors):
+            chain = sensor.response(lines.omega)
+            spectra[i] = np.divide(spectra[i], chain, out=np.zeros_like(chain), where=usable[i])
+        power = np.mean(np.abs(spectra) ** 2, axis=1)
+        unit = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
+        samples = self.strain.shape[1]
+        zero = lines.spectra(np.ones(samples)) * (unit * self.zero_error)[:, None]
+        return GaugeRows(
+            measured=unit[:, None] * spectra,
+            response=np.where(usable, -unit[:, None] / lines.omega**2, 0.0).astype(complex),
+            noise_power=np.broadcast_to((samples * (unit * self.noise) ** 2)[:, None], spectra.shape),
+            zero_errors=np.where(usable, zero, 0.0),
+        )
+
+
+@dataclass(frozen=True)
+class GaugeRows:
+    """Rows of gauges in the separation: spectra, their response to the second derivative of the strain, the power of
+    their noise, and the spectra of one standard deviation of their zeros."""
+
+    measured: Complex[np.ndarray, "gauges lines"]
+    response: Complex[np.ndarray, "gauges lines"]
+    noise_power: Float[np.ndarray, "gauges lines"]
+    zero_errors: Complex[np.ndarray, "gauges lines"]
+
+
+def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:
+    """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
+
+    None are used beside sensors of one quantity alone (`use`), or in a record that does not begin at rest. Slow motion
+    may be lost in the noise of the accelerometers and yet bend the gauges: where accelerometers tell no quiet start,
+    the force and the gauges do.
+    """
+    rig, count = recording.rig, motion.samples
+    gauges = [s for s in rig.sensors if use == "auto" and not s.measures.translates]
+    gauges = [s for s in gauges if np.ptp(recording.values_of(s)) > 0]
+    excited_from = motion.excited_from
+    if gauges and not excited_from and all(s.measures.order == 2 for s in motion.sensors):
+        excited_from = excitation_start(
+            recording.forces_n, (recording.values_of(s) for s in gauges), rig.sample_rate_hz
+        )
+    quiet = replace(motion, excited_from=excited_from).quiet_samples
+    if not (gauges and quiet):
+        return no_gauges(motion), motion
+    strain = np.stack([recording.values_of(s)[:count] for s in gauges])
+    noise = strain[:, :quiet].std(axis=1)
+    strain = strain - strain[:, :quiet].mean(axis=1, keepdims=True)
+    if recording.start_s > 0:
+        strain = strain * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+    gains = np.abs([s.gain for s in gauges])
+    sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
+    channels = (*motion.channels, *(s.name for s in gauges))
+    return (
+        Gauges(sensors, strain, noise / gains, noise / gains / np.sqrt(quiet)),
+        replace(motion, excited_from=excited_from, channels=channels),
+    )
+
+
+def no_gauges(motion: Kinematics) -> Gauges:
+    """No gauges beside a motion."""
+    return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0))
