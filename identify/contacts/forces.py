@@ -19,7 +19,7 @@ from identify.contacts.observation import (
     noise_observation,
     observation_of,
     with_driven_modes,
-    with_slow_modes_at_rest,
+    with_modes_at_rest,
 )
 from identify.contacts.slow_motion import (
     LOWEST_CORNER_HZ,
@@ -147,14 +147,15 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
     by_input = accelerances(rig, responses, rig.forces, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
-    observed, noise_power = observation_of(
+    observed, gauge_errors, noise_power = observation_of(
         record, lines, responses, in_metres, by_input[:force_count] * force_spectra[:, None]
     )
     measured, sensor_response = observed.explained, observed.sensor_response
     floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, floor, lines))
     corner_hz = LOWEST_CORNER_HZ if gauges.sensors and not motion.zero_known else 0.0
-    observed, noise_alone = (with_slow_modes_at_rest(rig, seen, corner_hz) for seen in (observed, noise_alone))
+    observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
+    noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
     initial, noise_m = None, np.zeros(len(rig.contacts))
     by_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
     for modes_hidden in (True, False) if by_modes else (False,):
@@ -170,9 +171,9 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
             corner_hz, noise_m = quietest_corner(record.signs, by_contacts, to_force, noise_power * padding, lines)
         if modes_hidden:
             inputs = np.concatenate([force_spectra, weighted_stations(to_force, unexplained)])
-            observed = with_driven_modes(rig, motion, observed, inputs, corner_hz)
+            observed = with_driven_modes(record, observed, inputs, corner_hz, gauge_errors)
             inputs = np.concatenate([0 * force_spectra, weighted_stations(to_force, noise_alone.explained)])
-            noise_alone = with_driven_modes(rig, motion, noise_alone, inputs, corner_hz)
+            noise_alone = with_driven_modes(record, noise_alone, inputs, corner_hz, gauge_errors)
     return _Weighted(
         responses,
         by_input,

@@ -5,20 +5,31 @@ A gauge at the distance h from the neutral fibre shows
     epsilon = -h w''(x) = sum_m -h phi_m''(x) q_m,   q_m = a_m / -omega^2
 
 the same modal sums as a displacement, down to 0 Hz: the slow bending that accelerometers lose. Rigid-body motion bends
-nothing. A bridge has no zero of its own: the mean before the force is subtracted, and its error is a nuisance.
+nothing. Two errors of a gauge are in no tolerance, and are nuisance parameters beside them:
+
+- A bridge has no zero of its own: the mean before the force is subtracted, with the error of a mean.
+- The sum converges slowly where a force acts nearby. The share of the highest modes in a gauge's signal, force by
+  force, is taken as the standard deviation of what the modes beyond them would add.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 from msgspec.structs import replace as with_fields
 
 from identify.contacts.station_spectra import SpectralLines
+from identify.linear.model import Response, input_shapes, times
+from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
-from rig.model.description import Sensor
+from rig.model.description import Rig, Sensor
 from rig.recording import Recording
+
+CONVERGED_SHARE = 0.4
+"""Share of a body's modes, the lowest, whose strain is certain."""
 
 
 @dataclass(frozen=True)
@@ -44,24 +55,65 @@ class Gauges:
         power = np.mean(np.abs(spectra) ** 2, axis=1)
         unit = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
         samples = self.strain.shape[1]
-        zero = lines.spectra(np.ones(samples)) * (unit * self.zero_error)[:, None]
+        constant = lines.spectra(np.ones(samples)) * (unit * self.zero_error)[:, None]
         return GaugeRows(
             measured=unit[:, None] * spectra,
             response=np.where(usable, -unit[:, None] / lines.omega**2, 0.0).astype(complex),
             noise_power=np.broadcast_to((samples * (unit * self.noise) ** 2)[:, None], spectra.shape),
-            zero_errors=np.where(usable, zero, 0.0),
+            constant=np.where(usable, constant, 0.0),
         )
+
+    def truncation(
+        self, rig: Rig, responses: Sequence[Response], response: Complex[np.ndarray, "gauges lines"]
+    ) -> dict[tuple[int, int], Complex[np.ndarray, " lines"]]:
+        """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts
+        on its body, by the indices of force and gauge."""
+        shares = {}
+        for body in responses:
+            highest = slice(int(CONVERGED_SHARE * body.count), None)
+            inputs, outputs = input_shapes(rig, body, rig.forces)[:, highest], body.shapes(self.sensors)[:, highest]
+            accelerance = body.accelerance[highest]
+            for i, j in product(*(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (inputs, outputs))):
+                shares[i, j] = response[j] * times((inputs[i] * outputs[j])[None], accelerance)[0]
+        return shares
 
 
 @dataclass(frozen=True)
 class GaugeRows:
     """Rows of gauges in the separation: spectra, their response to the second derivative of the strain, the power of
-    their noise, and the spectra of one standard deviation of their zeros."""
+    their noise, and one standard deviation of their zeros."""
 
     measured: Complex[np.ndarray, "gauges lines"]
     response: Complex[np.ndarray, "gauges lines"]
     noise_power: Float[np.ndarray, "gauges lines"]
-    zero_errors: Complex[np.ndarray, "gauges lines"]
+    constant: Complex[np.ndarray, "gauges lines"]
+
+
+@dataclass(frozen=True)
+class GaugeErrors:
+    """Errors of gauges that no tolerance states, as rows behind `stations` others; truncation is per newton."""
+
+    stations: int
+    names: tuple[str, ...]
+    forces: tuple[str, ...]
+    constant: Complex[np.ndarray, "gauges lines"]
+    truncation: dict[tuple[int, int], Complex[np.ndarray, " lines"]]
+
+    def changes(self, inputs: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
+        """Changes by one standard deviation of every error, given the exciting and the contact forces."""
+        zeros = [
+            Change(Nuisance(NuisanceKind.ZERO, name), [self.stations + j], self.constant[[j]])
+            for j, name in enumerate(self.names)
+        ]
+        left_out = [
+            Change(
+                Nuisance(NuisanceKind.TRUNCATION, f"{self.names[j]} by {self.forces[i]}"),
+                [self.stations + j],
+                (share * inputs[i])[None],
+            )
+            for (i, j), share in self.truncation.items()
+        ]
+        return (*zeros, *left_out)
 
 
 def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:

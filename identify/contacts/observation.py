@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.fft import next_fast_len
 
-from identify.contacts.gauges import Gauges
+from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import SpectralLines, full_motion, observed_motion, sensed_accelerations
 from identify.linear.model import Response
@@ -53,9 +53,12 @@ def observation_of(
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
     by_force: Complex[np.ndarray, "forces rows lines"],
-) -> tuple[Observed, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain, with the power of
-    the noise. Where springs act on high-passed displacements, gauges tell nothing of the slow motion."""
+) -> tuple[Observed, GaugeErrors, Float[np.ndarray, "rows lines"]]:
+    """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
+    gauges beside the tolerances; the power of the noise.
+
+    Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
+    """
     rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
     displacements = lines.spectra(motion.displacement_m)
     accelerations = (
@@ -76,9 +79,17 @@ def observation_of(
         by_force=by_force,
         displaced=np.concatenate([displacements, np.zeros_like(rows.measured)]),
         bodies=tuple(observed_motion(rig, r, motion, measured / response) for r in responses),
-        zero_errors=np.concatenate([np.zeros_like(measured), rows.zero_errors]),
     )
-    return observed, np.concatenate([(samples * record.noise**2)[:, None] * np.abs(response) ** 2, rows.noise_power])
+    truncation = gauges.truncation(rig, responses, rows.response)
+    errors = GaugeErrors(
+        len(measured),
+        tuple(s.name for s in gauges.sensors),
+        (*rig.force_names, *(contact.name for contact in rig.contacts)),
+        rows.constant,
+        truncation,
+    )
+    noise_power = (samples * record.noise**2)[:, None] * np.abs(response) ** 2
+    return observed, errors, np.concatenate([noise_power, rows.noise_power])
 
 
 def noise_observation(
@@ -99,25 +110,34 @@ def noise_observation(
 
 
 def with_driven_modes(
-    rig: Rig,
-    motion: Kinematics,
+    record: SeparationInput,
     observed: Observed,
     inputs: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
+    errors: GaugeErrors,
 ) -> Observed:
-    """Observation with the hidden modes, and with all held ones below a corner, driven by the exciting and the contact
-    forces."""
+    """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
+    and the contact forces."""
+    rig, motion = record.rig, record.motion
     stations, force_count = len(motion.stations), len(rig.forces)
     accelerations = observed.explained[:stations] / observed.sensor_response[:stations]
     motions = (
         full_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])
         for b in observed.bodies
     )
-    driven = replace(observed, bodies=tuple(motions))
+    driven = replace(observed, bodies=tuple(motions), further=errors.changes(inputs))
     return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
 
 
-def with_slow_modes_at_rest(rig: Rig, observed: Observed, corner_hz: float) -> Observed:
-    """Observation in which held modes rest below a corner, as long as no forces are known."""
-    no_inputs = np.zeros((len(rig.forces) + len(rig.contacts), observed.omega.size), dtype=complex)
-    return with_slow_modes(rig, observed, no_inputs, corner_hz) if corner_hz else observed
+def with_modes_at_rest(
+    record: SeparationInput,
+    observed: Observed,
+    forces: Complex[np.ndarray, "forces lines"],
+    corner_hz: float,
+    errors: GaugeErrors,
+) -> Observed:
+    """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
+    contact force is known."""
+    inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
+    resting = replace(observed, further=errors.changes(inputs))
+    return with_slow_modes(record.rig, resting, 0 * inputs, corner_hz) if corner_hz else resting

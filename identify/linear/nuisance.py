@@ -30,6 +30,7 @@ class NuisanceKind(StrEnum):
     DELAY = "delay"
     HIGH_PASS = "high-pass"
     ZERO = "zero"
+    TRUNCATION = "modes left out at"
     CROSSTALK = "crosstalk"
     FORCE_GAIN = "force gain"
     MASS = "mass"
@@ -72,32 +73,6 @@ class BodyMotion:
 
 
 @dataclass(frozen=True)
-class Observed:
-    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
-
-    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. zero_errors are the spectra
-    of one standard deviation of each sensor's zero, None where all zeros are known.
-    """
-
-    sensors: tuple[Sensor, ...]
-    displaced_by: tuple[Sensor, ...]
-    tolerances: Tolerances
-    omega: Float[np.ndarray, " lines"]
-    sensor_response: Complex[np.ndarray, "sensors lines"]
-    explained: Complex[np.ndarray, "sensors lines"]
-    by_force: Complex[np.ndarray, "forces sensors lines"]
-    displaced: Complex[np.ndarray, "sensors lines"]
-    bodies: tuple[BodyMotion, ...]
-    zero_errors: Complex[np.ndarray, "sensors lines"] | None = None
-
-    @property
-    def is_read(self) -> bool:
-        """True if the motion of all bodies follows from the sensors."""
-        return all(body.by_sensors is not None for body in self.bodies)
-
-
-@dataclass(frozen=True)
 class Reading:
     """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
@@ -130,6 +105,32 @@ class Change:
         return delivered
 
 
+@dataclass(frozen=True)
+class Observed:
+    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
+
+    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are changes by
+    parameters that no tolerance states.
+    """
+
+    sensors: tuple[Sensor, ...]
+    displaced_by: tuple[Sensor, ...]
+    tolerances: Tolerances
+    omega: Float[np.ndarray, " lines"]
+    sensor_response: Complex[np.ndarray, "sensors lines"]
+    explained: Complex[np.ndarray, "sensors lines"]
+    by_force: Complex[np.ndarray, "forces sensors lines"]
+    displaced: Complex[np.ndarray, "sensors lines"]
+    bodies: tuple[BodyMotion, ...]
+    further: tuple[Change, ...] = ()
+
+    @property
+    def is_read(self) -> bool:
+        """True if the motion of all bodies follows from the sensors."""
+        return all(body.by_sensors is not None for body in self.bodies)
+
+
 def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
     """Modes among the first `count` that bend a body; none for a single mass."""
     body = response.body
@@ -137,13 +138,15 @@ def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
 
 
 def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
-    """Changes by every tolerance above zero; by those that all modes of a body have in common only on request."""
+    """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
+    common only on request."""
     yield from _sensor_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
         yield from _position_changes(observed, body, rows)
         yield from _mode_changes(observed, body, rows, common)
+    yield from observed.further
 
 
 def _sensor_changes(observed: Observed) -> Iterator[Change]:
@@ -157,8 +160,6 @@ def _sensor_changes(observed: Observed) -> Iterator[Change]:
                     displaced = factor * observed.displaced[[i]] if channel == displacement else None
                     reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
                     yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
-        if observed.zero_errors is not None and not sensor.measures.translates:
-            yield Change(Nuisance(NuisanceKind.ZERO, sensor.name), [i], observed.zero_errors[[i]])
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:
