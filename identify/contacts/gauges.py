@@ -25,6 +25,7 @@ from identify.linear.model import Response, input_shapes, times
 from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
+from identify.signals.noise import spectrogram_noise_density
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
 
@@ -36,8 +37,8 @@ CONVERGED_SHARE = 0.4
 class Gauges:
     """Strain gauges of a record that begins at rest, each with its fibre_m.
 
-    strain is their signal less its mean before the force; noise its standard deviation per sample, zero_error that of
-    the subtracted mean.
+    strain is their signal less its mean before the force; noise the standard deviation of its noise per sample,
+    zero_error that of the subtracted mean.
     """
 
     sensors: tuple[Sensor, ...]
@@ -119,33 +120,34 @@ class GaugeErrors:
 def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:
     """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
 
-    None are used beside sensors of one quantity alone (`use`), or in a record that does not begin at rest. Slow motion
-    may be lost in the noise of the accelerometers and yet bend the gauges: where accelerometers tell no quiet start,
-    the force and the gauges do.
+    None are used beside sensors of one quantity alone (`use`), or in a record that does not begin at rest, unless it is
+    a segment of a longer one. Slow motion may be lost in the noise of the accelerometers and yet bend the gauges: where
+    accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, count = recording.rig, motion.samples
     gauges = [s for s in rig.sensors if use == "auto" and not s.measures.translates]
     gauges = [s for s in gauges if np.ptp(recording.values_of(s)) > 0]
     excited_from = motion.excited_from
-    if gauges and not excited_from and all(s.measures.order == 2 for s in motion.sensors):
+    if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):
         excited_from = excitation_start(
             recording.forces_n, (recording.values_of(s) for s in gauges), rig.sample_rate_hz
         )
-    quiet = replace(motion, excited_from=excited_from).quiet_samples
-    if not (gauges and quiet):
+    quiet, in_motion = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
+    if not (gauges and (quiet or in_motion)):
         return no_gauges(motion), motion
-    strain = np.stack([recording.values_of(s)[:count] for s in gauges])
-    noise = strain[:, :quiet].std(axis=1)
-    strain = strain - strain[:, :quiet].mean(axis=1, keepdims=True)
-    if recording.start_s > 0:
-        strain = strain * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+    raw = np.stack([recording.values_of(s)[:count] for s in gauges])
+    if in_motion:  # the segment of a longer record tells the zero by its open contacts alone
+        density = [spectrogram_noise_density(row, rig.sample_rate_hz)[0] for row in raw]
+        noise, zero, zero_error = np.sqrt(rig.sample_rate_hz / 2) * np.array(density), raw.mean(axis=1), raw.std(axis=1)
+        strain = (raw - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+    else:
+        noise, zero = raw[:, :quiet].std(axis=1), raw[:, :quiet].mean(axis=1)
+        strain, zero_error = raw - zero[:, None], noise / np.sqrt(quiet)
     gains = np.abs([s.gain for s in gauges])
     sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
     channels = (*motion.channels, *(s.name for s in gauges))
-    return (
-        Gauges(sensors, strain, noise / gains, noise / gains / np.sqrt(quiet)),
-        replace(motion, excited_from=excited_from, channels=channels),
-    )
+    used = Gauges(sensors, strain, noise / gains, zero_error / gains)
+    return used, replace(motion, excited_from=excited_from, channels=channels)
 
 
 def no_gauges(motion: Kinematics) -> Gauges:

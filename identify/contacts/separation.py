@@ -13,6 +13,7 @@ from identify.contacts.forces import ContactForces, separated_forces
 from identify.contacts.gauges import gauges_of
 from identify.contacts.observation import RING_S
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
+from identify.contacts.slow_motion import HIGHEST_CORNER_HZ
 from identify.contacts.station_spectra import start_left_out_s
 from identify.linear.joined import Joined, joined, joined_contacts
 from identify.linear.modal import relative_displacements, relative_velocities
@@ -65,7 +66,8 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     rig = recording.rig
     gauges, motion = gauges_of(recording, use, kinematics(recording, use))
     excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
-    high_hz = min(BAND_RATIO * excited_hz, motion.trusted_hz[1])
+    least_hz = HIGHEST_CORNER_HZ if gauges.sensors else 0.0  # up to where gauges may carry the motion
+    high_hz = min(max(BAND_RATIO * excited_hz, least_hz), motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
     noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
     joined_rig = joined(rig)
