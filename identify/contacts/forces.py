@@ -160,7 +160,8 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
     by_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
     for modes_hidden in (True, False) if by_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        errors = StationErrors(noise_power, floor, changes, lines.correlated_line_count)
+        weighed = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # those are at 0 Hz alone
+        errors = StationErrors(noise_power, floor, weighed, lines.correlated_line_count)
         to_force = force_weights(by_input[force_count:] * sensor_response, errors)
         unexplained = measured - sensor_response * observed.by_force.sum(axis=0)
         if not record.from_rest:

@@ -137,7 +137,10 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
         return no_gauges(motion), motion
     raw = np.stack([recording.values_of(s)[:count] for s in gauges])
     if in_motion:  # the segment of a longer record tells the zero by its open contacts alone
-        density = [spectrogram_noise_density(row, rig.sample_rate_hz)[0] for row in raw]
+        density = [
+            s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
+            for s, row in zip(gauges, raw, strict=True)
+        ]
         noise, zero, zero_error = np.sqrt(rig.sample_rate_hz / 2) * np.array(density), raw.mean(axis=1), raw.std(axis=1)
         strain = (raw - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
