@@ -63,6 +63,11 @@ def assumptions(result: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
+    if motion.carried:
+        yield (
+            "Strain gauges carry the slow motion: the contact forces that they show, with the forces measured, give the "
+            "slow displacements by the linear bodies."
+        )
     for place in result.same_place:
         if len(place.members) > 1:
             yield (

@@ -13,7 +13,6 @@ from identify.contacts.forces import ContactForces, separated_forces
 from identify.contacts.gauges import gauges_of
 from identify.contacts.observation import RING_S
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
-from identify.contacts.slow_motion import HIGHEST_CORNER_HZ
 from identify.contacts.station_spectra import start_left_out_s
 from identify.linear.joined import Joined, joined, joined_contacts
 from identify.linear.modal import relative_displacements, relative_velocities
@@ -28,6 +27,9 @@ from rig.recording import Recording
 
 BAND_RATIO = 4.0
 """Highest frequency of the separated contact forces over that of the exciting force."""
+LEAST_BAND_HZ = 64.0
+"""Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
+the low-pass rings over some periods of its corner, by what the force has there."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 SHORTEST_S = 1.0
@@ -66,7 +68,7 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     rig = recording.rig
     gauges, motion = gauges_of(recording, use, kinematics(recording, use))
     excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
-    least_hz = HIGHEST_CORNER_HZ if gauges.sensors else 0.0  # up to where gauges may carry the motion
+    least_hz = LEAST_BAND_HZ if gauges.sensors else 0.0
     high_hz = min(max(BAND_RATIO * excited_hz, least_hz), motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
     noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
