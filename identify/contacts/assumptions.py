@@ -65,8 +65,8 @@ def assumptions(result: Identification) -> Iterator[str]:
     )
     if motion.carried:
         yield (
-            "Strain gauges carry the slow motion: the contact forces that they show, with the forces measured, give the "
-            "slow displacements by the linear bodies."
+            "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
+            "slow displacements of the linear bodies."
         )
     for place in result.same_place:
         if len(place.members) > 1:

@@ -218,6 +218,51 @@ def test_a_gauge_has_the_tolerances_of_a_sensor(slow):
         assert {f"{kind} of {gauge}" for kind in ("gain", "position", "delay", "zero")} <= parameters
 
 
+def described(recording, kind):
+    """The recording with one thing described a standard deviation less than it is, and the parameter of that."""
+    rig, force = recording.rig, recording.signals["force"]
+    gauge = next(s for s in rig.sensors if s.name == "e0300")
+
+    def with_gauge(**changes):
+        sensors = tuple(replace(s, **changes) if s.name == gauge.name else s for s in rig.sensors)
+        return with_fields(recording, rig=replace(rig, sensors=sensors))
+
+    if kind == "frequency of beam":
+        return with_fields(recording, rig=replace(rig, bodies=(beam().scale_frequencies(1 / 1.002),)))
+    if kind == "mass of beam":
+        return with_fields(recording, rig=replace(rig, bodies=(beam().scale_mass(1 / 1.003),)))
+    if kind == "force gain of the force":
+        louder = with_fields(force, values=1.003 * force.values)
+        return with_fields(recording, signals={**recording.signals, "force": louder})
+    if kind == "gain of e0300":
+        return with_gauge(gain=1 / 1.002)
+    return with_gauge(station=Station("beam", gauge.station.position_m - 1e-3))
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["frequency of beam", "mass of beam", "force gain of the force", "gain of e0300", "position of e0300"],
+)
+def test_a_tolerance_changes_force_and_slow_motion_as_a_wrong_description_does(kind, slow):
+    nominal, changed = (separate(recording, "auto", LABORATORY) for recording in (slow, described(slow, kind)))
+    signals, (before,), (after,) = nominal.forces.nuisances, nominal.records, changed.records
+    (index,) = (i for i, parameter in enumerate(signals.parameters) if parameter.name == kind)
+    inside = slice(100, -100)  # the ends are smoothed
+    moved_m = (after.eta_m - before.eta_m)[:: before.factor][: before.force_n.size]
+    for made, stated in (
+        (after.force_n - before.force_n, signals.force_n[index, 0]),
+        (moved_m, signals.eta_m[index, 0]),
+    ):
+        assert np.std(made[inside] - stated[inside]) < 0.05 * np.std(stated[inside])
+
+
+def test_a_gauge_of_wrong_polarity_is_not_taken_in_silence(slow):
+    signals = slow.signals["strain"]
+    turned = with_fields(signals, values=signals.values * np.array([[-1], [1], [1]]))
+    report = identify_contact(with_fields(slow, signals={**slow.signals, "strain": turned})).report
+    assert report.findings or not report.contacts
+
+
 def test_a_record_in_motion_uses_no_gauges(slow):
     first = 512 * 5
     signals = {name: with_fields(s, values=s.values[:, first:]) for name, s in slow.signals.items()}
