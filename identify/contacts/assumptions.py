@@ -65,6 +65,11 @@ def assumptions(result: Identification) -> Iterator[str]:
         f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
+    if motion.carried:
+        yield (
+            "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
+            "slow displacements of the linear bodies."
+        )
     for place in result.same_place:
         if len(place.members) > 1:
             stops = sum(rig.contacts[j].law.has_stops for j in place.members)

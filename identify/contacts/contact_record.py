@@ -24,10 +24,11 @@ class ContactRecord:
 
     The force is low-passed and sampled at every `factor`-th sample. quiet_n is its standard deviation before the
     excitation, noise_n that of the sensors' noise in it, unmodelled the share of it that no law explains. drift is None
-    where no slow motion was lost. One standard deviation of each nuisance parameter adds its row of nuisance_n to the
-    force; the parameters in `moving` also add their row of nuisance_m to the displacement. noise_in_n and noise_in_m
-    are the multiples of the sensors' noise in these rows. The parameters in `initial` are the modes' initial states of
-    a record that does not begin at rest.
+    where no slow motion was lost, noise_m the noise of the displacement where strain gauges gave its slow part, else
+    zero. One standard deviation of each nuisance parameter adds its row of nuisance_n to the force; the parameters in
+    `moving` also add their row of nuisance_m to the displacement. noise_in_n and noise_in_m are the multiples of the
+    sensors' noise in these rows. The parameters in `initial` are the modes' initial states of a record that does not
+    begin at rest.
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -45,6 +46,7 @@ class ContactRecord:
     noise_in_m: Float[np.ndarray, " moving"]
     nuisance_m: Float[np.ndarray, "moving samples"]
     initial: Bool[np.ndarray, " nuisances"]
+    noise_m: float = 0.0
 
     def velocity_of(self, displacement_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Time derivative by central differences, m/s."""

@@ -179,7 +179,7 @@ def _scatter(state: State) -> float:
 def weights_of(record: ContactRecord, state: State, open_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
-    unfollowed_m = 0.0 if record.drift is None else record.drift.unfollowed_m
+    unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_m)
     unmodelled_n = record.unmodelled * np.hypot(record.force_n, np.std(record.force_n))
     return np.asarray(1 / np.sqrt(open_n**2 + (state.by_eta * unfollowed_m) ** 2 + unmodelled_n**2))
 

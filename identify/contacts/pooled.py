@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from identify.contacts.forces import RING_S
 from identify.contacts.identification import identify_contact
+from identify.contacts.observation import RING_S
 from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging

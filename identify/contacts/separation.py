@@ -9,7 +9,9 @@ from scipy.signal import welch
 
 from identify.checks.masses import mass_pull
 from identify.contacts.contact_record import ContactRecord
-from identify.contacts.forces import RING_S, ContactForces, separated_forces
+from identify.contacts.forces import ContactForces, separated_forces
+from identify.contacts.gauges import gauges_of
+from identify.contacts.observation import RING_S
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_left_out_s
 from identify.linear.joined import Joined, joined, joined_contacts
@@ -25,6 +27,9 @@ from rig.recording import Recording
 
 BAND_RATIO = 4.0
 """Highest frequency of the separated contact forces over that of the exciting force."""
+LEAST_BAND_HZ = 64.0
+"""Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
+the low-pass rings over some periods of its corner, by what the force has there."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 SHORTEST_S = 1.0
@@ -61,16 +66,20 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
     rig = recording.rig
-    motion = kinematics(recording, use)
+    gauges, motion = gauges_of(recording, use, kinematics(recording, use))
     excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
-    high_hz = min(BAND_RATIO * excited_hz, motion.trusted_hz[1])
+    least_hz = LEAST_BAND_HZ if gauges.sensors else 0.0
+    high_hz = min(max(BAND_RATIO * excited_hz, least_hz), motion.trusted_hz[1])
     factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
-    if motion.zero_known:
-        _check_displacements(rig, motion)
     noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
     joined_rig = joined(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
-    forces = separated_forces(joined_rig, motion, factor, noise, tolerances, from_rest)
+    if motion.zero_known:
+        _check_displacements(rig, motion)
+    forces = separated_forces(joined_rig, motion, factor, noise, tolerances, gauges, from_rest)
+    if forces.slow:
+        motion = forces.slow.added_to(motion)
+        _check_displacements(rig, motion)
     if recording.start_s > 0 or not from_rest:
         motion, forces = _without_start(recording, joined_rig, motion, forces, from_rest)
     records = _records(joined_rig, motion, noise, forces, tolerances)
@@ -195,6 +204,7 @@ def _records(
                 quiet_n=float(quiet_n[j]),
                 noise_n=float(forces.noise_n[j]),
                 unmodelled=tolerances.unmodelled_contact,
+                noise_m=float(forces.slow.noise_m[j]) if forces.slow else 0.0,
                 drift=drift
                 and replace(
                     drift,

@@ -19,13 +19,16 @@ from jaxtyping import Complex, Float
 from identify.linear.modal import receptance
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.errors import RigError
-from rig.model.description import Body, Rig, Station
+from rig.model.description import Body, Rig, Sensor, Station
 from rig.model.modes import Modes, modes_of
 
 SLOPE_STEP = 1e-4
 """Step of the differences for slopes of shapes, as a share of the body's length, to either side."""
 RANK_TOLERANCE = 1e-9
 """Smallest share of the largest modal displacement of a contact that counts as motion."""
+
+Place = Station | Sensor | None
+"""Station, or sensor at one; None stands for the ground."""
 
 Value = TypeVar("Value")
 
@@ -116,24 +119,36 @@ class Response:
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
         return self.cache.accelerance(self.dynamics)
 
-    def shapes(self, stations: Sequence[Station | None]) -> Float[np.ndarray, "stations modes"]:
-        """Zero at stations of other bodies and at the ground."""
-        shapes = np.zeros((len(stations), self.count))
-        on_body = [(i, s.position_m) for i, s in enumerate(stations) if s is not None and s.body == self.body.name]
-        if on_body:
-            rows, places = zip(*on_body, strict=True)
-            shapes[list(rows)] = self.modes.shapes(np.array(places), self.count)
-        return shapes
+    def shapes(self, places: Sequence[Place]) -> Float[np.ndarray, "places modes"]:
+        """Mode shapes at stations and sensors of motion, and -h phi''(x) at strain gauges; zero on other bodies and at
+        the ground."""
+        return self._rows(places, 0.0)
 
-    def slopes(self, stations: Sequence[Station]) -> Float[np.ndarray, "stations modes"]:
-        """Derivatives of the shapes along the body, 1/m, at stations on it; zero for a single mass."""
-        places, length = np.array([s.position_m for s in stations]), self.body.length_m
+    def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
+        """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
+        length = self.body.length_m
         if not length:
-            return np.zeros((len(stations), self.count))
-        step = SLOPE_STEP * length
-        upper_m, lower_m = np.minimum(places + step, length), np.maximum(places - step, 0.0)
-        shapes = [self.modes.shapes(x, self.count) for x in (upper_m, lower_m)]
-        return np.asarray((shapes[0] - shapes[1]) / (upper_m - lower_m)[:, None])
+            return np.zeros((len(places), self.count))
+        step, places_m = SLOPE_STEP * length, np.array([_station(place).position_m for place in places])
+        span_m = np.minimum(places_m + step, length) - np.maximum(places_m - step, 0.0)
+        return np.asarray((self._rows(places, step) - self._rows(places, -step)) / span_m[:, None])
+
+    def _rows(self, places: Sequence[Place], moved_m: float) -> Float[np.ndarray, "places modes"]:
+        """Rows of `shapes` with every place moved along the body, to its end at most."""
+        rows = np.zeros((len(places), self.count))
+        on_body = [i for i, p in enumerate(places) if p is not None and _station(p).body == self.body.name]
+        for gauges in (False, True):
+            chosen = [i for i in on_body if _is_gauge(places[i]) == gauges]
+            if not chosen:
+                continue
+            places_m = np.array([_station(places[i]).position_m + moved_m for i in chosen])
+            if moved_m:
+                places_m = np.clip(places_m, 0.0, self.body.length_m)
+            derivatives = [self.modes.shapes(places_m, self.count, order) for order in (range(3) if gauges else (0,))]
+            rows[chosen] = derivatives[0]
+            for row, i in enumerate(chosen if gauges else ()):
+                rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
+        return rows
 
     def sensitivity(
         self, kind: Literal["frequency", "damping"], modes: slice = slice(None)
@@ -168,6 +183,23 @@ class Response:
         )
 
 
+def _station(place: Place) -> Station:
+    station = place.station if isinstance(place, Sensor) else place
+    assert station is not None
+    return station
+
+
+def _is_gauge(place: Place) -> bool:
+    """True of a sensor that shows no motion but the bending of its body."""
+    return isinstance(place, Sensor) and not place.measures.translates
+
+
+def _strain_row(gauge: Place, body: Body, derivatives: Float[np.ndarray, "3 modes"]) -> Float[np.ndarray, " modes"]:
+    """Strain per unit of every modal coordinate, from the shapes, slopes and curvatures at the gauge's place."""
+    assert isinstance(gauge, Sensor)
+    return gauge.measures.operator(derivatives, gauge.fibre_m or body.half_thickness_m or 0.0)
+
+
 def response_of(rig: Rig, body: Body, cache: ResponseCache) -> Response:
     """Response of a body with what the rig attaches to it."""
     modes, count = modes_of(rig, body), body.max_modes
@@ -188,17 +220,18 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
 
 
 def accelerances(
-    rig: Rig, responses: Sequence[Response], forces: Sequence[Station], stations: Sequence[Station | None]
-) -> Complex[np.ndarray, "inputs stations lines"]:
-    """Accelerations at some stations per newton of each force, then of each contact force f_j (-G_j)."""
+    rig: Rig, responses: Sequence[Response], forces: Sequence[Station], places: Sequence[Place]
+) -> Complex[np.ndarray, "inputs places lines"]:
+    """Accelerations at some places (at strain gauges the second derivative of the strain) per newton of each force,
+    then of each contact force f_j (-G_j)."""
     line_count = responses[0].cache.omega.size
-    accelerance = np.zeros((len(forces) + len(rig.contacts), len(stations), line_count), dtype=complex)
+    accelerance = np.zeros((len(forces) + len(rig.contacts), len(places), line_count), dtype=complex)
     for response in responses:
-        rows = [i for i, s in enumerate(stations) if s is not None and s.body == response.body.name]
+        rows = [i for i, p in enumerate(places) if p is not None and _station(p).body == response.body.name]
         inputs = input_shapes(rig, response, forces)
         driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
         if rows and driving_inputs.size:
-            outputs = response.shapes([stations[i] for i in rows])
+            outputs = response.shapes([places[i] for i in rows])
             accelerance[driving_inputs[:, None], rows] = response.transfer(outputs, inputs[driving_inputs])
     return accelerance
 

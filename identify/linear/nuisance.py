@@ -29,6 +29,8 @@ class NuisanceKind(StrEnum):
     POSITION = "position"
     DELAY = "delay"
     HIGH_PASS = "high-pass"
+    ZERO = "zero"
+    TRUNCATION = "modes left out at"
     CROSSTALK = "crosstalk"
     FORCE_GAIN = "force gain"
     MASS = "mass"
@@ -71,30 +73,6 @@ class BodyMotion:
 
 
 @dataclass(frozen=True)
-class Observed:
-    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
-
-    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration.
-    """
-
-    sensors: tuple[Sensor, ...]
-    displaced_by: tuple[Sensor, ...]
-    tolerances: Tolerances
-    omega: Float[np.ndarray, " lines"]
-    sensor_response: Complex[np.ndarray, "sensors lines"]
-    explained: Complex[np.ndarray, "sensors lines"]
-    by_force: Complex[np.ndarray, "forces sensors lines"]
-    displaced: Complex[np.ndarray, "sensors lines"]
-    bodies: tuple[BodyMotion, ...]
-
-    @property
-    def is_read(self) -> bool:
-        """True if the motion of all bodies follows from the sensors."""
-        return all(body.by_sensors is not None for body in self.bodies)
-
-
-@dataclass(frozen=True)
 class Reading:
     """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
@@ -127,6 +105,32 @@ class Change:
         return delivered
 
 
+@dataclass(frozen=True)
+class Observed:
+    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
+
+    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are changes by
+    parameters that no tolerance states.
+    """
+
+    sensors: tuple[Sensor, ...]
+    displaced_by: tuple[Sensor, ...]
+    tolerances: Tolerances
+    omega: Float[np.ndarray, " lines"]
+    sensor_response: Complex[np.ndarray, "sensors lines"]
+    explained: Complex[np.ndarray, "sensors lines"]
+    by_force: Complex[np.ndarray, "forces sensors lines"]
+    displaced: Complex[np.ndarray, "sensors lines"]
+    bodies: tuple[BodyMotion, ...]
+    further: tuple[Change, ...] = ()
+
+    @property
+    def is_read(self) -> bool:
+        """True if the motion of all bodies follows from the sensors."""
+        return all(body.by_sensors is not None for body in self.bodies)
+
+
 def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
     """Modes among the first `count` that bend a body; none for a single mass."""
     body = response.body
@@ -134,13 +138,15 @@ def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
 
 
 def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
-    """Changes by every tolerance above zero; by those that all modes of a body have in common only on request."""
+    """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
+    common only on request."""
     yield from _sensor_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
         yield from _position_changes(observed, body, rows)
         yield from _mode_changes(observed, body, rows, common)
+    yield from observed.further
 
 
 def _sensor_changes(observed: Observed) -> Iterator[Change]:
@@ -204,7 +210,7 @@ def _position_changes(observed: Observed, motion: BodyMotion, rows: list[int]) -
     """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
-    slopes = motion.response.slopes([observed.sensors[i].station for i in rows])[:, motion.moving]
+    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving]
     twice = integrated(observed.omega, -2, CORNER_HZ)
     for i, slope, turned in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
         sensor, displacement = observed.sensors[i], observed.displaced_by[i]
@@ -224,7 +230,7 @@ def _mode_changes(observed: Observed, motion: BodyMotion, rows: list[int], commo
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode."""
     response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
-    shapes = response.shapes([observed.sensors[i].station for i in rows])[:, motion.moving]
+    shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving]
     if common and tolerances.mass:
         delivered = -tolerances.mass * sensor_response * times(shapes, motion.acceleration)
         yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     Use = str
 else:
     Use = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
-"""Quantity of the sensors in use, or all of motion; the bending that strain gauges show is not used."""
+"""Quantity of the sensors in use, or all of motion; strain gauges show none (`identify.contacts.gauges`)."""
 ByStation = dict[Station, dict[int, Sensor]]
 """Sensor of each measured derivative at each station; the last one of several alike."""
 
@@ -38,7 +38,8 @@ class Kinematics:
     sensors are those of each station's acceleration, displaced_by those of its displacement. Every row is right within
     trusted_hz. zero_known is False if a constant displacement cannot be seen. lost_m_per_s2 is the slow part of the
     acceleration that an integrated displacement at a contact lacks, zero elsewhere. excited_from is the first sample
-    with a force, 0 without a quiet start. start_s is the time of the first sample in the record.
+    with a force, 0 without a quiet start. start_s is the time of the first sample in the record. carried is True if
+    strain gauges gave the slow displacements.
     """
 
     stations: tuple[Station, ...]
@@ -55,6 +56,7 @@ class Kinematics:
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
     start_s: float = 0.0
+    carried: bool = False
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """Times of every `factor`-th of the first samples, s."""

@@ -72,7 +72,8 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
         return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
     force = recording.signals["force"]
     signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
-    fitted_rig = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor())
+    sensors = tuple(s for s in rig.sensors if s.measures.translates)  # the diagnosis uses no strain gauges
+    fitted_rig = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors)
     try:
         separation = separate(replace(recording, rig=fitted_rig, signals=signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes

@@ -1,4 +1,4 @@
-"""Strain gauges in a recording change no identification."""
+"""Strain gauges in a recording change neither the kinematics of the stations nor the diagnosis."""
 
 import numpy as np
 import pytest

@@ -1,0 +1,143 @@
+"""Observation of a record, the input of the separation: spectra of all stations and strain gauges, the power of their
+noise, and the modes that move, by the sensors or by the forces."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Complex, Float
+from scipy.fft import next_fast_len
+
+from identify.contacts.gauges import GaugeErrors, Gauges
+from identify.contacts.slow_motion import with_slow_modes
+from identify.contacts.station_spectra import SpectralLines, full_motion, observed_motion, sensed_accelerations
+from identify.linear.model import Response
+from identify.linear.nuisance import Observed
+from identify.signals.kinematics import Kinematics
+from rig.model.description import Rig
+from rig.model.tolerances import Tolerances
+
+RING_S = 12.0
+"""Time in which the beams' ringing decays."""
+
+
+@dataclass(frozen=True)
+class SeparationInput:
+    """Arguments of a separation: rig, motion of the stations, samples per sample of the forces, standard deviation of
+    the accelerations' noise per sample (m/s^2), tolerances, gauges, and whether the record begins at rest."""
+
+    rig: Rig
+    motion: Kinematics
+    factor: int
+    noise: Float[np.ndarray, " stations"]
+    tolerances: Tolerances
+    gauges: Gauges
+    from_rest: bool
+
+    @property
+    def lines(self) -> SpectralLines:
+        """Lines of the record padded with the time in which the beams' ringing decays."""
+        rate_hz = self.motion.sample_rate_hz
+        samples = -(-(self.motion.samples + round(RING_S * rate_hz)) // self.factor)
+        return SpectralLines(self.factor * next_fast_len(samples, real=True), self.factor, rate_hz)
+
+    @property
+    def signs(self) -> Float[np.ndarray, "contacts stations"]:
+        """Signs of the stations' displacements in the relative ones."""
+        stations, contacts = self.motion.stations, self.rig.contacts
+        return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in contacts])
+
+
+def observation_of(
+    record: SeparationInput,
+    lines: SpectralLines,
+    responses: tuple[Response, ...],
+    in_metres: Bool[np.ndarray, "stations lines"],
+    by_force: Complex[np.ndarray, "forces rows lines"],
+) -> tuple[Observed, GaugeErrors, Float[np.ndarray, "rows lines"]]:
+    """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
+    gauges beside the tolerances; the power of the noise.
+
+    Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
+    """
+    rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
+    displacements = lines.spectra(motion.displacement_m)
+    accelerations = (
+        lines.spectra(motion.acceleration_m_per_s2) if record.from_rest else sensed_accelerations(motion, lines)
+    )
+    measured = np.where(in_metres, displacements, accelerations)
+    response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    loosened = any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+    usable = ~lines.slow | np.array([[not (loosened or s.high_pass_hz)] for s in gauges.sensors], bool).reshape(-1, 1)
+    rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), usable)
+    observed = Observed(
+        sensors=(*motion.sensors, *gauges.sensors),
+        displaced_by=(*motion.displaced_by, *gauges.sensors),
+        tolerances=record.tolerances,
+        omega=lines.omega,
+        sensor_response=np.concatenate([response, rows.response]),
+        explained=np.concatenate([measured, rows.measured]),
+        by_force=by_force,
+        displaced=np.concatenate([displacements, np.zeros_like(rows.measured)]),
+        bodies=tuple(observed_motion(rig, r, motion, measured / response) for r in responses),
+    )
+    truncation = gauges.truncation(rig, responses, rows.response)
+    errors = GaugeErrors(
+        len(measured),
+        tuple(s.name for s in gauges.sensors),
+        (*rig.force_names, *(contact.name for contact in rig.contacts)),
+        rows.constant,
+        truncation,
+    )
+    noise_power = (samples * record.noise**2)[:, None] * np.abs(response) ** 2
+    return observed, errors, np.concatenate([noise_power, rows.noise_power])
+
+
+def noise_observation(
+    rig: Rig, motion: Kinematics, observed: Observed, noise: Complex[np.ndarray, "rows lines"]
+) -> Observed:
+    """Observation of the sensors' noise alone."""
+    stations = len(motion.stations)
+    accelerations = noise[:stations] / observed.sensor_response[:stations]
+    displaced = np.zeros_like(observed.displaced)
+    displaced[:stations] = -accelerations / observed.omega**2
+    return replace(
+        observed,
+        explained=noise,
+        by_force=np.zeros_like(observed.by_force),
+        displaced=displaced,
+        bodies=tuple(observed_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+    )
+
+
+def with_driven_modes(
+    record: SeparationInput,
+    observed: Observed,
+    inputs: Complex[np.ndarray, "inputs lines"],
+    corner_hz: float,
+    errors: GaugeErrors,
+) -> Observed:
+    """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
+    and the contact forces."""
+    rig, motion = record.rig, record.motion
+    stations, force_count = len(motion.stations), len(rig.forces)
+    accelerations = observed.explained[:stations] / observed.sensor_response[:stations]
+    motions = (
+        full_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])
+        for b in observed.bodies
+    )
+    driven = replace(observed, bodies=tuple(motions), further=errors.changes(inputs))
+    return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
+
+
+def with_modes_at_rest(
+    record: SeparationInput,
+    observed: Observed,
+    forces: Complex[np.ndarray, "forces lines"],
+    corner_hz: float,
+    errors: GaugeErrors,
+) -> Observed:
+    """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
+    contact force is known."""
+    inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
+    resting = replace(observed, further=errors.changes(inputs))
+    return with_slow_modes(record.rig, resting, 0 * inputs, corner_hz) if corner_hz else resting

@@ -1,0 +1,197 @@
+"""Slow displacement of held bodies by the separated contact forces, where strain gauges tell these down to 0 Hz.
+
+Twice integrated, the noise of accelerometers grows towards low frequencies, and below the corner of the kinematics
+their displacement is lost. If every body is held, the linear model gives it from the exciting and the separated contact
+forces:
+
+    u(x) = (1 - L) u_acceleration(x) + L / -omega^2 (sum_k G(x, x_k) F_k - sum_j G_j(x) f_j)
+
+with the low-pass L from half a corner frequency to itself, chosen for the least noise. An error of f_j, or of the
+model, is then one of u.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+from jaxtyping import Complex, Float
+
+from identify.contacts.station_spectra import SpectralLines
+from identify.linear.model import Response, ResponseCache, input_shapes, responses_of
+from identify.linear.nuisance import Nuisance, Observed, changes_of
+from identify.signals.kinematics import CORNER_HZ, Kinematics, integrated
+from rig.model.description import Rig
+
+LOWEST_CORNER_HZ = 2 * CORNER_HZ
+"""Lowest corner of L, above which the kinematics cut nothing off."""
+HIGHEST_CORNER_HZ, CORNER_STEP = 16.0, 2**0.5
+"""Highest corner, and the ratio of the corners that are tried."""
+NOISE_SHARE = 0.05
+"""Largest force that the noise of a relative displacement makes by the nominal stiffness of a contact, over its rms."""
+
+
+def is_held(response: Response) -> bool:
+    """True if springs or a clamp hold every mode of a body."""
+    return bool(np.all(response.dynamics.natural_hz > 0))
+
+
+def low_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:
+    """L: one below half the corner, zero above it."""
+    return np.asarray(1 + omega**2 * integrated(omega, -2, corner_hz).real)
+
+
+@dataclass(frozen=True)
+class SlowModel:
+    """Slow displacement of the stations per newton of each force, and its changes by one standard deviation of the
+    nuisance parameters at given forces; `share` is L at every station whose displacement is integrated."""
+
+    share: Float[np.ndarray, "stations slow"]
+    by_input: Complex[np.ndarray, "inputs stations slow"]
+    changes: Mapping[Nuisance, Complex[np.ndarray, "stations slow"]]
+
+    def correction(
+        self, inputs: Complex[np.ndarray, "inputs lines"], displaced: Complex[np.ndarray, "stations lines"]
+    ) -> Complex[np.ndarray, "stations slow"]:
+        """What the slow displacement by exciting forces and contact forces adds to the integrated one."""
+        lines = slice(self.share.shape[1])
+        return np.asarray(np.einsum("isl,il->sl", self.by_input, inputs[:, lines]) - self.share * displaced[:, lines])
+
+    def change(
+        self,
+        parameter: Nuisance,
+        contact_forces: Complex[np.ndarray, "contacts lines"],
+        displaced: Complex[np.ndarray, "stations lines"],
+    ) -> Complex[np.ndarray, "stations lines"]:
+        """What a parameter adds to the displacement of the stations, given what it adds to the contact forces and to
+        the integrated displacement."""
+        count = self.share.shape[1]
+        lines = slice(count)
+        by_contacts = self.by_input[-len(contact_forces) :]
+        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, lines]) - self.changes.get(parameter, 0.0)
+        return np.concatenate([(1 - self.share) * displaced[:, lines] + slow, displaced[:, count:]], axis=1)
+
+
+def slow_model(
+    rig: Rig,
+    motion: Kinematics,
+    lines: SpectralLines,
+    corner_hz: float,
+    by_input: Complex[np.ndarray, "inputs rows lines"],
+    observed: Observed,
+) -> SlowModel:
+    """Slow model of a rig; `by_input` are the accelerations per newton, those of the stations first; `observed` has the
+    motion of the modes."""
+    stations, count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
+    omega = lines.omega[:count]
+    is_integrated = [float(s.measures.order > 0) for s in motion.displaced_by]
+    share = np.outer(is_integrated, low_pass(omega, corner_hz))
+    exact_sensors = msgspec.structs.replace(
+        observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
+    )
+    nothing = np.zeros((stations, count), dtype=complex)
+    responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
+    at_stations = Observed(
+        sensors=motion.sensors,
+        displaced_by=motion.sensors,
+        tolerances=exact_sensors,
+        omega=omega,
+        sensor_response=(share / -(omega**2)).astype(complex),
+        explained=nothing,
+        by_force=observed.by_force[:, :stations, :count],
+        displaced=nothing,
+        bodies=tuple(
+            replace(body, response=response, acceleration=body.acceleration[:, :count])
+            for body, response in zip(observed.bodies, responses, strict=True)
+        ),
+    )
+    changes = {change.parameter: change.at_all_sensors(stations) for change in changes_of(at_stations)}
+    return SlowModel(share, by_input[:, :stations, :count] * at_stations.sensor_response, changes)
+
+
+@dataclass(frozen=True)
+class SlowMotion:
+    """Slow displacement (m) and velocity that every station lacks; noise_m is the noise of each relative displacement
+    with it."""
+
+    displacement_m: Float[np.ndarray, "stations samples"]
+    velocity_m_per_s: Float[np.ndarray, "stations samples"]
+    noise_m: Float[np.ndarray, " contacts"]
+
+    def added_to(self, motion: Kinematics) -> Kinematics:
+        """Motion with the slow displacement: its zero is known."""
+        return replace(
+            motion,
+            displacement_m=motion.displacement_m + self.displacement_m,
+            velocity_m_per_s=motion.velocity_m_per_s + self.velocity_m_per_s,
+            lost_m_per_s2=np.zeros_like(motion.lost_m_per_s2),
+            zero_known=True,
+            trusted_hz=(0.0, motion.trusted_hz[1]),
+            carried=True,
+        )
+
+    def is_quiet(self, rig: Rig, force_n: Float[np.ndarray, "contacts samples"]) -> bool:
+        """True if the noise of the relative displacements is small against the penetrations by the nominal
+        stiffness."""
+        stiffness = np.array([contact.law.stiffness_n_per_m for contact in rig.contacts])
+        return bool(np.all(stiffness * self.noise_m <= NOISE_SHARE * force_n.std(axis=1)))
+
+
+def slow_motion(
+    correction: Complex[np.ndarray, "stations slow"],
+    lines: SpectralLines,
+    samples: int,
+    noise_m: Float[np.ndarray, " contacts"],
+) -> SlowMotion:
+    """Slow motion over some samples, at the rate of the record."""
+    turning = 1j * lines.omega[: correction.shape[-1]]
+    real_at_zero = np.concatenate([correction[:, :1].real, correction[:, 1:]], axis=1)
+    displacement, velocity = (
+        np.fft.irfft(rows, lines.length)[:, :samples] for rows in (real_at_zero, turning * correction)
+    )
+    return SlowMotion(displacement, velocity, noise_m)
+
+
+def quietest_corner(
+    signs: Float[np.ndarray, "contacts stations"],
+    by_contacts: Complex[np.ndarray, "contacts rows lines"],
+    to_force: Complex[np.ndarray, "contacts rows lines"],
+    power: Float[np.ndarray, "rows lines"],
+    lines: SpectralLines,
+) -> tuple[float, Float[np.ndarray, " contacts"]]:
+    """Corner of L, Hz, with the least noise of the relative displacements, and that noise's standard deviation (m).
+
+    power is that of the sensors' noise over the padded record: that of accelerometers integrated twice above the
+    corner, and what all sensors make of the contact forces below it.
+    """
+    stations = signs.shape[1]
+    integrated_power = np.einsum("cs,sl->cl", signs**2, power[:stations]) / lines.omega**4
+    moved = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
+    modelled_power = np.einsum("crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", moved, to_force)) ** 2, power)
+    highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
+    steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
+    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)
+    noise_m = []
+    for corner_hz in corners_hz:
+        slow = low_pass(lines.omega, float(corner_hz))
+        squares = slow**2 * modelled_power + (1 - slow) ** 2 * integrated_power
+        noise_m.append(np.sqrt(2 * squares.sum(axis=1)) / lines.length)
+    best = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
+    return float(corners_hz[best]), noise_m[best]
+
+
+def with_slow_modes(
+    rig: Rig, observed: Observed, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
+) -> Observed:
+    """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
+    accelerometers do not show it."""
+    slow = int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))
+    bodies = []
+    for body in observed.bodies:
+        response, acceleration = body.response, body.acceleration.copy()
+        count, dynamics = len(acceleration), response.dynamics
+        held = [m for m in np.flatnonzero(dynamics.natural_hz[:count]).tolist() if m not in dynamics.high_passed]
+        modal_force = input_shapes(rig, response, rig.forces)[:, held].T @ inputs[:, :slow]
+        acceleration[held, :slow] = response.accelerance[held, :slow] * modal_force
+        bodies.append(replace(body, acceleration=acceleration))
+    return replace(observed, bodies=tuple(bodies))
