@@ -27,12 +27,14 @@ from identify.linear.model import (
     slow_stiffness,
     times,
 )
-from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, changes_of
+from identify.linear.modal import force_on_mass
+from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, ObservedBase, changes_of
 from identify.signals.drift import KNOT_S
 from identify.signals.kinematics import TAPER_S, Kinematics
+from identify.signals.measured_base import count_on_bodies
 from identify.signals.spectra import decimated
 from rig.model.description import Rig
-from rig.model.modes import Modes, modes_of
+from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
 
 END_LEFT_OUT_S = 2.5
@@ -163,17 +165,16 @@ def separated_forces(
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
-    samples, rate, force_count = motion.samples, motion.sample_rate_hz, len(rig.forces)
+    samples, rate, force_count = motion.samples, motion.sample_rate_hz, len(rig.inputs)
     length = factor * next_fast_len(-(-(samples + round(RING_S * rate)) // factor), real=True)
     lines = SpectralLines(length, factor, rate)
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known)
     floats = {r.body.name: bool(np.any(r.dynamics.natural_hz == 0)) for r in responses}
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    by_input = accelerances(rig, responses, rig.forces, motion.stations)
+    by_input = accelerances(rig, responses, rig.inputs, motion.stations)
     force_spectra = lines.spectra(motion.forces_n)
-    observed = _observation(
-        rig, motion, lines, responses, in_metres, tolerances, by_input[:force_count] * force_spectra[:, None], from_rest
-    )
+    by_inputs = by_input[:force_count] * force_spectra[:, None]
+    observed = _observation(rig, motion, lines, responses, in_metres, tolerances, by_inputs, from_rest)
     measured, sensor_response = observed.explained, observed.sensor_response
     noise_power = (samples * noise**2)[:, None] * np.abs(sensor_response) ** 2
     floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
@@ -183,7 +184,7 @@ def separated_forces(
         changes = tuple(change.in_single_precision for change in changes_of(observed))
         errors = StationErrors(noise_power, floor, changes, lines.correlated_line_count)
         to_force = force_weights(by_input[force_count:] * sensor_response, errors)
-        unexplained = measured - sensor_response * observed.by_force.sum(axis=0)
+        unexplained = measured - sensor_response * by_inputs.sum(axis=0)
         if not from_rest:
             initial = initial_states(responses, motion, in_metres, lines, sensor_response * by_input, errors)
             unexplained = unexplained - initial.delivered
@@ -201,7 +202,7 @@ def separated_forces(
     force_n = lines.signals(weighted_stations(to_force, unexplained), kept_samples)
     slow_n_per_m = slow_stiffness(rig, responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept_samples]
+        force_n = _force_on_mass(rig, motion, factor)[:, :kept_samples]
     elif initial:
         start_sample = min(round(start_left_out_s(rig, slow_n_per_m) * rate / factor), kept_samples - 1)
         force_by_state = lines.signals(np.einsum("jsf,isf->ijf", to_force, initial.spectra), kept_samples)
@@ -241,7 +242,7 @@ def _observation(
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
     tolerances: Tolerances,
-    by_force: Complex[np.ndarray, "forces stations lines"],
+    by_inputs: Complex[np.ndarray, "inputs stations lines"],
     from_rest: bool,
 ) -> Observed:
     """Observation by the spectra of accelerations, and of displacements where `in_metres`."""
@@ -249,6 +250,13 @@ def _observation(
     accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else sensed_accelerations(motion, lines)
     measured = np.where(in_metres, displacements, accelerations)
     sensor_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    base = motion.base and ObservedBase(
+        sensor=motion.base.sensor,
+        displaced_by=motion.base.displaced_by,
+        acceleration=lines.spectra(motion.base.acceleration_m_per_s2),
+        displacement=lines.spectra(motion.base.displacement_m),
+        by_base=by_inputs[-1],
+    )
     return Observed(
         sensors=motion.sensors,
         displaced_by=motion.displaced_by,
@@ -256,9 +264,10 @@ def _observation(
         omega=lines.omega,
         sensor_response=sensor_response,
         explained=measured,
-        by_force=by_force,
+        by_force=by_inputs[: count_on_bodies(rig)],
         displaced=displacements,
         bodies=tuple(observed_motion(rig, r, motion, measured / sensor_response) for r in responses),
+        base=base,
     )
 
 
@@ -273,6 +282,7 @@ def _noise_alone(
         by_force=np.zeros_like(observed.by_force),
         displaced=-accelerations / observed.omega**2,
         bodies=tuple(observed_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+        base=observed.base and observed.base.silent,
     )
 
 
@@ -292,10 +302,11 @@ def _with_hidden_modes(
     return replace(observed, bodies=tuple(motions))
 
 
-def _force_on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
+def _force_on_mass(rig: Rig, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
+    mass = modes_of(rig, rig.bodies[0])
     inverse_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
     omega, damping_ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
     resisting = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
     resisting_n = (resisting + omega**2 * motion.displacement_m[:1]) / inverse_mass
-    return decimated(motion.forces_n.sum(axis=0) - resisting_n, factor)
+    return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, factor)

@@ -146,6 +146,8 @@ def record(
     else:
         forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        if rig.is_on_ground(rig.forces[0]):
+            force_text = "no force, the base shakes"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         if isinstance(machine, OwnRig):
             say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
