@@ -62,6 +62,16 @@ def check_recording(
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
 
 
+def unchecked(rig: Rig) -> tuple[str, ...]:
+    """Sentences on checks that a rig does not allow."""
+    if not rig.base_sensors:
+        return ()
+    return (
+        f"only the waveforms are checked: the base of {rig.name!r} shakes, and the comparison of all channels with the "
+        "linear model knows forces alone",
+    )
+
+
 def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -> list[Finding]:
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
@@ -189,7 +199,10 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
     """The forces on bodies, and the sensors of the quantity in use."""
     rig = recording.rig
-    used = {*recording.force_names[: count_on_bodies(rig)], *(s.name for s in rig.sensors if use in ("auto", s.quantity))}
+    used = {
+        *recording.force_names[: count_on_bodies(rig)],
+        *(s.name for s in rig.sensors if use in ("auto", s.quantity)),
+    }
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
             if name in used:

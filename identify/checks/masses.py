@@ -122,7 +122,9 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
         motion.velocity_m_per_s[station_index],
         motion.displacement_m[station_index],
     )
-    signals = decimated(np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *rows]), factor)
+    signals = decimated(
+        np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *rows]), factor
+    )
     passages = _passages(_open(rig, motion, station_index, factor, quantile), motion.excited_from // factor + 1)
     if sum(p.stop - p.start for p in passages) < 50:
         return None
@@ -164,7 +166,10 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
     for pair in joined_contacts(rig):
         contact = pair.contact
-        if motion.stations[station_index].body not in (contact.at.body, contact.against.body if contact.against else None):
+        if motion.stations[station_index].body not in (
+            contact.at.body,
+            contact.against.body if contact.against else None,
+        ):
             continue
         if not all(rig.contacts[j].law.has_stops for j in pair.members):
             return np.zeros_like(is_open)

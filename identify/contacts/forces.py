@@ -18,6 +18,7 @@ from identify.contacts.station_spectra import (
     sensed_accelerations,
     start_left_out_s,
 )
+from identify.linear.modal import force_on_mass
 from identify.linear.model import (
     Response,
     ResponseCache,
@@ -27,11 +28,10 @@ from identify.linear.model import (
     slow_stiffness,
     times,
 )
-from identify.linear.modal import force_on_mass
 from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, ObservedBase, changes_of
 from identify.signals.drift import KNOT_S
 from identify.signals.kinematics import TAPER_S, Kinematics
-from identify.signals.measured_base import count_on_bodies
+from identify.signals.measured_base import MeasuredBase, count_on_bodies
 from identify.signals.spectra import decimated
 from rig.model.description import Rig
 from rig.model.modes import modes_of
@@ -250,13 +250,6 @@ def _observation(
     accelerations = lines.spectra(motion.acceleration_m_per_s2) if from_rest else sensed_accelerations(motion, lines)
     measured = np.where(in_metres, displacements, accelerations)
     sensor_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
-    base = motion.base and ObservedBase(
-        sensor=motion.base.sensor,
-        displaced_by=motion.base.displaced_by,
-        acceleration=lines.spectra(motion.base.acceleration_m_per_s2),
-        displacement=lines.spectra(motion.base.displacement_m),
-        by_base=by_inputs[-1],
-    )
     return Observed(
         sensors=motion.sensors,
         displaced_by=motion.displaced_by,
@@ -267,7 +260,20 @@ def _observation(
         by_force=by_inputs[: count_on_bodies(rig)],
         displaced=displacements,
         bodies=tuple(observed_motion(rig, r, motion, measured / sensor_response) for r in responses),
-        base=base,
+        base=motion.base and _observed_base(motion.base, lines, by_inputs[-1]),
+    )
+
+
+def _observed_base(
+    base: MeasuredBase, lines: SpectralLines, by_base: Complex[np.ndarray, "stations lines"]
+) -> ObservedBase:
+    """Spectra of a measured base, with the accelerations of the stations that it causes."""
+    return ObservedBase(
+        sensor=base.sensor,
+        displaced_by=base.displaced_by,
+        acceleration=lines.spectra(base.acceleration_m_per_s2),
+        displacement=lines.spectra(base.displacement_m),
+        by_base=by_base,
     )
 
 

@@ -229,9 +229,7 @@ def input_shapes_at(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, 
     return np.array(rows).reshape(len(rows), mode_count)
 
 
-def force_on_mass(
-    rig: Rig, mass: Body, forces_n: Float[np.ndarray, "inputs samples"]
-) -> Float[np.ndarray, " samples"]:
+def force_on_mass(rig: Rig, mass: Body, forces_n: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, " samples"]:
     """Sum of the forces of all inputs on a mass, N."""
     shapes = input_shapes_at(rig, mass, 1)[:, 0] / mass.shapes(np.zeros(1), 1)[0, 0]
     return np.asarray(shapes @ forces_n)

@@ -92,9 +92,9 @@ class ObservedBase:
 class Observed:
     """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
 
-    by_force are the accelerations by each measured force on a body; displaced the displacements at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. Where a base is measured,
-    all motion is relative to it.
+    by_force are the accelerations by each measured force on a body; displaced the displacements at the sensors'
+    stations, which the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. Where a base
+    is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -193,7 +193,9 @@ def _base_changes(observed: Observed) -> Iterator[Change]:
                 delivered = -factor * caused * (channel == base.sensor)
                 displaced = np.tile(-factor * base.displacement, (len(everywhere), 1))
                 is_displacement = channel == base.displaced_by
-                yield Change(Nuisance(kind, channel.name), everywhere, delivered, displaced if is_displacement else None)
+                yield Change(
+                    Nuisance(kind, channel.name), everywhere, delivered, displaced if is_displacement else None
+                )
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:

@@ -34,7 +34,7 @@ from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.model.contact_laws import walls_m
-from rig.model.description import Station, read_rig, to_json
+from rig.model.description import ON_GROUND, Station, read_rig, to_json
 from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
@@ -284,7 +284,7 @@ def _table(title: str, *headings: str) -> Table:
 
 
 def _place(station: Station) -> str:
-    return f"{station.body} {station.position_m:g} m"
+    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m"
 
 
 def _rms(row: np.ndarray) -> float:

@@ -127,16 +127,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             _check_names(f"rig {self.name!r}", kind, names)
         self._check_forces()
         for sensor in self.sensors:
-            if not self.is_on_ground(sensor.station):
-                self._check_station(f"sensor {sensor.name!r}", sensor.station)
-            elif sensor.station != ON_GROUND:
-                raise RigError(f"sensor {sensor.name!r} stands on the ground, which has one place; give no position_m")
-            self.fibre_m(sensor)
-            if not sensor.high_pass_hz < self.sample_rate_hz / 2:
-                raise RigError(
-                    f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
-                    f"sample_rate_hz of {self.sample_rate_hz:g}"
-                )
+            self._check_sensor(sensor)
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
@@ -170,6 +161,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def forces(self) -> tuple[Station, ...]:
         """Stations of the measured forces."""
         return self.force_at if isinstance(self.force_at, tuple) else (self.force_at,)
+
+    @property
+    def first_driven(self) -> str:
+        """Name of the body of the (first) force; of the first body where the base alone shakes."""
+        station = self.forces[0]
+        return self.bodies[0].name if self.is_on_ground(station) else station.body
 
     @property
     def inputs(self) -> tuple[Station, ...]:
@@ -234,6 +231,18 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
                     f"rig {self.name!r}: the {name} acts on the ground, where it moves nothing; give force_at the "
                     "place of the measured force, or leave it out and put a sensor on the ground, if it shakes"
                 )
+
+    def _check_sensor(self, sensor: Sensor) -> None:
+        if not self.is_on_ground(sensor.station):
+            self._check_station(f"sensor {sensor.name!r}", sensor.station)
+        elif sensor.station != ON_GROUND:
+            raise RigError(f"sensor {sensor.name!r} stands on the ground, which has one place; give no position_m")
+        self.fibre_m(sensor)
+        if not sensor.high_pass_hz < self.sample_rate_hz / 2:
+            raise RigError(
+                f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
+                f"sample_rate_hz of {self.sample_rate_hz:g}"
+            )
 
     def _check_station(self, label: str, station: Station) -> None:
         body = self.body(station.body)

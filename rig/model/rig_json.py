@@ -1,4 +1,4 @@
-"""Words of rig.json that stand for values of the types: "ground", null for a stop that is not there, laws without type."""
+"""Words of rig.json that stand for values of the types: "ground", null for no stop, a law without a type."""
 
 import math
 from typing import Any

@@ -36,8 +36,8 @@ def true_force(
 def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Consistent displacement, velocity and acceleration of the base at multiples of the step.
 
-    Empty without base motion. The motion rises from rest at its start over RISE_S. Raises RigError if the band does not fit the
-    record or the step.
+    Empty without base motion. The motion rises from rest over RISE_S from its start on. Raises RigError if the band
+    does not fit the record or the step.
     """
     base = rig.base_motion
     if base is None:
