@@ -47,14 +47,14 @@ def test_a_sensor_on_the_ground_shows_the_motion_of_the_base(plant):
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_mass_has_the_transmissibility_of_an_oscillator_on_a_shaken_base(plant):
     """(1 + 2 i zeta r) / (1 - r^2 + 2 i zeta r), r = f / f_0, from acceleration to acceleration."""
-    base, mass = moved(rig_on(SHAKEN, MASS), plant, 40.0).sensed[:, round(2.0 / STEP_S) :]
-    segment = {"fs": 1 / STEP_S, "nperseg": round(4.0 / STEP_S)}
+    base, mass = moved(rig_on(SHAKEN, MASS), plant, 10.0).sensed[:, round(2.0 / STEP_S) :]
+    segment = {"fs": 1 / STEP_S, "nperseg": round(1.0 / STEP_S)}
     hz, cross = csd(base, mass, **segment)
     measured = cross / welch(base, **segment)[1]
     band = (hz > 5.0) & (hz < 55.0)
     r = hz[band] / 12.0
     expected = (1 + 0.2j * r) / (1 - r**2 + 0.2j * r)
-    assert np.linalg.norm(measured[band] - expected) < 0.02 * np.linalg.norm(expected)
+    assert np.linalg.norm(measured[band] - expected) < 0.03 * np.linalg.norm(expected)
 
 
 def test_the_plants_agree_on_a_cantilever_that_meets_a_stop_on_its_base():
