@@ -260,7 +260,7 @@ def _observation(
         by_force=by_inputs[: count_on_bodies(rig)],
         displaced=displacements,
         bodies=tuple(observed_motion(rig, r, motion, measured / sensor_response) for r in responses),
-        base=motion.base and _observed_base(motion.base, lines, by_inputs[-1]),
+        base=_observed_base(motion.base, lines, by_inputs[-1]) if motion.base else None,
     )
 
 

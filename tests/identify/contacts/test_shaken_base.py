@@ -126,7 +126,8 @@ def solved(name, seed):
         x = tuple(p + h / 6 * (a + 2 * b + 2 * c + d) for p, a, b, c, d in zip(x, v, v2, v3, v4, strict=True))
         v = tuple(p + h / 6 * (a + 2 * b + 2 * c + d) for p, a, b, c, d in zip(v, a1, a2, a3, a4, strict=True))
     of_base = np.array(base.motion(np.arange(SUBSTEPS * samples) * h))[:, None]
-    return resample_poly(np.concatenate([of_base, np.array(rows).transpose(1, 2, 0)], axis=1), 1, SUBSTEPS, axis=-1)
+    in_space = np.concatenate([of_base, np.array(rows).transpose(1, 2, 0)], axis=1)
+    return resample_poly(in_space, 1, SUBSTEPS, axis=-1, window=("kaiser", 10.0))
 
 
 def record(rig, rows, gains=None, seed=0):
