@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from threadpoolctl import threadpool_limits
 
-from identify.checks import Finding, check_recording
+from identify.checks import Finding, check_recording, unchecked
 from identify.contacts import identify_contact
 from identify.contacts.acceptance import without_dead_force
 from identify.gaps.decision.answer import diagnose
@@ -42,7 +42,7 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
     record = _recording(recording)
     with threadpool_limits(1):
         findings = check_recording(record, use, _resolved(tolerances))
-    return CheckResult(findings, _title([recording], record))
+    return CheckResult(findings, _title([recording], record), unchecked(record.rig))
 
 
 def contact(

@@ -38,6 +38,8 @@ class CheckResult(Summarized):
     """Findings, none if nothing is wrong."""
     title: str
     """Name of the rig, with the files that were checked."""
+    notes: tuple[str, ...] = ()
+    """Sentences on what was not checked."""
 
     @property
     def sound(self) -> bool:
@@ -46,7 +48,8 @@ class CheckResult(Summarized):
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary with `sound` and the findings."""
-        return {"sound": self.sound, "findings": [_finding_fields(f) for f in self.findings]}
+        fields = {"sound": self.sound, "findings": [_finding_fields(f) for f in self.findings]}
+        return fields | ({"notes": list(self.notes)} if self.notes else {})
 
     def table(self) -> list[Row]:
         """Row of each finding."""

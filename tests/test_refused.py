@@ -12,10 +12,10 @@ from identify.contacts.refusals import ContactRefusedError
 from rig.errors import RigError
 from rig.lab.importing import import_file
 from rig.model.contact_laws.spring import Spring
-from rig.model.description import BaseMotion, PointSpring, to_json
+from rig.model.description import ON_GROUND, BaseMotion, PointSpring, Sensor, to_json
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.fmu import export_fmu
-from rig.simulation.plants import ancf
+from rig.simulation.plants import ancf, modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns import laboratory_tests, topologies
@@ -26,6 +26,8 @@ HEAD = "| rig or test | refused by | code or sentence |"
 SDOF, BEAMS = Sdof(sensors="acceleration").rig(), BarrelCradle(sensors="acceleration").rig()
 TWO_FORCES = replace(SDOF, force_at=(SDOF.force_at, SDOF.force_at))
 CHAIN = topologies.chain(2, "displacement", ground=True)
+TABLE = Sensor(name="table", station=ON_GROUND, quantity="acceleration")
+ON_TABLE = replace(SDOF, force_at=ON_GROUND, sensors=(TABLE, *SDOF.sensors))
 SHAKEN = BaseMotion(acceleration_rms_m_per_s2=1.0, low_hz=1.0, high_hz=15.0)
 
 
@@ -155,6 +157,9 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),
+    "a base whose motion is measured, diagnosed": gap(ON_TABLE),
+    "a base whose motion is measured, planned": lambda _: identify.plan(ON_TABLE),
+    "a base at rest and no force": simulated(ON_TABLE, modal.simulate),
     "two forces at once, as an FMU": lambda folder: export_fmu(TWO_FORCES, folder / "r.fmu"),
     "two forces in the map, one in rig.json": imported(
         f'force = [{{ column = "F" }}, {{ column = "G" }}]\n[sensors]\n{SDOF.sensors[0].name} = {{ column = "a" }}\n'

@@ -18,6 +18,7 @@ from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import joined, joined_contacts
 from identify.signals.kinematics import Use, kinematics
+from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
@@ -61,6 +62,16 @@ def check_recording(
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
 
 
+def unchecked(rig: Rig) -> tuple[str, ...]:
+    """Sentences on checks that a rig does not allow."""
+    if not rig.base_sensors:
+        return ()
+    return (
+        f"only the waveforms are checked: the base of {rig.name!r} shakes, and the comparison of all channels with the "
+        "linear model knows forces alone",
+    )
+
+
 def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -> list[Finding]:
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
@@ -102,6 +113,8 @@ def _model_findings(
 ) -> list[Finding]:
     """Findings by the linear model, after those by the waveforms."""
     rig, force_names = recording.rig, recording.force_names
+    if rig.base_sensors:
+        return []  # the comparison takes forces alone
     excluded = {c for f in waveform_findings if f.cause in EXCLUDING_CAUSES for c in _channels_at_fault(f, force_names)}
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
     if not sensors or excluded & {*force_names} or any(f.cause == "not at rest" for f in waveform_findings):
@@ -169,9 +182,10 @@ def _waveform_findings(recording: Recording, use: Use) -> list[Finding]:
     channels = list(_channels(recording, use))
     first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
     live = [c for c in channels if c.name not in _channel_names(f for f in first_faults if f.cause == "dead")]
-    may_begin_moving = recording.start_s > 0 or not np.any(recording.forces_n)  # a free decay begins in motion
+    excited = excitations(recording)
+    may_begin_moving = recording.start_s > 0 or not np.any(excited)  # a free decay begins in motion
     in_motion = [] if may_begin_moving else _motion_findings(live)
-    if recording.start_s == 0 and _runs_backwards(live, recording.forces_n, recording.rig.sample_rate_hz):
+    if recording.start_s == 0 and _runs_backwards(live, excited, recording.rig.sample_rate_hz):
         in_motion = [waveforms.reversed_time(tuple(c.name for c in live if not c.is_force))]
     findings = in_motion or [*first_faults, *_spike_findings(live, _channel_names(first_faults))]
     return [*findings, *waveforms.copies([c.name for c in live], [c.samples for c in live])]
@@ -183,13 +197,16 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 
 
 def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
-    """The forces, and the sensors of the quantity in use."""
+    """The forces on bodies, and the sensors of the quantity in use."""
     rig = recording.rig
-    used = {*recording.force_names, *(s.name for s in rig.sensors if use in ("auto", s.quantity))}
+    used = {
+        *recording.force_names[: count_on_bodies(rig)],
+        *(s.name for s in rig.sensors if use in ("auto", s.quantity)),
+    }
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
             if name in used:
-                forces_n, force_names = recording.forces_n, recording.force_names
+                forces_n, force_names = excitations(recording), excitation_names(rig)
                 yield _Channel(
                     group, name, samples, rig.sample_rate_hz, forces_n, force_names, _impact_sensors(rig, name)
                 )

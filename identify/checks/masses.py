@@ -16,10 +16,11 @@ from jaxtyping import Bool, Float
 from identify.checks.findings import Finding
 from identify.checks.relations import unit_mistake
 from identify.linear.joined import joined_contacts
+from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
 from rig.errors import RigError
-from rig.model.description import Body, Rig
+from rig.model.description import ON_GROUND, Body, Rig, Station
 from rig.model.modes import loaded_mass
 from rig.model.tolerances import Tolerances
 
@@ -72,8 +73,11 @@ def mass_findings(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> list[
 
 
 def _driven_body(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
-    """Body on which the (first) force acts, a mass with what is attached to it, and the row of its station, or None if
-    other forces act elsewhere."""
+    """Body on which the (first) force acts, or that a shaken base carries alone, a mass with what is attached to it;
+    and the row of its station, or None if other forces act elsewhere."""
+    if rig.base_sensors:
+        body = rig.bodies[0]
+        return loaded_mass(rig, body), motion.row(Station(body.name)) if rig.inputs == (ON_GROUND,) else None
     station = rig.forces[0]
     return loaded_mass(rig, rig.body(station.body)), motion.row(station) if set(rig.forces) == {station} else None
 
@@ -118,8 +122,10 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
         motion.velocity_m_per_s[station_index],
         motion.displacement_m[station_index],
     )
-    signals = decimated(np.stack([motion.forces_n.sum(axis=0), *rows]), factor)
-    passages = _passages(_open(rig, motion, factor, quantile), motion.excited_from // factor + 1)
+    signals = decimated(
+        np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *rows]), factor
+    )
+    passages = _passages(_open(rig, motion, station_index, factor, quantile), motion.excited_from // factor + 1)
     if sum(p.stop - p.start for p in passages) < 50:
         return None
     if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
@@ -154,13 +160,16 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
     return MassFit(values, errors, delay_s, explained)
 
 
-def _open(rig: Rig, motion: Kinematics, factor: int, quantile: float) -> Bool[np.ndarray, " fewer"]:
+def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantile: float) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
     for pair in joined_contacts(rig):
         contact = pair.contact
-        if rig.forces[0].body not in (contact.at.body, contact.against.body if contact.against else None):
+        if motion.stations[station_index].body not in (
+            contact.at.body,
+            contact.against.body if contact.against else None,
+        ):
             continue
         if not all(rig.contacts[j].law.has_stops for j in pair.members):
             return np.zeros_like(is_open)

@@ -66,6 +66,8 @@ def check(
         print(f"{file}: {'nothing wrong was found' if result.sound else f'{len(result.findings)} findings'}")
         for finding in result.findings:
             say(f"  {finding.sentence}")
+        for note in result.notes:
+            say(f"note: {note}")
     if not result.sound:
         raise typer.Exit(1)
 

@@ -38,6 +38,7 @@ from identify.contacts.station_spectra import (
     start_left_out_s,
 )
 from identify.linear.free_motion import InitialStates
+from identify.linear.modal import force_on_mass
 from identify.linear.model import (
     Response,
     ResponseCache,
@@ -51,7 +52,7 @@ from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
-from rig.model.modes import Modes, modes_of
+from rig.model.modes import modes_of
 from rig.model.tolerances import Tolerances
 
 END_LEFT_OUT_S = 2.5
@@ -139,17 +140,16 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
     Raises RigError as `separated_forces`, and if a body is not held whose slow motion shall be carried.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
-    force_count, padding = len(rig.forces), lines.length / motion.samples
+    force_count, padding = len(rig.inputs), lines.length / motion.samples
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or carried)
     floats = {r.body.name: not is_held(r) for r in responses}
     if carried and any(floats.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    by_input = accelerances(rig, responses, rig.forces, [*motion.sensors, *gauges.sensors])
+    by_input = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
-    observed, gauge_errors, noise_power = observation_of(
-        record, lines, responses, in_metres, by_input[:force_count] * force_spectra[:, None]
-    )
+    by_inputs = by_input[:force_count] * force_spectra[:, None]
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, in_metres, by_inputs)
     measured, sensor_response = observed.explained, observed.sensor_response
     floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, floor, lines))
@@ -163,7 +163,7 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
         weighed = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # those are at 0 Hz alone
         errors = StationErrors(noise_power, floor, weighed, lines.correlated_line_count)
         to_force = force_weights(by_input[force_count:] * sensor_response, errors)
-        unexplained = measured - sensor_response * observed.by_force.sum(axis=0)
+        unexplained = measured - sensor_response * by_inputs.sum(axis=0)
         if not record.from_rest:
             initial = initial_states(responses, motion, in_metres, lines, sensor_response * by_input, errors)
             unexplained = unexplained - initial.delivered
@@ -219,7 +219,7 @@ def _separated(record: SeparationInput, carried: bool) -> ContactForces:
     force_n = lines.signals(contact_spectra, kept_samples)
     slow_n_per_m = slow_stiffness(rig, weighted.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(modes_of(rig, rig.bodies[0]), motion, factor)[:, :kept_samples]
+        force_n = _force_on_mass(rig, motion, factor)[:, :kept_samples]
     elif initial:
         start_sample = min(round(start_left_out_s(rig, slow_n_per_m) * rate / factor), kept_samples - 1)
         force_by_state = lines.signals(np.einsum("jsf,isf->ijf", to_force, initial.spectra), kept_samples)
@@ -254,10 +254,11 @@ def _noise_n(
     return np.asarray(lines.signals(noise_n, motion.samples // lines.factor).std(axis=1))
 
 
-def _force_on_mass(mass: Modes, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
+def _force_on_mass(rig: Rig, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
+    mass = modes_of(rig, rig.bodies[0])
     inverse_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
     omega, damping_ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
     resisting = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
     resisting_n = (resisting + omega**2 * motion.displacement_m[:1]) / inverse_mass
-    return decimated(motion.forces_n.sum(axis=0) - resisting_n, factor)
+    return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, factor)

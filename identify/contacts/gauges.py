@@ -120,12 +120,13 @@ class GaugeErrors:
 def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:
     """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
 
-    None are used beside sensors of one quantity alone (`use`), or in a record that does not begin at rest, unless it is
-    a segment of a longer one. Slow motion may be lost in the noise of the accelerometers and yet bend the gauges: where
+    None are used beside sensors of one quantity alone (`use`), on a base whose motion is measured, or in a record that
+    does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the accelerometers and yet bend the gauges: where
     accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, count = recording.rig, motion.samples
-    gauges = [s for s in rig.sensors if use == "auto" and not s.measures.translates]
+    are_used = use == "auto" and not rig.base_sensors
+    gauges = [s for s in rig.sensors if are_used and not s.measures.translates]
     gauges = [s for s in gauges if np.ptp(recording.values_of(s)) > 0]
     excited_from = motion.excited_from
     if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):

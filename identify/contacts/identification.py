@@ -29,6 +29,7 @@ from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fitted_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics, Use
+from identify.signals.measured_base import count_on_bodies
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
@@ -192,7 +193,7 @@ def contact_report(
         ),
         transformation=tuple(_transformation_result(t) for t in methods.transformations),
         trusted_hz=motion.trusted_hz,
-        channels_used=(*rig.force_names, *motion.channels),
+        channels_used=(*rig.force_names[: count_on_bodies(rig)], *motion.channels),
         findings=findings,
         noise_from=noise_source(motion, rig),
         notes=methods.notes,

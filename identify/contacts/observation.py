@@ -11,8 +11,9 @@ from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import SpectralLines, full_motion, observed_motion, sensed_accelerations
 from identify.linear.model import Response
-from identify.linear.nuisance import Observed
+from identify.linear.nuisance import Observed, ObservedBase
 from identify.signals.kinematics import Kinematics
+from identify.signals.measured_base import MeasuredBase, count_on_bodies
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -52,7 +53,7 @@ def observation_of(
     lines: SpectralLines,
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
-    by_force: Complex[np.ndarray, "forces rows lines"],
+    by_inputs: Complex[np.ndarray, "inputs rows lines"],
 ) -> tuple[Observed, GaugeErrors, Float[np.ndarray, "rows lines"]]:
     """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
     gauges beside the tolerances; the power of the noise.
@@ -76,9 +77,10 @@ def observation_of(
         omega=lines.omega,
         sensor_response=np.concatenate([response, rows.response]),
         explained=np.concatenate([measured, rows.measured]),
-        by_force=by_force,
+        by_force=by_inputs[: count_on_bodies(rig)],
         displaced=np.concatenate([displacements, np.zeros_like(rows.measured)]),
         bodies=tuple(observed_motion(rig, r, motion, measured / response) for r in responses),
+        base=_observed_base(motion.base, lines, by_inputs[-1]) if motion.base else None,
     )
     truncation = gauges.truncation(rig, responses, rows.response)
     errors = GaugeErrors(
@@ -90,6 +92,19 @@ def observation_of(
     )
     noise_power = (samples * record.noise**2)[:, None] * np.abs(response) ** 2
     return observed, errors, np.concatenate([noise_power, rows.noise_power])
+
+
+def _observed_base(
+    base: MeasuredBase, lines: SpectralLines, by_base: Complex[np.ndarray, "stations lines"]
+) -> ObservedBase:
+    """Spectra of a measured base, with the accelerations of the stations that it causes."""
+    return ObservedBase(
+        sensor=base.sensor,
+        displaced_by=base.displaced_by,
+        acceleration=lines.spectra(base.acceleration_m_per_s2),
+        displacement=lines.spectra(base.displacement_m),
+        by_base=by_base,
+    )
 
 
 def noise_observation(
@@ -106,6 +121,7 @@ def noise_observation(
         by_force=np.zeros_like(observed.by_force),
         displaced=displaced,
         bodies=tuple(observed_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+        base=observed.base and observed.base.silent,
     )
 
 
@@ -119,7 +135,7 @@ def with_driven_modes(
     """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
     and the contact forces."""
     rig, motion = record.rig, record.motion
-    stations, force_count = len(motion.stations), len(rig.forces)
+    stations, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.explained[:stations] / observed.sensor_response[:stations]
     motions = (
         full_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])

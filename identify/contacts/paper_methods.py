@@ -94,13 +94,18 @@ def attempted(
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
-    driven_bodies = [rig.body(name) for name in dict.fromkeys(station.body for station in rig.forces)]
-    names = [f"{body.name} {i}" for body in driven_bodies for i in range(1, 1 + min(EQUATIONS, body.max_modes))]
+    names = [f"{body.name} {i}" for body in driven_bodies(rig) for i in range(1, 1 + min(EQUATIONS, body.max_modes))]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
     if averaging != Averaging():
         rate_hz = rig.sample_rate_hz
         blocks(round(recording.duration_s * rate_hz), rate_hz, averaging, averaging.band_hz or (0.0, rate_hz / 4))
+
+
+def driven_bodies(rig: Rig) -> list[Body]:
+    """Bodies on which a measured force acts: all where a measured base shakes."""
+    names = [body.name for body in rig.bodies] if rig.base_sensors else [station.body for station in rig.inputs]
+    return [rig.body(name) for name in dict.fromkeys(names)]
 
 
 def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
@@ -208,10 +213,10 @@ def _equations(
 def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, notes: list[str]) -> dict[str, Blocks]:
     """Blocks of NIFO by body, in the band of the forces on it; none for a body without force."""
     acting = {}
-    for body in dict.fromkeys(station.body for station in rig.forces):
-        forces_n = motion.forces_n[[station.body == body for station in rig.forces]]
-        if np.any(forces_n):
-            acting[body] = forces_n
+    for body in driven_bodies(rig):
+        acts = [station.body == body.name or rig.is_on_ground(station) for station in rig.inputs]
+        if np.any(forces_n := motion.forces_n[acts]):
+            acting[body.name] = forces_n
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
         low, high = force_band(forces_n, motion.sample_rate_hz)

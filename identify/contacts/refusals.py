@@ -65,16 +65,16 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_CONTACTS: "describe them in rig.json",
     RemedyCode.LEAVE_OUT_ATTACHMENTS: "leave it out: it takes beams, structures and masses "
     "with point masses, linear springs, supports and clamps; identify gap takes the others",
-    RemedyCode.MOTION_AGAINST_BASE: "of one mass give its motion against the base, and minus its mass times the base's "
-    "acceleration as the force; of other bodies hold the base still and measure an exciting force",
+    RemedyCode.MOTION_AGAINST_BASE: "measure how the base shakes by a sensor on the ground, or hold it still and "
+    "measure an exciting force",
     RemedyCode.ADD_SENSOR: "put a sensor there",
     RemedyCode.ADD_ACCELEROMETER: "put an accelerometer there",
     RemedyCode.RECORD_LONGER_OR_FROM_REST: "record longer, or begin with a quarter second at rest without force",
     RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS: "record longer, or begin with a quarter second at rest "
     "without force, or measure displacements",
     RemedyCode.CHECK_CHANNELS: "look at their channels",
-    RemedyCode.RECORD_FORCE_OR_RELEASE: "record the force that moves the rig (a base that shakes moves it, too), or "
-    "let the record begin when the rig has been released",
+    RemedyCode.RECORD_FORCE_OR_RELEASE: "record the force that moves the rig (of a base that shakes its motion, by a "
+    "sensor on the ground), or let the record begin when the rig has been released",
     RemedyCode.DESCRIBE_FEWER_CONTACTS: "describe them as fewer",
     RemedyCode.CHECK_DISPLACEMENT_SENSOR: "look for a dead displacement sensor",
     RemedyCode.EXCITE_MORE: "excite the rig more strongly",
@@ -99,7 +99,7 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
         RemedyCode.LEAVE_OUT_ATTACHMENTS,
     ),
     RefusalCode.BASE_MOTION: (
-        "rig.json of {rig!r} has base_motion, which the identification does not know",
+        "rig.json of {rig!r} has base_motion, and no sensor on the ground measures it",
         RemedyCode.MOTION_AGAINST_BASE,
     ),
     RefusalCode.NO_SENSOR: (

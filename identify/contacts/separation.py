@@ -30,6 +30,8 @@ BAND_RATIO = 4.0
 LEAST_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
+FOLLOWED_HZ = 0.5 / KNOT_S
+"""Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
 SHORTEST_S = 1.0
@@ -151,6 +153,8 @@ def check_described(rig: Rig) -> None:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
     for field in UNMODELLED_PARTS:
         if getattr(rig, field) not in ((), None, ForceSensor()):
+            if field == "base_motion" and rig.base_sensors:
+                continue
             if field == "base_motion":
                 raise refused(RefusalCode.BASE_MOTION, rig=rig.name)
             raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=field)
@@ -249,6 +253,9 @@ def drift_of(
         )
     slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
     densities = [_density(motion, s, noise, tolerances) for s in stations]
+    if motion.base and len(stations) == 1:
+        error = tolerances.of_sensor(motion.base.sensor.name).gain * _slow(motion.base.acceleration_m_per_s2, motion)
+        densities.append(float(np.sqrt(np.mean(error**2) / FOLLOWED_HZ)))
     return Drift(
         acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
@@ -266,13 +273,19 @@ def _density(
     row = motion.stations.index(station)
     body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
     body_stations.sort(key=lambda i: motion.stations[i].position_m)
-    followed_hz = 0.5 / KNOT_S
-    factor = max(1, int(motion.sample_rate_hz / (2 * followed_hz)))
-    slow = np.stack([decimated(acceleration, factor) for acceleration in motion.acceleration_m_per_s2[body_stations]])
-    error = tolerances.gain**2 * np.mean(slow[body_stations.index(row)] ** 2)
+    slow = np.stack([_slow(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]])
+    in_space = slow[body_stations.index(row)]
+    if motion.base:
+        in_space = in_space + _slow(motion.base.acceleration_m_per_s2, motion)
+    error = tolerances.gain**2 * np.mean(in_space**2)
     if len(body_stations) > 1:
         slope = np.gradient(slow, [motion.stations[i].position_m for i in body_stations], axis=0)[
             body_stations.index(row)
         ]
         error += tolerances.position_m**2 * np.mean(slope**2)
-    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / followed_hz))
+    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / FOLLOWED_HZ))
+
+
+def _slow(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
+    """Acceleration in the band of the drift."""
+    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * FOLLOWED_HZ))))

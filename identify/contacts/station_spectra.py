@@ -154,7 +154,7 @@ def full_motion(
     and are subtracted from the stations' accelerations before the others are determined.
     """
     observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
-    modal_force = times(input_shapes(rig, response, rig.forces).T, np.concatenate([forces, contact_forces]))
+    modal_force = times(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
     hidden = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
     visible = accelerations - times(response.shapes(motion.stations)[:, observed_mode_count:], hidden)
     observed = observed_motion(rig, response, motion, visible)

@@ -9,6 +9,7 @@ from scipy.fft import next_fast_len
 from identify.signals.kinematics import Kinematics
 from rig.errors import RigError
 from rig.model.description import Body, Rig, Station, contact_stations
+from rig.model.modes import participation
 
 INVISIBLE_SHARE = 1e-3
 NEARLY_INVISIBLE = 0.15
@@ -34,7 +35,7 @@ class Transformation:
 class ModalEquation:
     """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several forces, shape_at_force is the one of the largest size, and F is `pushing_force`. Both kinds of shapes are
+    Of several inputs, shape_at_force is the one of the largest size, and F is `pushing_force`. Both kinds of shapes are
     mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
     displacement. visibility is their size as a share of the shape's largest value.
     """
@@ -103,7 +104,7 @@ def modal_equations(
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
-    at_forces = np.array([shape_at(body, station, mode_count) for station in rig.forces])
+    at_forces = input_shapes_at(rig, body, mode_count)
     at_force = at_forces[np.argmax(np.abs(at_forces), axis=0), np.arange(mode_count)]
     at_contacts = np.array([contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]).reshape(
         -1, mode_count
@@ -129,11 +130,11 @@ def modal_equations(
 def pushing_force(
     rig: Rig, equation: ModalEquation, forces_n: Float[np.ndarray, "forces samples"]
 ) -> Float[np.ndarray, " samples"]:
-    """Force F that pushes the mode as all forces do: sum_k phi(x_k) F_k / shape_at_force."""
+    """Force F that pushes the mode as all inputs do: sum_k phi(x_k) F_k / shape_at_force."""
     if len(forces_n) == 1 or equation.shape_at_force == 0:
         return forces_n[0]
     body = rig.body(equation.body)
-    shapes = np.array([shape_at(body, station, equation.index)[-1] for station in rig.forces])
+    shapes = input_shapes_at(rig, body, equation.index)[:, -1]
     return shapes / equation.shape_at_force @ forces_n
 
 
@@ -157,7 +158,7 @@ def _without_higher_modes(
     positions_m = np.array([motion.stations[i].position_m for i in transform.rows])
     in_coordinates = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
     contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
-    drive = np.stack([*(shape_at(body, s, body.max_modes) for s in rig.forces), *contacts])
+    drive = np.stack([*input_shapes_at(rig, body, body.max_modes), *contacts])
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     higher_modes = np.zeros((len(in_coordinates), frequency_hz.size), dtype=complex)
     for m in range(fitted_modes, body.max_modes):
@@ -219,6 +220,21 @@ def _relative(
     return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
+def input_shapes_at(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
+    """Shapes of a body through which the rig's inputs drive it; of a shaken base the participation of the modes."""
+    rows = [
+        participation(rig, body, body, mode_count) if rig.is_on_ground(station) else shape_at(body, station, mode_count)
+        for station in rig.inputs
+    ]
+    return np.array(rows).reshape(len(rows), mode_count)
+
+
+def force_on_mass(rig: Rig, mass: Body, forces_n: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, " samples"]:
+    """Sum of the forces of all inputs on a mass, N."""
+    shapes = input_shapes_at(rig, mass, 1)[:, 0] / mass.shapes(np.zeros(1), 1)[0, 0]
+    return np.asarray(shapes @ forces_n)
+
+
 def shape_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray, " modes"]:
     """Shapes of a body at a station; zero at a station of another body."""
     return (
@@ -242,8 +258,8 @@ def _truncation_error(
     highest_hz = natural_hz[fitted_modes - 1] or natural_hz[fitted_modes]
     response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * highest_hz)
     loaded = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
-    loaded += [s for s in rig.forces if s.body == body.name]
-    drive = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
+    at_contacts = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
+    drive = np.concatenate([at_contacts, input_shapes_at(rig, body, all_modes)])
     covariance = (response @ response.conj().T).real * (drive.T @ drive)
     error = inverse_shapes @ body.shapes(positions_m, all_modes) - np.eye(fitted_modes, all_modes)
     return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted_modes]))

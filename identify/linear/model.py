@@ -5,6 +5,9 @@ With modes of natural frequency omega_m, damping ratio zeta_m and mass-normalise
     a(x) = sum_k G(x, x_k) F_k - sum_j G_j(x) f_j,   G(x, x_k) = sum_m phi_m(x) A_m phi_m(x_k)
     A_m = -omega^2 / D_m,   D_m = omega_m^2 - omega^2 + 2 i zeta_m omega_m omega
 
+Where the base shakes, a is relative to it, and the inertial force F = -a_base on each kilogram is one more input, with
+the participation integral of mu phi_m dx in place of phi_m(x_k).
+
 It also covers slow motion, which accelerations do not show: where springs then act, and how stiffly they hold contacts.
 """
 
@@ -20,7 +23,7 @@ from identify.linear.modal import receptance
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.errors import RigError
 from rig.model.description import Body, Rig, Sensor, Station
-from rig.model.modes import Modes, modes_of
+from rig.model.modes import Modes, modes_of, participation
 
 SLOPE_STEP = 1e-4
 """Step of the differences for slopes of shapes, as a share of the body's length, to either side."""
@@ -237,8 +240,13 @@ def accelerances(
 
 
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
-    """Mode shapes through which forces at some places, and contact forces, drive a body."""
-    return np.concatenate([response.shapes([*forces]), -across(rig, response)])
+    """Mode shapes through which forces at some places, and contact forces, drive a body; the participation of its modes
+    in a force on the ground, which is the inertial force on each kilogram."""
+    driven = response.shapes([*forces])
+    for row, station in zip(driven, forces, strict=True):
+        if rig.is_on_ground(station):
+            row[:] = participation(rig, response.body, response.modes, response.count)
+    return np.concatenate([driven, -across(rig, response)])
 
 
 def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:

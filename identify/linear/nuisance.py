@@ -73,6 +73,24 @@ class BodyMotion:
 
 
 @dataclass(frozen=True)
+class ObservedBase:
+    """Spectra of a base that sensors measure: its acceleration and displacement, and the accelerations of the stations
+    against it that it causes."""
+
+    sensor: Sensor
+    displaced_by: Sensor
+    acceleration: Complex[np.ndarray, " lines"]
+    displacement: Complex[np.ndarray, " lines"]
+    by_base: Complex[np.ndarray, "sensors lines"]
+
+    @property
+    def silent(self) -> "ObservedBase":
+        """The same base at rest."""
+        acceleration, displacement, by_base = (0 * x for x in (self.acceleration, self.displacement, self.by_base))
+        return replace(self, acceleration=acceleration, displacement=displacement, by_base=by_base)
+
+
+@dataclass(frozen=True)
 class Reading:
     """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
@@ -109,9 +127,9 @@ class Change:
 class Observed:
     """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
 
-    by_force are the accelerations by each measured force; displaced the displacements at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are changes by
-    parameters that no tolerance states.
+    by_force are the accelerations by each measured force on a body; displaced the displacements at the sensors'
+    stations, which the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are
+    changes by parameters that no tolerance states. Where a base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -124,6 +142,7 @@ class Observed:
     displaced: Complex[np.ndarray, "sensors lines"]
     bodies: tuple[BodyMotion, ...]
     further: tuple[Change, ...] = ()
+    base: ObservedBase | None = None
 
     @property
     def is_read(self) -> bool:
@@ -141,6 +160,7 @@ def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
     """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
     common only on request."""
     yield from _sensor_changes(observed)
+    yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
@@ -150,16 +170,37 @@ def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
 
 
 def _sensor_changes(observed: Observed) -> Iterator[Change]:
-    """Changes by each sensor's chain."""
+    """Changes by each sensor's chain, which passes the motion in space: that against the base and the base's."""
+    base = observed.base
+    carried, lifted = (base.acceleration, base.displacement) if base else (0.0, 0.0)
     single = np.eye(len(observed.sensors))
     for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
         for channel in dict.fromkeys((sensor, displacement)):
             for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
-                    delivered = factor * observed.explained[[i]] * (channel == sensor)
-                    displaced = factor * observed.displaced[[i]] if channel == displacement else None
+                    in_space = observed.explained[[i]] + observed.sensor_response[[i]] * carried
+                    delivered = factor * in_space * (channel == sensor)
+                    displaced = factor * (observed.displaced[[i]] + lifted) if channel == displacement else None
                     reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
                     yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
+
+
+def _base_changes(observed: Observed) -> Iterator[Change]:
+    """Changes by the chains of the sensors on a shaken base: a gain that is too large takes too much motion from every
+    sensor, and more for what the base causes."""
+    base, everywhere = observed.base, list(range(len(observed.sensors)))
+    if base is None:
+        return
+    for channel in dict.fromkeys((base.sensor, base.displaced_by)):
+        for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
+            if np.any(factor):
+                caused = observed.sensor_response * (base.acceleration + base.by_base)
+                delivered = -factor * caused * (channel == base.sensor)
+                displaced = np.tile(-factor * base.displacement, (len(everywhere), 1))
+                is_displacement = channel == base.displaced_by
+                yield Change(
+                    Nuisance(kind, channel.name), everywhere, delivered, displaced if is_displacement else None
+                )
 
 
 def crosstalk_of(observed: Observed) -> Iterator[Change]:
@@ -199,7 +240,8 @@ def _chain_changes(
 
 def _force_changes(observed: Observed) -> Iterator[Change]:
     """Changes by the gain of each measured force, which is gain times the true one."""
-    names = force_names(len(observed.by_force)) if len(observed.by_force) > 1 else (THE_FORCE,)
+    count = len(observed.by_force)
+    names = force_names(count) if count > 1 else (THE_FORCE,) * count
     if gain := observed.tolerances.force_gain:
         for name, by_force in zip(names, observed.by_force, strict=True):
             delivered = -gain * observed.sensor_response * by_force
@@ -227,12 +269,18 @@ def _position_changes(observed: Observed, motion: BodyMotion, rows: list[int]) -
 
 
 def _mode_changes(observed: Observed, motion: BodyMotion, rows: list[int], common: bool) -> Iterator[Change]:
-    """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode."""
+    """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode.
+
+    A body of another mass follows its base as before.
+    """
     response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
     shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving]
     if common and tolerances.mass:
-        delivered = -tolerances.mass * sensor_response * times(shapes, motion.acceleration)
+        by_forces = times(shapes, motion.acceleration)
+        if observed.base:
+            by_forces -= observed.base.by_base[rows]
+        delivered = -tolerances.mass * sensor_response * by_forces
         yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         factors = response.sensitivity("frequency" if kind is NuisanceKind.FREQUENCY else "damping", motion.moving)

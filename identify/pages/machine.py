@@ -127,6 +127,7 @@ def machine(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Sequenc
         *(part for body in rig.bodies for part in _body(layout, body)),
         *_sensors(layout),
         *_forces(layout),
+        *_measured_base(layout, y + FOOT),
         *(part for mark, text in mark_texts for part in _ring(layout, mark, text)),
         *(part for mark, text in mark_texts for part in _words(layout, mark, text)),
     ]
@@ -204,17 +205,23 @@ def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
 
 def _sensors(layout: _Layout) -> Iterator[str]:
     """Triangle at every station with sensors; their names show under the pointer."""
-    sensors = layout.rig.sensors
+    sensors = [sensor for sensor in layout.rig.sensors if sensor not in layout.rig.base_sensors]
     for station in dict.fromkeys(sensor.station for sensor in sensors):
         d = f"M{layout.x(station) - 5:g},{layout.tops[station.body] - 9:g}h10l-5,8z"
         yield _path("sensor", d, ", ".join(sensor.name for sensor in sensors if sensor.station == station))
 
 
 def _forces(layout: _Layout) -> Iterator[str]:
-    for station in dict.fromkeys(layout.rig.forces):
+    for station in dict.fromkeys(s for s in layout.rig.forces if not layout.rig.is_on_ground(s)):
         x, y = layout.corner_x(station, -0.35), layout.bottom(layout.rig.body(station.body))
         yield _path("force", f"M{x:g},{y + 34:g}V{y + 5:g}m-5,9l5,-9l5,9")
         yield _line(x + 9, y + 33, "start", "F", "dim")
+
+
+def _measured_base(layout: _Layout, foot: float) -> Iterator[str]:
+    """Words on the sensors of a base that shakes, at the foot of the drawing."""
+    if names := ", ".join(sensor.name for sensor in layout.rig.base_sensors):
+        yield _line(LEFT, foot - 6, "start", f"the ground shakes, measured by {names}", "dim")
 
 
 def _base(layout: _Layout, mark: DrawnMark, text: _Text) -> float:

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from identify.pages.wording import number
+from identify.signals.measured_base import refuse_measured_base
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling
@@ -85,6 +86,7 @@ def planned_test(
     Raises RigError for values that make no test.
     """
     rig = source.rig if isinstance(source, Recording) else source
+    refuse_measured_base(rig, "identify plan")
     levels_n: tuple[float, ...] | None = None if force_rms_n is None else (force_rms_n,) * len(rig.forces)
     if isinstance(source, Recording) and np.any(source.forces_n):
         duration_s = duration_s or source.samples / rig.sample_rate_hz

@@ -9,8 +9,9 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, next_fast_len, rfft
 
 from identify.signals.beginning import QUIET_S, excitation_start, lead_in
+from identify.signals.measured_base import MeasuredBase, excitations, forces_on_bodies
 from rig.errors import RigError
-from rig.model.description import Sensor, Station, contact_stations
+from rig.model.description import ON_GROUND, Sensor, Station, contact_stations
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
@@ -40,6 +41,9 @@ class Kinematics:
     acceleration that an integrated displacement at a contact lacks, zero elsewhere. excited_from is the first sample
     with a force, 0 without a quiet start. start_s is the time of the first sample in the record. carried is True if
     strain gauges gave the slow displacements.
+
+    Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
+    inertial force on each kilogram, minus the base's acceleration (N/kg).
     """
 
     stations: tuple[Station, ...]
@@ -57,6 +61,7 @@ class Kinematics:
     excited_from: int
     start_s: float = 0.0
     carried: bool = False
+    base: MeasuredBase | None = None
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """Times of every `factor`-th of the first samples, s."""
@@ -92,6 +97,7 @@ class Kinematics:
             lost_m_per_s2=self.lost_m_per_s2[:, samples],
             excited_from=max(0, self.excited_from - (samples.start or 0)),
             start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
+            base=self.base and self.base.segment(samples),
         )
 
     @property
@@ -138,11 +144,18 @@ class _PaddedTransform:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Displacement, velocity and acceleration of every station; the part lost by integration; the channels in use."""
+    """Displacement, velocity and acceleration of every station, those on the ground first; the part lost by
+    integration; the channels in use."""
 
     derivatives: tuple[Float[np.ndarray, "_ usable"], ...]
     lost_m_per_s2: Float[np.ndarray, "stations usable"]
     channels: tuple[str, ...]
+
+    @property
+    def relative_to_base(self) -> "_Motion":
+        """Motion of the stations on bodies relative to the first, which is on the ground."""
+        derivatives = tuple(rows[1:] - rows[:1] for rows in self.derivatives)
+        return _Motion(derivatives, self.lost_m_per_s2[1:] - self.lost_m_per_s2[:1], self.channels)
 
 
 def kinematics(
@@ -164,37 +177,45 @@ def kinematics(
     integrates = any(0 not in by_order for by_order in stations.values())
     transform = _transform(recording, sensors, corner_hz, integrates)
     motion = _motion(recording, stations, transform, least_order)
+    rate, on_bodies = recording.rig.sample_rate_hz, tuple(stations)
+    forces_n, base = forces_on_bodies(recording)[:, : transform.usable_count], None
+    if recording.rig.base_sensors:
+        base, on_bodies = _base_of(motion, stations[ON_GROUND], least_order), on_bodies[1:]
+        motion = motion.relative_to_base
+        forces_n = np.concatenate([forces_n, -base.acceleration_m_per_s2[None]])
     displacement, velocity, acceleration = motion.derivatives
-    rate = recording.rig.sample_rate_hz
     return Kinematics(
-        stations=tuple(stations),
+        stations=on_bodies,
         channels=motion.channels,
-        sensors=tuple(_nearest(by_order, 2) for by_order in stations.values()),
-        displaced_by=tuple(_nearest(by_order, 0) for by_order in stations.values()),
+        sensors=tuple(_nearest(stations[s], 2) for s in on_bodies),
+        displaced_by=tuple(_nearest(stations[s], 0) for s in on_bodies),
         sample_rate_hz=rate,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
         zero_known=not integrates,
-        forces_n=recording.forces_n[:, : transform.usable_count],
+        forces_n=forces_n,
         displacement_m=displacement,
         velocity_m_per_s=velocity,
         acceleration_m_per_s2=acceleration,
         lost_m_per_s2=motion.lost_m_per_s2,
         excited_from=transform.excited_from,
         start_s=recording.start_s,
+        base=base,
     )
 
 
 def _motion_sensors(recording: Recording, use: Use) -> list[Sensor]:
-    """Sensors of motion of the quantity in use.
+    """Sensors of motion of the quantity in use, those on a shaken base first and of any quantity.
 
     Raises RigError if there are none.
     """
+    on_base = recording.rig.base_sensors
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
+    sensors = [s for s in sensors if s not in on_base]
     if not sensors:
         required = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
         raise RigError(f"the recording has no {required}; it has {', '.join(sorted(recording.signals))}{advice}")
-    return sensors
+    return [*on_base, *sensors]
 
 
 def _by_station(sensors: list[Sensor]) -> ByStation:
@@ -222,7 +243,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         ending = ending * ending[::-1]
     length = next_fast_len(samples + round(2 * left_out_s * rate), real=True)
-    excited_from = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
+    excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate)
     return _PaddedTransform(
         corner_hz=corner_hz,
         ending=ending,
@@ -239,7 +260,7 @@ def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransfo
     omega, corner_hz = transform.omega, transform.corner_hz
     powers = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)
-    at_contacts = {s for c in recording.rig.contacts for s in contact_stations(c)}
+    at_contacts = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
     derivatives = tuple(
         np.empty((len(stations) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
@@ -261,6 +282,18 @@ def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransfo
         if station in at_contacts and 0 not in by_order:  # the spectrum is the acceleration's
             lost[row] = transform.usable_samples(spectrum * below_corner)
     return _Motion(derivatives, lost, tuple(channels))
+
+
+def _base_of(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
+    """Motion of the base, the first of the stations; no displacement where it is left out."""
+    displacement, _, acceleration = motion.derivatives
+    return MeasuredBase(
+        sensor=_nearest(by_order, 2),
+        displaced_by=_nearest(by_order, 0),
+        displacement_m=np.empty(0) if least_order else displacement[0],
+        acceleration_m_per_s2=acceleration[0],
+        lost_m_per_s2=motion.lost_m_per_s2[0],
+    )
 
 
 def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:

@@ -36,7 +36,8 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     if source == "the quiet start of the record":
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     if source == "noise_density in rig.json":
-        return np.array([_described_noise(s, motion.sample_rate_hz) for s in motion.sensors])
+        of_base = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
+        return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), of_base) for s in motion.sensors])
     return np.array(
         [
             _noise_from_high_band(row, s, motion)

@@ -34,7 +34,7 @@ from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.model.contact_laws import walls_m
-from rig.model.description import Station, read_rig, to_json
+from rig.model.description import ON_GROUND, Station, read_rig, to_json
 from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
@@ -146,6 +146,8 @@ def record(
     else:
         forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
         force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        if rig.is_on_ground(rig.forces[0]):
+            force_text = "no force, the base shakes"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         if isinstance(machine, OwnRig):
             say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
@@ -282,7 +284,7 @@ def _table(title: str, *headings: str) -> Table:
 
 
 def _place(station: Station) -> str:
-    return f"{station.body} {station.position_m:g} m"
+    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m"
 
 
 def _rms(row: np.ndarray) -> float:

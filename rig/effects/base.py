@@ -108,7 +108,7 @@ class Scale:
         return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
 
     def _body(self) -> Body:
-        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.forces[0].body)
+        return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
 
     def _shapes(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
@@ -213,7 +213,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
         """Body of that name; without a name the one that the (first) force drives."""
-        body_name = rig.forces[0].body if name is None else name
+        body_name = rig.first_driven if name is None else name
         for body in rig.bodies:
             if body.name == body_name:
                 return body

@@ -73,7 +73,7 @@ def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> 
     nodes = nodes_of(recording.rig)
 
     def node(station: Station | None) -> int:
-        return nodes[station] if station else 0
+        return nodes.get(station, 0) if station else 0  # 0: on the ground, or without a single place
 
     datasets = [
         *mode_shapes(recording.rig, nodes),

@@ -15,6 +15,8 @@ LONGEST_DELAY_S = 1.0
 RISE_S = 0.5
 """Duration over which base motions and tones set in, so that a simulation begins at rest."""
 MAX_NAME_LENGTH = 200
+GROUND = "ground"
+"""Word in rig.json for the ground in place of a station, and the body of a station on it."""
 
 
 def check_name(kind: str, name: str) -> None:
@@ -24,7 +26,7 @@ def check_name(kind: str, name: str) -> None:
 
 
 class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A place on a body, metres from its left end."""
+    """A place on a body, metres from its left end; one on the ground has GROUND in place of a body."""
 
     body: str
     position_m: float = 0.0
@@ -208,15 +210,20 @@ class Tone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
 
 class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A transverse motion of the ground that carries clamps, springs and stops: Gaussian acceleration in a band."""
+    """A transverse motion of the ground that carries clamps, springs and stops: Gaussian acceleration in a band.
+
+    It begins at start_s and rises smoothly over RISE_S; a sensor on the ground measures it.
+    """
 
     acceleration_rms_m_per_s2: float
     low_hz: float
     high_hz: float
     seed: int = 1
+    start_s: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_number("base motion", "acceleration_rms_m_per_s2", self.acceleration_rms_m_per_s2)
+        for field in ("acceleration_rms_m_per_s2", "start_s"):
+            _check_number("base motion", field, getattr(self, field))
         if not 0 < self.low_hz < self.high_hz < np.inf:
             raise RigError(f"base motion: the band {self.low_hz} to {self.high_hz} Hz is empty; give 0 < low < high")
         if self.seed < 0:

@@ -3,18 +3,17 @@
 The components' structs are in `rig.model.components` and importable from here.
 """
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
-from rig.errors import RigError, meant
+from rig.errors import RigError
 from rig.files import contents
 from rig.limits import SCHEMA_VERSION, check_json, check_largest, check_schema_version
 from rig.model.beam import Beam
 from rig.model.components import (
+    GROUND,
     RISE_S,
     BaseMotion,
     Clamp,
@@ -31,15 +30,15 @@ from rig.model.components import (
     check_name,
     contact_stations,
 )
-from rig.model.contact_laws.base import CLEARANCES
 from rig.model.decoding import converted
-from rig.model.nodes import with_positions
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
+from rig.model.rig_json import json_in_types
 from rig.model.structure import Structure
 from rig.model.tolerances import Tolerances
 
 __all__ = [
+    "GROUND",
     "RISE_S",
     "UNITS",
     "BaseMotion",
@@ -68,8 +67,8 @@ __all__ = [
 
 Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
-GROUND, SCHEMA_KEY = "ground", "$schema"
-"""Word in rig.json for the ground, in place of a station; key that names its JSON Schema, which is read over."""
+ON_GROUND = Station(GROUND)
+"""Place of a sensor that measures how the base shakes, and of the force of a rig that nothing else moves."""
 MAX_PER_KIND = 1000
 """Largest number of bodies, of contacts, of sensors and of forces."""
 
@@ -78,6 +77,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Nominal model of the machine and its instruments.
 
     force_at is the place of the measured force, or of each of several that act at once; force_sensor holds for all.
+    Without it no force acts: the base shakes the rig, which a sensor on the ground measures, and the force's channel is
+    zero.
     The fields after sample_rate_hz are mostly empty; `rig.effects` fills them.
     """
 
@@ -87,10 +88,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Beams, masses and structures given by their modes."""
     contacts: tuple[Contact, ...]
     """Contacts between two bodies, or a body and the ground."""
-    force_at: Station | tuple[Station, ...]
-    """Place of the measured force, or of each of several that act at once."""
+    force_at: Station | tuple[Station, ...] = ON_GROUND
+    """Place of the measured force, or of each of several that act at once; the ground where the base alone shakes."""
     sensors: tuple[Sensor, ...]
-    """Sensors with place, quantity and noise."""
+    """Sensors with place, quantity and noise; one on the ground measures how the base shakes."""
     sample_rate_hz: float
     """Rate of every channel, Hz."""
     masses: tuple[PointMass, ...] = ()
@@ -104,7 +105,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     loads: tuple[StaticLoad, ...] = ()
     """Constant forces."""
     base_motion: BaseMotion | None = None
-    """Unmeasured motion of the base that carries the bodies."""
+    """Motion of the base that carries the bodies; unmeasured, unless a sensor stands on the ground."""
     force_sensor: ForceSensor = ForceSensor()
     """Errors of the force sensor; they hold for every force."""
     dampers: tuple[PointDamper, ...] = ()
@@ -130,13 +131,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             _check_names(f"rig {self.name!r}", kind, names)
         self._check_forces()
         for sensor in self.sensors:
-            self._check_station(f"sensor {sensor.name!r}", sensor.station)
-            self.fibre_m(sensor)
-            if not sensor.high_pass_hz < self.sample_rate_hz / 2:
-                raise RigError(
-                    f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
-                    f"sample_rate_hz of {self.sample_rate_hz:g}"
-                )
+            self._check_sensor(sensor)
         for contact in self.contacts:
             for station in contact_stations(contact):
                 self._check_station(f"contact {contact.name!r}", station)
@@ -151,13 +146,34 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             for item in attached:
                 self._check_station(f"a {kind}", item.station)
         self._check_held()
-        for body in self.bodies if self.base_motion else ():
+        for body in self.bodies if self.base_motion or self.base_sensors else ():
             _check_carried(body)
+
+    @property
+    def base_sensors(self) -> tuple[Sensor, ...]:
+        """Sensors on the ground, which measure how the base shakes."""
+        return tuple(s for s in self.sensors if self.is_on_ground(s.station))
+
+    def is_on_ground(self, station: Station) -> bool:
+        """True for a station on the ground, not on a body of that name."""
+        return station.body == GROUND and all(b.name != GROUND for b in self.bodies)
 
     @property
     def forces(self) -> tuple[Station, ...]:
         """Stations of the measured forces."""
         return self.force_at if isinstance(self.force_at, tuple) else (self.force_at,)
+
+    @property
+    def first_driven(self) -> str:
+        """Name of the body of the (first) force; of the first body where the base alone shakes."""
+        station = self.forces[0]
+        return self.bodies[0].name if self.is_on_ground(station) else station.body
+
+    @property
+    def inputs(self) -> tuple[Station, ...]:
+        """Places of the measured excitation: those of the forces on bodies, then the ground if it has a sensor."""
+        on_bodies = tuple(station for station in self.forces if not self.is_on_ground(station))
+        return (*on_bodies, ON_GROUND) if self.base_sensors else on_bodies
 
     @property
     def force_names(self) -> tuple[str, ...]:
@@ -176,6 +192,10 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
 
         Raises RigError if it is unknown, or if the quantity cannot be measured on a mass.
         """
+        if self.is_on_ground(sensor.station):
+            if not sensor.measures.translates:
+                raise RigError(f"sensor {sensor.name!r} measures {sensor.quantity} of the ground; put it on a beam")
+            return 0.0
         body = self.body(sensor.station.body)
         if body.is_mass and not sensor.measures.translates:
             raise RigError(
@@ -205,7 +225,25 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
                 )
             _check_names(f"rig {self.name!r}", "channel", [*self.force_names, *(s.name for s in self.sensors)])
         for name, station in zip(self.force_names, self.forces, strict=True):
-            self._check_station(f"the {name}", station)
+            if not self.is_on_ground(station):
+                self._check_station(f"the {name}", station)
+            elif len(self.forces) > 1 or not self.base_sensors:
+                raise RigError(
+                    f"rig {self.name!r}: the {name} acts on the ground, where it moves nothing; give force_at the "
+                    "place of the measured force, or leave it out and put a sensor on the ground, if it shakes"
+                )
+
+    def _check_sensor(self, sensor: Sensor) -> None:
+        if not self.is_on_ground(sensor.station):
+            self._check_station(f"sensor {sensor.name!r}", sensor.station)
+        elif sensor.station != ON_GROUND:
+            raise RigError(f"sensor {sensor.name!r} stands on the ground, which has one place; give no position_m")
+        self.fibre_m(sensor)
+        if not sensor.high_pass_hz < self.sample_rate_hz / 2:
+            raise RigError(
+                f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
+                f"sample_rate_hz of {self.sample_rate_hz:g}"
+            )
 
     def _check_held(self) -> None:
         for support in self.supports:
@@ -255,8 +293,8 @@ def _check_carried(body: Body) -> None:
 
 
 def stations_of(rig: Rig) -> tuple[Station, ...]:
-    """Every distinct station with a sensor or a contact, body by body from left to right."""
-    stations = {s.station for s in rig.sensors} | {
+    """Every distinct station on a body with a sensor or a contact, body by body from left to right."""
+    stations = {s.station for s in rig.sensors if s not in rig.base_sensors} | {
         station for contact in rig.contacts for station in contact_stations(contact)
     }
     order = [b.name for b in rig.bodies]
@@ -272,6 +310,8 @@ def check_given(rig: Rig, source: str) -> None:
     places += [(f"sensor {s.name!r}", s.station) for s in rig.sensors]
     places += [(f"contact {c.name!r}", station) for c in rig.contacts for station in contact_stations(c)]
     for label, station in places:
+        if rig.is_on_ground(station):
+            continue
         body = rig.body(station.body)
         if isinstance(body, Structure) and not body.has_shapes_at(station.position_m):
             named = " or give a station by its node" if any(row.node for row in body.rows) else ""
@@ -285,33 +325,6 @@ def to_json(rig: Rig) -> bytes:
     return msgspec.json.format(msgspec.json.encode(rig), indent=2)
 
 
-def _in_types(decoded: Any) -> Any:
-    """Description in the values of the types: a law without a type is a dead zone, a clearance of null infinite, and
-    "ground" no station; nodes' names are their positions (`rig.model.nodes`). The name of its JSON Schema is left out.
-
-    Raises RigError, without the file's name, for another word than "ground", and for an unknown node.
-    """
-    if not isinstance(decoded, dict):
-        return decoded
-    decoded.pop(SCHEMA_KEY, None)
-    contacts = decoded.get("contacts")
-    for number, contact in enumerate(contacts if isinstance(contacts, list) else []):
-        if not isinstance(contact, dict):
-            continue
-        if isinstance(word := contact.get("against"), str):
-            if word != GROUND:
-                raise RigError(
-                    f"contacts[{number}].against is {word!r}{meant(word, [GROUND])}; give a station, "
-                    f'{{"body": ..., "position_m": ...}}, or {GROUND!r}'
-                )
-            contact["against"] = None
-        if isinstance(law := contact.get("law"), dict):
-            law.setdefault("type", "dead_zone")
-            law |= {name: math.inf for name in CLEARANCES if name in law and law[name] is None}
-    with_positions(decoded)
-    return decoded
-
-
 def from_json(text: bytes, source: str) -> Rig:
     """Rig from a JSON text; raises RigError with `source`, the place and the reason if it is invalid."""
     check_json(text, source)
@@ -323,7 +336,7 @@ def from_json(text: bytes, source: str) -> Rig:
     check_largest(decoded, source)
     wrong = f"{source}: not a rig description"
     try:
-        in_types = _in_types(decoded)
+        in_types = json_in_types(decoded)
     except RigError as error:
         raise RigError(f"{wrong}: {error}") from error
     return converted(in_types, Rig, wrong)

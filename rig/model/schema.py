@@ -7,8 +7,9 @@ import msgspec
 
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.base import CLEARANCES
-from rig.model.description import GROUND, SCHEMA_KEY, Contact, Rig, Station
+from rig.model.description import GROUND, Contact, Rig, Sensor, Station
 from rig.model.nodes import NODE, POSITION
+from rig.model.rig_json import SCHEMA_KEY
 from rig.model.structure import ShapeRow, Structure
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -42,6 +43,11 @@ def rig_schema() -> dict[str, Any]:
     against = definitions[Contact.__name__]["properties"]["against"]
     against["anyOf"].append({"const": GROUND})
     against["default"] = GROUND
+    station = definitions[Sensor.__name__]["properties"]["station"]
+    force_at = schema["properties"]["force_at"]
+    station["anyOf"] = [{"$ref": station.pop("$ref")}, {"const": GROUND}]
+    force_at["anyOf"].append({"const": GROUND})
+    force_at["default"] = GROUND
     schema["properties"][SCHEMA_KEY] = {"type": "string"}
     _name_nodes(definitions)
     return schema

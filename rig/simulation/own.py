@@ -65,7 +65,9 @@ class OwnRig:
 
     @cached_property
     def level(self) -> Level:
-        """Level of the force, chosen unless it is given."""
+        """Level of the force, chosen unless it is given; none where the base alone shakes."""
+        if self.machine.is_on_ground(self.machine.forces[0]):
+            return Level(0.0, "as the base alone shakes the rig")
         if self.drive.rms_n is not None:
             return Level(self.drive.rms_n, "as set")
         return rattling(self.machine, self.drive.low_hz, self.high_hz)

@@ -49,6 +49,10 @@ def record(
             f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording, and less "
             f"than {MAX_DURATION_S:g} s"
         )
+    if actual.is_on_ground(actual.forces[0]) and not actual.base_motion:
+        raise RigError(
+            f"rig {actual.name!r} has no force_at and its base stands still, so nothing moves it; give base_motion"
+        )
     for tone in actual.tones:
         if tone.frequency_hz * step_s >= 0.5:
             raise RigError(

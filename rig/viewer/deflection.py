@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.signal.windows import tukey
 
 from rig.errors import RigError
-from rig.model.description import Body, Rig, Station
+from rig.model.description import ON_GROUND, Body, Rig, Station
 from rig.recording import Recording
 
 CORNER_HZ = 1.0
@@ -53,7 +53,8 @@ class Deflection:
 
 
 def deflection(recording: Recording, truth: Recording | None) -> Deflection:
-    """Deflection by the truth file if there is one, else by the sensor of least integration at every station.
+    """Deflection by the truth file if there is one, else by the sensor of least integration at every station, relative
+    to a base whose motion is measured.
 
     Raises RigError if a body has no motion sensor.
     """
@@ -73,7 +74,12 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
         row = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
         rows.append(_integrated(row, sensor.measures.order, rig.sample_rate_hz))
     approximate = any(s.measures.order for s in sensor_at.values())
-    return Deflection(rig, tuple(sensor_at), np.stack(rows), approximate)
+    stations, displacement_m = tuple(sensor_at), np.stack(rows)
+    if rig.base_sensors:
+        base = stations.index(ON_GROUND)
+        displacement_m = np.delete(displacement_m - displacement_m[base], base, axis=0)
+        stations = tuple(s for s in stations if s != ON_GROUND)
+    return Deflection(rig, stations, displacement_m, approximate)
 
 
 def _integrated(row: Float[np.ndarray, " samples"], times: int, sample_rate_hz: float) -> Float[np.ndarray, " samples"]:

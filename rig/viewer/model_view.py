@@ -31,6 +31,8 @@ def send_model(
         _send_contact(stream, scene, contact_motion)
     longest_n = np.abs(recording.forces_n).max() or 1.0
     for name, station, force_n in zip(scene.rig.force_names, scene.rig.forces, recording.forces_n, strict=True):
+        if scene.rig.is_on_ground(station):
+            continue
         path, arrows = entity("model", name), np.zeros((scene.time_s.size, 3))
         arrows[:, 2] = 0.2 * scene.extent_m * force_n[scene.frames] / longest_n
         style(stream, path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))

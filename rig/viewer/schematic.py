@@ -204,7 +204,7 @@ def _forces(drawing: Drawing, plan: _Plan) -> None:
     forces, names = plan.rig.forces, dict[Station, list[str]]()
     for number, station in enumerate(forces, start=1):
         names.setdefault(station, []).append("force F" if len(forces) == 1 else f"F{number}")
-    for station in dict.fromkeys(forces):
+    for station in dict.fromkeys(s for s in forces if not plan.rig.is_on_ground(s)):
         x, top = plan.x(station, station), plan.top(station.body)
         drawing.arrow((x, top - 1), (x, top - 80), FORCE_INK, 3.0)
         drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE_INK)
@@ -216,6 +216,8 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
     for sensor in plan.rig.sensors:
         quantities.setdefault(sensor.station, []).append(LETTERS.get(sensor.quantity, sensor.quantity))
     for station, letters in quantities.items():
+        if plan.rig.is_on_ground(station):
+            continue
         x, top = plan.x(station, plan.rig.sensors), plan.top(station.body)
         drawing.line((x - 5, top - 9), (x + 5, top - 9), (x, top - 1), colour=SENSOR_INK, fill=SENSOR_INK)
         place = "" if station.body in plan.slots else f"  {place_name(plan.rig.body(station.body), station.position_m)}"
@@ -225,6 +227,8 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
     if quantities:
         used = dict.fromkeys(s.quantity for s in plan.rig.sensors)
         key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
+        if plan.rig.base_sensors:
+            key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in plan.rig.base_sensors)
         drawing.text(0.0, TITLE_PX + 20, f"sensors: {key}", SENSOR_INK)
 
 

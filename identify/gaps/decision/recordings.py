@@ -20,6 +20,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.residual.extent import read_sensors, sensor_densities
 from identify.gaps.residual.ringing import highest_ringing_hz
+from identify.signals.measured_base import refuse_measured_base
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
 from rig.recording import Recording, Signals, channel_groups
@@ -69,6 +70,7 @@ def ordered_recordings(
     ordered = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not ordered:
         raise RigError("no recording to diagnose; give one or more of the rig")
+    refuse_measured_base(ordered[0].rig, "identify gap")
     if validation is None and len(ordered) == 1:
         return list(_fitted_and_validating(ordered[0])), 1
     if validation is not None and not any(validation is recording for recording in ordered):

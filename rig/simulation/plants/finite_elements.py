@@ -45,7 +45,8 @@ def build(
 
     connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
     connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)]
-    load_points = [*zip(rig.forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
+    forces = [None if rig.is_on_ground(station) else station for station in rig.forces]
+    load_points = [*zip(forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
     loads = [
         int(mbs.AddLoad(item("LoadCoordinate")(markerNumber=marker(station), load=force_n)))
         for station, force_n in load_points

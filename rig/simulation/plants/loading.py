@@ -36,8 +36,8 @@ def true_force(
 def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Consistent displacement, velocity and acceleration of the base at multiples of the step.
 
-    Empty without base motion. The motion rises from rest over RISE_S. Raises RigError if the band does not fit the
-    record or the step.
+    Empty without base motion. The motion rises from rest over RISE_S from its start on. Raises RigError if the band
+    does not fit the record or the step.
     """
     base = rig.base_motion
     if base is None:
@@ -50,7 +50,7 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray
     displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     d, v, a = (_in_time(transform, samples) for transform in (displacement, velocity, spectrum))
     scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
-    s = np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)
+    s = np.clip((np.arange(samples) * step_s - base.start_s) / RISE_S, 0, 1)
     rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
     slope, bend = slope / RISE_S, bend / RISE_S**2
     motion = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)

@@ -22,7 +22,7 @@ class Stepwise:
                 f"rig {rig.name!r}: {len(rig.forces)} forces act on it, and one is given step by step; leave one in "
                 "force_at"
             )
-        if rig.base_motion:
+        if rig.base_motion or rig.base_sensors:
             raise RigError(
                 f"rig {rig.name!r}: its base shakes, and the force alone is given step by step; leave it out"
             )

@@ -12,7 +12,7 @@ from rig.errors import RigError, is_plain
 from rig.model.beam import Beam
 from rig.model.contact_laws import DeadZone
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
-from rig.model.description import Contact, Rig, Sensor, Station, from_json, stations_of, to_json
+from rig.model.description import ON_GROUND, Contact, Rig, Sensor, Station, from_json, stations_of, to_json
 from rig.model.oscillator import Oscillator
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -247,6 +247,54 @@ def test_the_ground_is_null_a_word_or_left_out(words):
     decoded["contacts"][0] |= words
     grounded = replace(rig, contacts=(replace(rig.contacts[0], against=None),))
     assert from_json(msgspec.json.encode(decoded), "rig.json of x") == grounded
+
+
+def shaken(**changes):
+    """Description, as decoded JSON, of the small rig on a table that shakes, without a force."""
+    decoded = msgspec.json.decode(to_json(small_rig()))
+    del decoded["force_at"]
+    table = {"name": "table", "station": "ground", "quantity": "acceleration"}
+    return decoded | {"sensors": [table, *decoded["sensors"]]} | changes
+
+
+@pytest.mark.parametrize("force_at", [{}, {"force_at": "ground"}])
+def test_a_sensor_on_the_ground_measures_how_the_base_shakes(force_at):
+    rig = from_json(msgspec.json.encode(shaken(**force_at)), "rig.json of x")
+    assert [s.name for s in rig.base_sensors] == ["table"]
+    assert rig.forces == rig.inputs == (ON_GROUND,)
+    assert rig.force_names == ("force",)
+    assert ON_GROUND not in stations_of(rig)
+    assert from_json(to_json(rig), "x") == rig
+
+
+def test_a_force_and_a_shaken_base_are_two_inputs():
+    rig = from_json(msgspec.json.encode(shaken(force_at={"body": "beam", "position_m": 0.5})), "x")
+    assert rig.inputs == (Station("beam", 0.5), ON_GROUND)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"sensors": []}, "acts on the ground, where it moves nothing; give force_at the place"),
+        ({"force_at": ["ground", "ground"]}, "force_at"),
+        ({"sensors": [{"name": "t", "station": "grund", "quantity": "acceleration"}]}, r"did you mean 'ground'\?"),
+        ({"sensors": [{"name": "t", "station": "ground", "quantity": "strain"}]}, "strain of the ground; put it on a"),
+        (
+            {"sensors": [{"name": "t", "station": {"body": "ground", "position_m": 1}, "quantity": "velocity"}]},
+            "stands on the ground, which has one place",
+        ),
+    ],
+)
+def test_a_shaken_base_that_cannot_be_is_refused(changes, sentence):
+    with pytest.raises(RigError, match=sentence):
+        from_json(msgspec.json.encode(shaken(**changes)), "x")
+
+
+def test_a_body_named_ground_is_a_body_as_in_older_files():
+    decoded = msgspec.json.decode(to_json(small_rig()).replace(b'"mass"', b'"ground"'))
+    rig = from_json(msgspec.json.encode(decoded), "x")
+    assert rig.base_sensors == ()
+    assert rig.inputs == rig.forces
 
 
 def test_another_word_than_the_ground_is_refused():

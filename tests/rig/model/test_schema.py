@@ -35,6 +35,8 @@ def test_the_reference_rigs_are_valid(name):
     [
         (LAW, {"lower_clearance_m": None}, True),
         (["contacts", 0], {"against": "ground"}, True),
+        (["sensors", 0], {"station": "ground"}, True),
+        (["sensors", 0], {"station": "grund"}, False),
         (["contacts", 0], {"against": None}, True),
         ([], {"$schema": "rig.schema.json"}, True),
         ([], {"force_at": [{"body": "barrel"}, {"body": "barrel", "position_m": 1.0}]}, True),

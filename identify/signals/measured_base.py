@@ -1,0 +1,67 @@
+"""Measured motion of a shaken base: the stations then move relative to it, and its acceleration is an input.
+
+In coordinates relative to a base of the acceleration a_base, a body feels the inertial force -a_base on each kilogram,
+and contacts with the ground act on its displacement. Sensors on the body measure the sum of both motions.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float
+
+from rig.errors import RigError
+from rig.model.description import Rig, Sensor
+from rig.recording import Recording
+
+
+@dataclass(frozen=True)
+class MeasuredBase:
+    """Motion of the base by the sensors on it; `sensor` is that of the acceleration, `displaced_by` that of the
+    displacement. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement lacks."""
+
+    sensor: Sensor
+    displaced_by: Sensor
+    displacement_m: Float[np.ndarray, " samples"]
+    acceleration_m_per_s2: Float[np.ndarray, " samples"]
+    lost_m_per_s2: Float[np.ndarray, " samples"]
+
+    def segment(self, samples: slice) -> "MeasuredBase":
+        """Motion over a slice of the samples."""
+        return replace(
+            self,
+            displacement_m=self.displacement_m[samples],
+            acceleration_m_per_s2=self.acceleration_m_per_s2[samples],
+            lost_m_per_s2=self.lost_m_per_s2[samples],
+        )
+
+
+def refuse_measured_base(rig: Rig, command: str) -> None:
+    """Raise RigError, for a command that knows forces alone, if a sensor measures how the base shakes."""
+    if rig.base_sensors:
+        raise RigError(
+            f"{command} does not know a base whose motion is measured, as that of {rig.name!r} by "
+            f"{rig.base_sensors[0].name!r}; identify contact and identify law do"
+        )
+
+
+def excitations(recording: Recording) -> Float[np.ndarray, "excitations samples"]:
+    """Signals that excite a rig, as recorded: the forces on bodies, and what the sensors on a shaken base deliver."""
+    rig = recording.rig
+    if not rig.base_sensors:
+        return recording.forces_n
+    return np.stack([*forces_on_bodies(recording), *(recording.values_of(s) for s in rig.base_sensors)])
+
+
+def excitation_names(rig: Rig) -> tuple[str, ...]:
+    """Channels of the `excitations`."""
+    return (*rig.force_names[: count_on_bodies(rig)], *(s.name for s in rig.base_sensors))
+
+
+def forces_on_bodies(recording: Recording) -> Float[np.ndarray, "forces samples"]:
+    """Measured forces on bodies, N; none where the base alone shakes the rig."""
+    return recording.forces_n[: count_on_bodies(recording.rig)]
+
+
+def count_on_bodies(rig: Rig) -> int:
+    """Number of the measured forces on bodies, which come first among the inputs of a rig."""
+    return len(rig.inputs) - bool(rig.base_sensors)
