@@ -191,7 +191,7 @@ CASES = {
     "a stop behind another that is not reached": Case(
         RefusalCode.NOT_REACHED,
         RemedyCode.EXCITE_MORE,
-        made(UNREACHED, 2.0),
+        made(UNREACHED, 4.0),
         {"stronger": made(UNREACHED, 30.0)},
     ),
     "a stop on one side, by accelerometers": Case(
