@@ -121,8 +121,8 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
 
     None are used beside sensors of one quantity alone (`use`), on a base whose motion is measured, or in a record that
-    does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the accelerometers and yet bend the gauges: where
-    accelerometers tell no quiet start, the force and the gauges do.
+    does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the
+    accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, count = recording.rig, motion.samples
     are_used = use == "auto" and not rig.base_sensors
