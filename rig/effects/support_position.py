@@ -9,7 +9,7 @@ from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig, Station
 from rig.model.parameters import Parameter, ParameterSet
 
-REACH = 0.1
+LARGEST_SHIFT_SHARE = 0.1
 """Largest shift, as a share of the body's length."""
 
 
@@ -25,23 +25,27 @@ class SupportPosition(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the body, either way, as far as every support stays on it."""
-        body = cls(body=scale.place.get("body")).supported_body(scale.rig)
-        length_m = scale.rig.body(body).length_m
-        positions_m = [spring.station.position_m for spring in _supports(scale.rig, body)]
-        most_m = REACH * length_m
+        body_name = cls(body=scale.place.get("body")).supported_body(scale.rig)
+        length_m = scale.rig.body(body_name).length_m
+        positions_m = [spring.station.position_m for spring in _supporting_springs(scale.rig, body_name)]
+        most_m = LARGEST_SHIFT_SHARE * length_m
         return cls.ranged(shift_m=(max(-most_m, -min(positions_m)), min(most_m, length_m - max(positions_m))))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         """A hundredth of the body, towards the side with more room."""
-        shift = cls.parameters(scale)["shift_m"]
-        return cls.placed(scale, shift_m=REACH * (shift.high if shift.high >= -shift.low else shift.low))
+        shift_range = cls.parameters(scale)["shift_m"]
+        return cls.placed(
+            scale,
+            shift_m=LARGEST_SHIFT_SHARE
+            * (shift_range.high if shift_range.high >= -shift_range.low else shift_range.low),
+        )
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Every body that springs support along its length."""
         del sensors
-        return [{"body": body.name} for body in rig.bodies if body.length_m and _supports(rig, body.name)]
+        return [{"body": body.name} for body in rig.bodies if body.length_m and _supporting_springs(rig, body.name)]
 
     def supported_body(self, rig: Rig) -> str:
         """Name of the body, by default the first that springs support; raises RigError if there is none."""
@@ -51,14 +55,14 @@ class SupportPosition(Effect, frozen=True):
         raise self.missing_place(rig, "spring along a body" if self.body is None else f"spring along {self.body!r}")
 
     def applied_to(self, rig: Rig) -> Rig:
-        body = self.supported_body(rig)
+        body_name = self.supported_body(rig)
         return replace(
-            rig, springs=tuple(self._shifted_spring(s) if s.station.body == body else s for s in rig.springs)
+            rig, springs=tuple(self._shifted_spring(s) if s.station.body == body_name else s for s in rig.springs)
         )
 
     def _shifted_spring(self, spring: PointSpring) -> PointSpring:
         return replace(spring, station=Station(spring.station.body, spring.station.position_m + self.shift_m))
 
 
-def _supports(rig: Rig, body: str) -> list[PointSpring]:
-    return [spring for spring in rig.springs if spring.station.body == body]
+def _supporting_springs(rig: Rig, body_name: str) -> list[PointSpring]:
+    return [spring for spring in rig.springs if spring.station.body == body_name]

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
 
 MARK = re.compile(rb" {4}-1[ ]*(?:[\r\n]+|\Z)")
 """Line that opens or closes a dataset; it directly follows the numbers of a binary one."""
@@ -132,7 +132,7 @@ def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
     lines = []
     for _ in range(11):
         line, offset = _line(content, offset)
-        lines.append(decoded(line[:200]))
+        lines.append(decode_text(line[:200]))
     return head, lines, offset
 
 
