@@ -276,8 +276,8 @@ class SlidingFriction:
         f = k (s - B/2)  for s > B/2,   k (s + B/2)  for s < -B/2,   0 between
 
     s is the position of eta in the backlash, from its middle, and starts at 0. So f is F_upper once eta has grown for
-    long enough, -F_lower once it has fallen, and after a reversal zero while the backlash is crossed. errors are
-    standard errors in the order of the fields.
+    long enough, -F_lower once it has fallen, and after a reversal zero while the backlash is crossed. standard_errors
+    are in the order of the fields.
     """
 
     upper_n: float

@@ -54,10 +54,10 @@ class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True)
 class _SampleLines:
-    """Shape of the lines of samples: cells of the first one (width), and the number of lines.
+    """Shape of the lines of samples: cells of the first one, and the number of lines.
 
-    first_line_of maps every number of cells to the first line with that number; empty_at_end trailing cells, which are
-    empty in all lines, do not count.
+    first_line_by_count maps every number of cells to the first line with that number; trailing_empty_count trailing
+    cells, which are empty in all lines, do not count.
     """
 
     cell_count: int
@@ -86,10 +86,8 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
         if has_names
         else cell_count
     )
-    for (
-        other_count,
-        line_number,
-    ) in sample_lines_shape.first_line_by_count.items():  # of last columns without a name there may be any number
+    # of last columns without a name there may be any number
+    for other_count, line_number in sample_lines_shape.first_line_by_count.items():
         if (
             other_count != cell_count
             and (other_count < used_column_count or used_column_count == cell_count)

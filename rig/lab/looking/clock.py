@@ -9,7 +9,7 @@ from rig.errors import RigError
 from rig.lab.clock import MAX_JITTER_INTERVALS, RATE_TOLERANCE, SampleTimes
 from rig.lab.looking.columns import SeenColumn, SeenFile
 from rig.lab.looking.csv_dialect import TIME_NAME_PATTERN
-from rig.lab.units import FACTORS, name_and_unit, plainly, quantity_of
+from rig.lab.units import FACTORS, canonical_unit, name_and_unit, quantity_of
 
 SLOWEST_HZ = 5.0
 """Rate below which a time without unit is not taken for seconds."""
@@ -99,7 +99,7 @@ def _is_even(column: SeenColumn) -> bool:
 def _unit_of_time(column: SeenColumn, rate_hz: float | None) -> str | None:
     """Unit of a column of time: the file's; else that by which its rate is the expected one, or is no snail's."""
     if quantity_of(column.unit) == "time":
-        return plainly(column.unit or "")
+        return canonical_unit(column.unit or "")
     stamps = column.stamps
     if stamps is None:
         return None

@@ -18,7 +18,7 @@ from rig.lab.looking.roles import Role, candidates_in, roles_of
 from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
-from rig.lab.units import plainly, quantity_of
+from rig.lab.units import canonical_unit, quantity_of
 from rig.limits import MAX_NAME
 from rig.model.description import Rig
 from rig.recording import RIG_NAME
@@ -195,7 +195,7 @@ def _unit_fields(role: Role) -> dict[str, object]:
     """Unit of an entry, with a scale where the file's unit is of no quantity."""
     unit = role.column.unit
     if quantity_of(unit):
-        return {"unit": plainly(unit or "")}
+        return {"unit": canonical_unit(unit or "")}
     return dict.fromkeys(("unit", "scale") if unit else ("unit",), PLACEHOLDER)
 
 
