@@ -16,7 +16,7 @@ from rig.limits import MAX_ITEMS
 class SeenColumn:
     """A column: its number from 1, and its name, unit, rate and date as the file has them.
 
-    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; resolution is the last
+    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the last
     digit written of them. fault says in words why no channel can be made of it; empty if one can.
     """
 
