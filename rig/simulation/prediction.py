@@ -27,8 +27,8 @@ def modal(
     """Displacement (m) and velocity (m/s) at stations over each window, from their states at its first sample.
 
     forces_n are the measured forces of the whole record at the sampling rate; a window has `sample_count` of them.
-    Initially each body moves in as many of its lowest modes as it has stations, in the least-squares sense. Base motion is left
-    out, as its history is unknown. A diverging motion is not finite.
+    Initially each body moves in as many of its lowest modes as it has stations, in the least-squares sense. Base motion
+    is left out, as its history is unknown. A diverging motion is not finite.
 
     Raises RigError if a contact is too stiff for the plant's step.
     """

@@ -36,7 +36,7 @@ class Decimator:
         return self.pieces.shape[1] // BLOCK_OUTPUTS
 
     def reach(self, output_count: int) -> int:
-        """Samples of x spanned by the blocks of `output_count` outputs; those behind the last tap are multiplied by 0."""
+        """Samples of x spanned by the blocks of `output_count` outputs; those behind the last tap count as 0."""
         return self.start + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.pieces)
 
 

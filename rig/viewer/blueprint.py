@@ -96,7 +96,7 @@ def _key_view() -> rrb.Spatial2DView:
 def _model_view(
     layout: Layout, view_name: str = "", hidden_path: str = PREDICTED_RIGS, distance_factor: float = 1.0
 ) -> rrb.Spatial3DView:
-    """View of the moving rig, from farther away where it is narrow; entities of hidden_path are shown by another tab."""
+    """View of the moving rig, from farther away where it is narrow; another tab shows the entities of hidden_path."""
     centre_m, extent_m = layout.centre_m, layout.extent_m
     distance_share, height_share = (
         (0.8 if len(layout.rig.bodies) > 1 else 0.9, 0.12) if layout.masses_alone else (0.72, 0.16)

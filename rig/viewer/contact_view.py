@@ -84,7 +84,7 @@ class ContactMotion:
 
     @cached_property
     def plotted_samples(self) -> Int[np.ndarray, " plotted_samples"]:
-        """Plotted samples: all near a contact, every `stride`-th and the frames elsewhere; at most MAX_PLOTTED_SAMPLES."""
+        """Indices: all near a contact, every `stride`-th and the frames elsewhere; at most MAX_PLOTTED_SAMPLES."""
         reach_samples = max(1, round(NEAR_S * self.rate_hz))
         is_plotted = maximum_filter1d(self.is_closed.view(np.uint8), 2 * reach_samples + 1, mode="constant").view(bool)
         is_plotted[:: self.stride] = True

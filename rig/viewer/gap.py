@@ -69,8 +69,8 @@ class Mark:
 class ShownGap:
     """Diagnosis as drawn: its text, marks on the bodies, and the mismatch by station and over time.
 
-    share_spans are start and end (s) and share of the mismatch. horizon_s is how long null simulations can be predicted,
-    zero where that is not known.
+    share_spans are start and end (s) and share of the mismatch. horizon_s is how long null simulations can be
+    predicted, zero where that is not known.
     """
 
     text: str

@@ -28,8 +28,8 @@ JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
 class Stage:
     """Geometry in metres: x along the bodies, y in depth, z is the deflection times the magnification.
 
-    Bodies are arranged in depth, the last one in front; the left end of each is at x = left_ends_m. Masses without a beam
-    stand side by side instead.
+    Bodies are arranged in depth, the last one in front; the left end of each is at x = left_ends_m. Masses without a
+    beam stand side by side instead.
     """
 
     deflection: Deflection
