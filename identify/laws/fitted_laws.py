@@ -218,9 +218,8 @@ def _fit_pieces(
     def jacobian(relative_knees: np.ndarray) -> np.ndarray:
         linear_columns, heights, _ = linear_fit(relative_knees)
         knee_columns = knee_derivatives(relative_knees, heights)
-        return (
-            knee_columns - linear_columns @ np.linalg.lstsq(linear_columns, knee_columns, rcond=None)[0]
-        )  # the slopes follow
+        height_derivatives = np.linalg.lstsq(linear_columns, knee_columns, rcond=None)[0]  # the slopes follow
+        return knee_columns - linear_columns @ height_derivatives
 
     relative_knees = np.clip(start_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
     if relative_knees.size:

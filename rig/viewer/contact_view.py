@@ -40,7 +40,8 @@ LawSource = Literal["true", "identified", "believed"]
 
 @dataclass(frozen=True)
 class ContactMotion:
-    """Motion of a contact over the record. Its law is drawn as walls and defines closure; wall_source is the law's.
+    """Motion of a contact over the record: eta_m is its relative displacement. Its law is drawn as walls and defines
+    closure; wall_source is the law's.
 
     overlaid_laws are drawn over it, by source; force_n is the contact force where it is known. The samples may be a
     part of the record: identified motion, for which is_identified is true, begins later and ends at until_s.
@@ -52,7 +53,7 @@ class ContactMotion:
     overlaid_laws: Mapping[LawSource, ContactLaw]
     time_s: Float[np.ndarray, " samples"]
     until_s: float | None
-    relative_displacement_m: Float[np.ndarray, " samples"]
+    eta_m: Float[np.ndarray, " samples"]
     force_n: Float[np.ndarray, " samples"] | None
     frame_samples: Int[np.ndarray, " frames"]
     stride: int
@@ -65,14 +66,14 @@ class ContactMotion:
     @cached_property
     def reach_mm(self) -> float:
         """Half width of the views of the contact, mm: the motion and the stops, unless a stop is far out of reach."""
-        law, largest_m = self.contact.law, float(np.abs(self.relative_displacement_m).max())
+        law, largest_m = self.contact.law, float(np.abs(self.eta_m).max())
         wall_distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
         reached_m = [wall_m for wall_m in wall_distances_m if wall_m <= FAR_RATIO * max(wall_distances_m[0], largest_m)]
         return 1.2e3 * max([largest_m, *reached_m]) or 1.0
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
-        return np.asarray(self.contact.law.penetration_m(self.relative_displacement_m, self.time_s))
+        return np.asarray(self.contact.law.penetration_m(self.eta_m, self.time_s))
 
     @cached_property
     def is_closed(self) -> Bool[np.ndarray, " samples"]:
@@ -101,22 +102,19 @@ class ContactMotion:
         return np.where(self.is_closed[self.frame_samples, None], CLOSED, self.colour).astype(np.uint8)
 
 
-def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
+def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the close-up: relative displacement (mm, upwards) between the two walls, with its recent trail to the left.
 
     The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
     of labels: right, left and before the trail.
     """
     entity_path, law, half_width_mm = (
-        entity("close_up", contact_motion.contact.name),
-        contact_motion.contact.law,
-        1.1 * contact_motion.reach_mm,
+        entity("close_up", motion.contact.name),
+        motion.contact.law,
+        1.1 * motion.reach_mm,
     )
-    time_s = contact_motion.time_s[contact_motion.frame_samples]
-    hatch_ends, colour = (
-        np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1),
-        SOURCES[contact_motion.wall_source],
-    )
+    time_s = motion.time_s[motion.frame_samples]
+    hatch_ends, colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
     for level_mm, direction in _wall_levels(law):
         hatch_lines = [
             [[x, level_mm], [x - 0.05 * half_width_mm, level_mm + direction * 0.05 * half_width_mm]]
@@ -128,12 +126,8 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
             f"{entity_path}/{SIDE_NAMES[direction]}",
             rr.LineStrips2D(wall_lines, colors=[colour], radii=pixels(1.5)),
         )
-    _send_wall_labels(
-        stream, f"{entity_path}/{contact_motion.wall_source}", contact_motion, law, LABEL_COLUMNS[0], colour
-    )
-    for label_column, (law_source, overlaid_law) in zip(
-        LABEL_COLUMNS[1:], contact_motion.overlaid_laws.items(), strict=False
-    ):
+    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_COLUMNS[0], colour)
+    for label_column, (law_source, overlaid_law) in zip(LABEL_COLUMNS[1:], motion.overlaid_laws.items(), strict=False):
         dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
         dash_lines = [
             [[a, level_mm], [b, level_mm]] for level_mm, _ in _wall_levels(overlaid_law) for a, b in dash_ends
@@ -141,45 +135,35 @@ def send_close_up(stream: rr.RecordingStream, contact_motion: ContactMotion) -> 
         dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
         send_static(stream, f"{entity_path}/{law_source}", dash_strips)
         _send_wall_labels(
-            stream, f"{entity_path}/{law_source}", contact_motion, overlaid_law, label_column, SOURCES[law_source]
+            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_column, SOURCES[law_source]
         )
     now_x_mm = 0.15 * half_width_mm
-    trail_offsets = np.linspace(-TRAIL_S * contact_motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
-    trail_points = np.empty((contact_motion.frame_samples.size, TRAIL_POINTS, 2))
+    trail_offsets = np.linspace(-TRAIL_S * motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
+    trail_points = np.empty((motion.frame_samples.size, TRAIL_POINTS, 2))
     trail_points[..., 0] = now_x_mm + (half_width_mm + now_x_mm) * trail_offsets / -trail_offsets[0]
-    trail_points[..., 1] = (
-        -1e3
-        * contact_motion.relative_displacement_m[np.maximum(contact_motion.frame_samples[:, None] + trail_offsets, 0)]
-    )
+    trail_points[..., 1] = -1e3 * motion.eta_m[np.maximum(motion.frame_samples[:, None] + trail_offsets, 0)]
     middle_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
     send_static(stream, f"{entity_path}/middle", middle_line)
     send_static(
-        stream,
-        f"{entity_path}/trail",
-        rr.LineStrips2D.from_fields(colors=[contact_motion.colour], radii=[pixels(0.75)]),
+        stream, f"{entity_path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)])
     )
     send(stream, f"{entity_path}/trail", time_s, rr.LineStrips2D, strips=trail_points)
     send_static(stream, f"{entity_path}/point", rr.Points2D.from_fields(radii=[pixels(7.0)]))
     send(
-        stream,
-        f"{entity_path}/point",
-        time_s,
-        rr.Points2D,
-        positions=trail_points[:, -1],
-        colors=contact_motion.frame_colours,
+        stream, f"{entity_path}/point", time_s, rr.Points2D, positions=trail_points[:, -1], colors=motion.frame_colours
     )
-    reading_position = [[0, -1.5 * contact_motion.reach_mm]]
+    reading_position = [[0, -1.5 * motion.reach_mm]]
     send_static(stream, f"{entity_path}/reading", rr.Points2D.from_fields(positions=reading_position, radii=[0]))
     send(
         stream,
         f"{entity_path}/reading",
         time_s,
         rr.Points2D,
-        labels=_reading_texts(contact_motion),
-        colors=contact_motion.frame_colours,
+        labels=_reading_texts(motion),
+        colors=motion.frame_colours,
     )
-    if contact_motion.until_s is not None:
-        stream.set_time(TIMELINE, duration=contact_motion.until_s)
+    if motion.until_s is not None:
+        stream.set_time(TIMELINE, duration=motion.until_s)
         for part_name in ("trail", "point"):
             stream.log(f"{entity_path}/{part_name}", rr.Clear(recursive=False))
         stream.log(f"{entity_path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
@@ -193,17 +177,14 @@ def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
 def _send_wall_labels(
     stream: rr.RecordingStream,
     entity_path: str,
-    contact_motion: ContactMotion,
+    motion: ContactMotion,
     law: ContactLaw,
     label_column: float,
     colour: Colour,
 ) -> None:
     law_source = entity_path.rpartition("/")[2]
     for level_mm, direction in _wall_levels(law):
-        label_position = [
-            label_column * contact_motion.reach_mm,
-            level_mm - 0.28 * contact_motion.reach_mm * (direction < 0),
-        ]
+        label_position = [label_column * motion.reach_mm, level_mm - 0.28 * motion.reach_mm * (direction < 0)]
         send_labels(
             stream,
             f"{entity_path}/{SIDE_NAMES[direction]}",
@@ -213,100 +194,92 @@ def _send_wall_labels(
         )
 
 
-def _reading_texts(contact_motion: ContactMotion) -> list[str]:
+def _reading_texts(motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
     reading_texts = []
-    for frame_sample in contact_motion.frame_samples:
-        force_text = "" if contact_motion.force_n is None else f", {contact_motion.force_n[frame_sample]:+.1f} N"
+    for frame_sample in motion.frame_samples:
+        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:+.1f} N"
         depth_text = (
-            f"{1e3 * abs(contact_motion.depth_m[frame_sample]):.2f} mm deep{force_text}, closed"
-            if contact_motion.is_closed[frame_sample]
+            f"{1e3 * abs(motion.depth_m[frame_sample]):.2f} mm deep{force_text}, closed"
+            if motion.is_closed[frame_sample]
             else "free"
         )
-        reading_texts.append(f"{1e3 * contact_motion.relative_displacement_m[frame_sample]:+.2f} mm, {depth_text}")
+        reading_texts.append(f"{1e3 * motion.eta_m[frame_sample]:+.2f} mm, {depth_text}")
     return reading_texts
 
 
-def send_over_time(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
+def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
-    entity_path, end_times_s = (
-        entity("relative_displacement", contact_motion.contact.name),
-        contact_motion.time_s[[0, -1]],
-    )
-    legend = [(contact_motion.contact.name, contact_motion.colour)]
-    for label, law in (("walls", contact_motion.contact.law), *contact_motion.overlaid_laws.items()):
-        colour = SOURCES[contact_motion.wall_source if label == "walls" else label]
+    entity_path, end_times_s = (entity("relative_displacement", motion.contact.name), motion.time_s[[0, -1]])
+    legend = [(motion.contact.name, motion.colour)]
+    for label, law in (("walls", motion.contact.law), *motion.overlaid_laws.items()):
+        colour = SOURCES[motion.wall_source if label == "walls" else label]
         walls_mm = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
-        wall_names = [
-            f"{contact_motion.wall_source if label == 'walls' else label} {wall_mm:+.5g} mm" for wall_mm in walls_mm
-        ]
+        wall_names = [f"{motion.wall_source if label == 'walls' else label} {wall_mm:+.5g} mm" for wall_mm in walls_mm]
         send_lines(stream, f"{entity_path}/{label}", end_times_s, np.tile(walls_mm[:, None], 2), wall_names, (colour,))
         legend += [(label, colour) for label in wall_names]
-    displacement_mm = 1e3 * contact_motion.relative_displacement_m[None, contact_motion.plotted_samples]
+    displacement_mm = 1e3 * motion.eta_m[None, motion.plotted_samples]
     send_lines(
         stream,
         f"{entity_path}/value",
-        contact_motion.time_s[contact_motion.plotted_samples],
+        motion.time_s[motion.plotted_samples],
         displacement_mm,
-        [contact_motion.contact.name],
-        (contact_motion.colour,),
+        [motion.contact.name],
+        (motion.colour,),
     )
-    for (label, marker, sign), change_samples in zip(CHANGE_MARKS, _change_samples(contact_motion), strict=True):
+    for (label, marker, sign), change_samples in zip(CHANGE_MARKS, _change_samples(motion), strict=True):
         mark_style = rr.SeriesPoints(colors=[CLOSED], names=[label], markers=[marker], marker_sizes=[4.0])
         send_static(stream, f"{entity_path}/{label}", mark_style)
         send(
             stream,
             f"{entity_path}/{label}",
-            contact_motion.time_s[change_samples],
+            motion.time_s[change_samples],
             rr.Scalars,
-            scalars=1e3 * contact_motion.relative_displacement_m[change_samples],
+            scalars=1e3 * motion.eta_m[change_samples],
         )
         legend.append((f"{sign} {label}", CLOSED))
     send_legend(stream, entity_path, legend)
 
 
-def send_events(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
+def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send a log entry at every sample at which the contact closes or opens.
 
     Beyond MAX_CLOSINGS the number of further closings is stated.
     """
-    change_samples = _change_samples(contact_motion)
+    change_samples = _change_samples(motion)
     closing_samples, opening_samples = (event_samples[:MAX_CLOSINGS] for event_samples in change_samples)
     event_texts = [
-        f"{contact_motion.contact.name} closes at its {'upper' if contact_motion.depth_m[s] > 0 else 'lower'} stop"
+        f"{motion.contact.name} closes at its {'upper' if motion.depth_m[s] > 0 else 'lower'} stop"
         for s in closing_samples
     ]
-    closing_starts = np.concatenate([[0], closing_samples])[
-        np.searchsorted(closing_samples, opening_samples)
-    ]  # an opening ends the closing before it
+    earlier_closing = np.searchsorted(closing_samples, opening_samples)  # an opening ends the closing before it
+    closing_starts = np.concatenate([[0], closing_samples])[earlier_closing]
     for closing_start, opening_sample in zip(closing_starts, opening_samples, strict=True):
-        duration_ms = 1e3 * (contact_motion.time_s[opening_sample] - contact_motion.time_s[closing_start])
-        deepest_mm = 1e3 * np.abs(contact_motion.depth_m[closing_start:opening_sample]).max()
-        event_texts.append(
-            f"{contact_motion.contact.name} opens after {duration_ms:.3g} ms, at most {deepest_mm:.3g} mm deep"
-        )
+        duration_ms = 1e3 * (motion.time_s[opening_sample] - motion.time_s[closing_start])
+        deepest_mm = 1e3 * np.abs(motion.depth_m[closing_start:opening_sample]).max()
+        event_texts.append(f"{motion.contact.name} opens after {duration_ms:.3g} ms, at most {deepest_mm:.3g} mm deep")
     if unlisted_count := change_samples[0].size - closing_samples.size:
         event_texts[closing_samples.size - 1] += f"; it closes {unlisted_count} times more, which are not listed"
     event_samples = np.concatenate([closing_samples, opening_samples])
     time_order = np.argsort(event_samples, kind="stable")
     log_levels = np.array([rr.TextLogLevel.WARN] * closing_samples.size + [rr.TextLogLevel.INFO] * opening_samples.size)
     event_colours = np.array(
-        [CLOSED] * closing_samples.size + [contact_motion.colour] * opening_samples.size, dtype=np.uint8
+        [CLOSED] * closing_samples.size + [motion.colour] * opening_samples.size, dtype=np.uint8
     ).reshape(-1, 3)
     send(
         stream,
-        entity("events", contact_motion.contact.name),
-        contact_motion.time_s[event_samples[time_order]],
+        entity("events", motion.contact.name),
+        motion.time_s[event_samples[time_order]],
         rr.TextLog,
-        text=[f"{contact_motion.time_s[event_samples[i]]:.4f} s: {event_texts[i]}" for i in time_order],
+        text=[f"{motion.time_s[event_samples[i]]:.4f} s: {event_texts[i]}" for i in time_order],
         level=[str(log_levels[i]) for i in time_order],
         color=event_colours[time_order],
     )
 
 
-def _change_samples(contact_motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
+def _change_samples(motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"], Int[np.ndarray, " openings"]]:
     """First samples at which the contact is closed, and at which it is free again."""
-    closed_steps = np.diff(contact_motion.is_closed.astype(int))
+    closed_steps = np.diff(motion.is_closed.astype(int))
     return np.flatnonzero(closed_steps == 1) + 1, np.flatnonzero(closed_steps == -1) + 1
 
 
@@ -315,54 +288,40 @@ REST_SHARE = 0.01
 """Share of its range by which a contact has to leave its first position to count as moving."""
 
 
-def send_phase(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
+def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the contact force (upwards) over relative displacement, frame by frame, over the laws.
 
     A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
     """
-    if contact_motion.force_n is None:
+    if motion.force_n is None:
         return
-    entity_path, reach_mm = entity("phase", contact_motion.contact.name), contact_motion.reach_mm
-    largest_n = 1.1 * float(np.abs(contact_motion.force_n).max()) or 1.0
+    entity_path, reach_mm = entity("phase", motion.contact.name), motion.reach_mm
+    largest_n = 1.1 * float(np.abs(motion.force_n).max()) or 1.0
     axes = Axes((-reach_mm, reach_mm), (-largest_n, largest_n), "relative displacement, mm", "force, N")
-    law_by_source = {contact_motion.wall_source: contact_motion.contact.law, **contact_motion.overlaid_laws}
+    law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
     axes.send(
         stream,
         entity_path,
         {"force": FORCE} | {f"{law_source} law": SOURCES[law_source] for law_source in law_by_source},
     )
-    eta_m = np.linspace(contact_motion.relative_displacement_m.min(), contact_motion.relative_displacement_m.max(), 401)
+    eta_m = np.linspace(motion.eta_m.min(), motion.eta_m.max(), 401)
     for layer, (law_source, law) in enumerate(law_by_source.items()):
         law_line = axes.points(1e3 * eta_m, law.force_n(eta_m, np.zeros(eta_m.size)))
         law_style = {"colors": [SOURCES[law_source]], "radii": pixels(1.0), "draw_order": 10.0 + layer}
         send_static(stream, f"{entity_path}/{law_source}", rr.LineStrips2D([law_line], **law_style))
     line_style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
     send_static(stream, f"{entity_path}/seen", line_style)
-    force_points = axes.points(1e3 * contact_motion.relative_displacement_m, contact_motion.force_n)[
-        contact_motion.plotted_samples
-    ]
-    frame_positions = np.searchsorted(contact_motion.plotted_samples, contact_motion.frame_samples)
+    force_points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
+    frame_positions = np.searchsorted(motion.plotted_samples, motion.frame_samples)
     force_strips = [force_points[a : b + 1] for a, b in pairwise(frame_positions)]
-    send(
-        stream,
-        f"{entity_path}/seen",
-        contact_motion.time_s[contact_motion.frame_samples[1:]],
-        rr.LineStrips2D,
-        strips=force_strips,
-    )
+    send(stream, f"{entity_path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=force_strips)
 
 
-def send_histogram(stream: rr.RecordingStream, contact_motion: ContactMotion) -> None:
+def send_histogram(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
-    moved_m = np.abs(contact_motion.relative_displacement_m - contact_motion.relative_displacement_m[0])
-    moving_m = contact_motion.relative_displacement_m[
-        int(np.argmax(moved_m > REST_SHARE * np.ptp(contact_motion.relative_displacement_m))) :
-    ]
-    bin_counts, bin_edges_mm = np.histogram(
-        1e3 * moving_m, BIN_COUNT, range=(-contact_motion.reach_mm, contact_motion.reach_mm)
-    )
+    moved_m = np.abs(motion.eta_m - motion.eta_m[0])
+    moving_m = motion.eta_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(motion.eta_m))) :]
+    bin_counts, bin_edges_mm = np.histogram(1e3 * moving_m, BIN_COUNT, range=(-motion.reach_mm, motion.reach_mm))
     time_percent = 100 * bin_counts / moving_m.size
-    bar_chart = rr.BarChart(
-        time_percent, abscissa=bin_edges_mm[:-1], widths=np.diff(bin_edges_mm), color=contact_motion.colour
-    )
-    send_static(stream, entity("histogram", contact_motion.contact.name), bar_chart)
+    bar_chart = rr.BarChart(time_percent, abscissa=bin_edges_mm[:-1], widths=np.diff(bin_edges_mm), color=motion.colour)
+    send_static(stream, entity("histogram", motion.contact.name), bar_chart)

@@ -173,7 +173,7 @@ def _contact_motions(
             },
             time_s=time_s[known_samples],
             until_s=float(time_s[known_samples.stop]) if known_samples.stop < time_s.size else None,
-            relative_displacement_m=relative_displacement_m[j],
+            eta_m=relative_displacement_m[j],
             force_n=None if force_n is None else force_n[j],
             frame_samples=frame_samples[(frame_samples >= known_samples.start) & (frame_samples < known_samples.stop)]
             - known_samples.start,
