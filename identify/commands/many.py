@@ -135,9 +135,8 @@ def answer_all(
             if answer_path.exists() and (force or not _is_answer_kept(answer_path, task.folder / last_file_name)):
                 answer_path.unlink()
             if not answer_path.exists():
-                (task.folder / last_file_name).unlink(
-                    missing_ok=True
-                )  # of a run that was cut short, or of other samples
+                # of a run that was cut short, or of other samples
+                (task.folder / last_file_name).unlink(missing_ok=True)
         outcomes = outcomes_of_tasks(answer_function, tasks, TableRows, out / KEPT_TASKS, dask)
         answers += [
             refused_row(task.path, outcome, FAILED) if isinstance(outcome, BaseException) else outcome

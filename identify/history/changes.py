@@ -142,7 +142,7 @@ def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate 
     weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
     mean = float(np.average(values[is_determined], weights=weights[is_determined]))
     recording_positions = np.flatnonzero(is_determined).astype(float)
-    tests = change_tests(recording_positions, values[is_determined], weights[is_determined], errors_known)
+    change_results = change_tests(recording_positions, values[is_determined], weights[is_determined], errors_known)
     common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
@@ -152,9 +152,9 @@ def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate 
         standard_errors=_finite_values(standard_errors),
         own_errors=_finite_values(own_errors),
         mean=mean,
-        p_different=tests.p_different,
-        p_trend=tests.p_trend,
-        drift=tests.drift and _with_common_error(tests.drift, mean, common_error),
+        p_different=change_results.p_different,
+        p_trend=change_results.p_trend,
+        drift=change_results.drift and _with_common_error(change_results.drift, mean, common_error),
     )
 
 

@@ -24,10 +24,10 @@ def sources_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: is no folder; give the one with the recordings")
-    sources = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{REPORT_NAME}")]
-    if not sources:
+    source_paths = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{REPORT_NAME}")]
+    if not source_paths:
         raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {REPORT_NAME}; give another")
-    return sorted_by_name(sources)
+    return sorted_by_name(source_paths)
 
 
 def sorted_by_name(paths: Iterable[Path]) -> list[Path]:

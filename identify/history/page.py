@@ -72,8 +72,10 @@ def csv_of(history: History) -> bytes:
     writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(["recording", "recorded", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
     for quantity in history.quantities:
-        columns = zip(history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True)
-        for observation, value, *errors in columns:
+        recording_values = zip(
+            history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True
+        )
+        for observation, value, *errors in recording_values:
             if value is not None:
                 half_width_texts = ["" if not error else repr(COVERED * error) for error in errors]
                 recording_cells = (observation.name, _date_text(observation))

@@ -207,9 +207,8 @@ def _identify_contact(
         TriedLaw(name, force_samples.error_n(law, samples.held_out_rows)) for name, law in candidate_laws.items()
     )
     best_law = candidates[_simplest_equivalent_index([c.held_out_error_n for c in candidates], error_resolution_n)]
-    pieces = straight_pieces(
-        force_samples, samples.excited_rows, pieces.knees_m
-    )  # the final fit takes all excited rows
+    # the final fit takes all excited rows
+    pieces = straight_pieces(force_samples, samples.excited_rows, pieces.knees_m)
     sliding = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
     law_estimate = ContactLawEstimate(

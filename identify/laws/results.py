@@ -117,8 +117,8 @@ def sliding_estimates(friction: SlidingFriction) -> SlidingLaw:
     field_names = SlidingLaw.__struct_fields__
     return SlidingLaw(
         **{
-            field_name: Estimate(getattr(friction, field_name), error)
-            for field_name, error in zip(field_names, friction.standard_errors, strict=True)
+            field_name: Estimate(getattr(friction, field_name), standard_error)
+            for field_name, standard_error in zip(field_names, friction.standard_errors, strict=True)
         }
     )
 

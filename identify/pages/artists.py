@@ -196,7 +196,7 @@ def _draw_segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[
         "line_color": _hex_colour(lines.get_colors()[0]),
         "line_width": _PX_PER_POINT * lines.get_linewidths()[0],
     }
-    x, y = ([segment[:, column].tolist() for segment in segments] for column in (0, 1))
+    x, y = ([segment[:, coordinate_index].tolist() for segment in segments] for coordinate_index in (0, 1))
     yield plot.multi_line(x, y, **line_style)
 
 

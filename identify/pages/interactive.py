@@ -47,10 +47,10 @@ def interactive_html(figure: Any, height_px: int | None = None) -> str:
     from bokeh.embed import json_item
     from bokeh.models import Column, Row
 
-    ranges: dict[Any, Any] = {}
+    range_by_axes: dict[Any, Any] = {}
     plot_rows = []
     for _, row_panels in groupby(sorted(panels, key=_subplot_row), key=_subplot_row):
-        plots = [_plot(axes, figure, ranges) for axes in row_panels]
+        plots = [_plot(axes, figure, range_by_axes) for axes in row_panels]
         plot_rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
     if height_px is not None:
         _limit_height([plot for row_panels in plot_rows for plot in row_panels.children], height_px)
@@ -84,7 +84,7 @@ def _subplot_row(axes: Any) -> int:
     return int(axes.get_subplotspec().rowspan.start)
 
 
-def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
+def _plot(axes: Any, figure: Any, range_by_axes: dict[Any, Any]) -> Any:
     from bokeh.models import (
         CustomJSTicker,
         CustomJSTickFormatter,
@@ -100,7 +100,7 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
 
     def shared_range(direction: str, siblings: Any, limits: tuple[float, float]) -> Any:
         range_key = direction, frozenset(map(id, siblings.get_siblings(axes)))
-        return ranges.setdefault(range_key, Range1d(*map(float, limits)))
+        return range_by_axes.setdefault(range_key, Range1d(*map(float, limits)))
 
     plot = new_plot(
         x_range=shared_range("x", axes.get_shared_x_axes(), axes.get_xlim()),

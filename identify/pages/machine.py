@@ -91,9 +91,9 @@ class _Layout:
         same_body_contacts = [other for other in self.rig.contacts if self.upper_body(other) == upper_body]
         return self.x_px(Station(upper_body.name)) + 0.5 * MASS_SIZE[0] * same_body_contacts.index(contact)
 
-    def corner_x_px(self, station: Station, share: float) -> float:
+    def corner_x_px(self, station: Station, width_share: float) -> float:
         """Place of a station along x; on a mass, this share of its width from its middle."""
-        return self.x_px(station) + share * MASS_SIZE[0] * self.rig.body(station.body).is_mass
+        return self.x_px(station) + width_share * MASS_SIZE[0] * self.rig.body(station.body).is_mass
 
     def upper_body(self, contact: Contact) -> Body:
         """Upper one of the bodies in contact: the later one in the rig."""
@@ -112,13 +112,13 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     spans_below, spans_above = ({body.name: _TextSpans() for body in rig.bodies} for _ in range(2))
     contact_texts: list[tuple[Contact, _Text]] = []
     for contact in rig.contacts:
-        lines = [contact.name, *contact_lines.get(contact.name, ())]
+        text_lines = [contact.name, *contact_lines.get(contact.name, ())]
         text_spans = spans_below[layout.upper_body(contact).name]
-        contact_texts.append((contact, _contact_text(layout.contact_x_px(contact), lines, text_spans)))
+        contact_texts.append((contact, _contact_text(layout.contact_x_px(contact), text_lines, text_spans)))
     mark_texts: list[tuple[DrawnMark, _Text]] = []
     for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
-        lines = wrap(mark.words, MOST_LINE_LETTERS)
-        mark_texts.append((mark, _mark_text(layout.x_px(mark.station), lines, spans_above[mark.station.body])))
+        text_lines = wrap(mark.words, MOST_LINE_LETTERS)
+        mark_texts.append((mark, _mark_text(layout.x_px(mark.station), text_lines, spans_above[mark.station.body])))
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
@@ -142,33 +142,33 @@ def _height_px(body: Body) -> float:
     return MASS_SIZE[1] if body.is_mass else BEAM_HEIGHT
 
 
-def _contact_text(x_px: float, lines: Sequence[str], text_spans: _TextSpans) -> _Text:
+def _contact_text(x_px: float, text_lines: Sequence[str], text_spans: _TextSpans) -> _Text:
     """Lines of text beside a contact, on the side that has room for them."""
-    offset_px, width_px = STOP_HALF_WIDTH + 8, LETTER_WIDTH * max(map(len, lines))
+    offset_px, width_px = STOP_HALF_WIDTH + 8, LETTER_WIDTH * max(map(len, text_lines))
     if x_px + offset_px + width_px <= WIDTH:
         return _Text(
             x_px + offset_px,
             "start",
-            lines,
-            text_spans.line_for(x_px - STOP_HALF_WIDTH, x_px + offset_px + width_px, len(lines)),
+            text_lines,
+            text_spans.line_for(x_px - STOP_HALF_WIDTH, x_px + offset_px + width_px, len(text_lines)),
         )
     return _Text(
         x_px - offset_px,
         "end",
-        lines,
-        text_spans.line_for(x_px - offset_px - width_px, x_px + STOP_HALF_WIDTH, len(lines)),
+        text_lines,
+        text_spans.line_for(x_px - offset_px - width_px, x_px + STOP_HALF_WIDTH, len(text_lines)),
     )
 
 
-def _mark_text(x_px: float, lines: Sequence[str], text_spans: _TextSpans) -> _Text:
+def _mark_text(x_px: float, text_lines: Sequence[str], text_spans: _TextSpans) -> _Text:
     """Lines of text centred about x, as far as the drawing's edges allow."""
-    half_width_px = LETTER_WIDTH * max(map(len, lines)) / 2
+    half_width_px = LETTER_WIDTH * max(map(len, text_lines)) / 2
     middle_px = min(max(x_px, half_width_px + 4), WIDTH - half_width_px - 4)
     return _Text(
         middle_px,
         "middle",
-        lines,
-        text_spans.line_for(middle_px - half_width_px, middle_px + half_width_px, len(lines)),
+        text_lines,
+        text_spans.line_for(middle_px - half_width_px, middle_px + half_width_px, len(text_lines)),
     )
 
 

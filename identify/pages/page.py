@@ -148,9 +148,9 @@ def figure(name: str, image: Picture, caption: str = "", height_px: int | None =
     return f"<figure>{plot_html}{caption_html}</figure>\n"
 
 
-def list_html(items: Iterable[str]) -> str:
+def list_html(texts: Iterable[str]) -> str:
     """HTML of a list."""
-    return "<ul>" + "".join(f"<li>{unbroken_html(escape(item))}</li>" for item in items) + "</ul>"
+    return "<ul>" + "".join(f"<li>{unbroken_html(escape(text))}</li>" for text in texts) + "</ul>"
 
 
 def unbroken_html(html: str) -> str:

@@ -67,7 +67,9 @@ def nifo(
     Contacts that are not visible in the equation, or that never close, take no part. Raises RigError if there are not
     more blocks than unknowns.
     """
-    active_contacts = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
+    active_contacts = tuple(
+        j for j, is_visible in enumerate(equation.visible) if is_visible and np.any(penetration_m[j])
+    )
     unknown_count = 1 + len(active_contacts) + (form == "weak")
     if len(blocks.starts) <= unknown_count:
         raise RigError(

@@ -39,8 +39,8 @@ class Stops:
     def clearance_error_m(self) -> float:
         return self._of_touched_stops(self.lower_error_m, self.upper_error_m, self.half_error_m)
 
-    def _of_touched_stops(self, lower: float, upper: float, both: float) -> float:
-        return both if all(self.touched) else lower if self.touched[0] else upper
+    def _of_touched_stops(self, lower: float, upper: float, mean: float) -> float:
+        return mean if all(self.touched) else lower if self.touched[0] else upper
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def fit_surface(
     low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
     fitted_contacts = [
-        (j, s) for j, (s, visible) in enumerate(zip(start_stops, equation.visible, strict=True)) if visible and s
+        (j, s) for j, (s, is_visible) in enumerate(zip(start_stops, equation.visible, strict=True)) if is_visible and s
     ]
     contact_indices = [j for j, _ in fitted_contacts]
     measured_force = decimated(restoring_force(equation, force_n), decimation)

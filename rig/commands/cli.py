@@ -210,7 +210,7 @@ def info(file: File, as_json: Json = False) -> None:
         contact_table.add_row(
             contact.name, _station_text(contact.at), against_text, clearances_text, f"{law.stiffness_n_per_m:g}"
         )
-    channel_tables = [_channel_table(group, signals) for group, signals in recording.signals.items()]
+    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
     for table in (body_table, contact_table, *channel_tables):
         console.print(table, "")
     for key, value in recording.provenance.items():
@@ -256,13 +256,13 @@ def _summary_json(recording: Recording) -> dict[str, Any]:
         "sample_rate_hz": recording.rig.sample_rate_hz,
         "channels": [
             {
-                "group": group,
+                "group": group_name,
                 "name": channel_name,
                 "station": msgspec.to_builtins(station),
                 "unit": signals.channels.unit,
                 "rms": _rms(samples),
             }
-            for group, signals in recording.signals.items()
+            for group_name, signals in recording.signals.items()
             for channel_name, station, samples in zip(
                 signals.channels.names, signals.channels.stations, signals.values, strict=True
             )
@@ -271,9 +271,9 @@ def _summary_json(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _channel_table(group: str, signals: Signals) -> Table:
+def _channel_table(group_name: str, signals: Signals) -> Table:
     channels = signals.channels
-    table = _empty_table(f"Channels: {group}", "channel", "at", f"rms, {channels.unit}")
+    table = _empty_table(f"Channels: {group_name}", "channel", "at", f"rms, {channels.unit}")
     for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
         table.add_row(channel_name, "" if station is None else _station_text(station), f"{_rms(samples):.4g}")
     return table

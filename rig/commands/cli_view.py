@@ -65,25 +65,25 @@ def view(
     check_ending(rrd_path, (".rrd",), "a view")
     recording = read(file)
     truth_recording = read_truth(truth_file_path) if truth or truth_file_path.exists() else None
-    identified = NOTHING_IDENTIFIED
+    identified_contacts = NOTHING_IDENTIFIED
     if contact is not None:
-        identified = read_identified(contact, recording.rig, recording.duration_s)
-    diagnosed, predicted = None, None
+        identified_contacts = read_identified(contact, recording.rig, recording.duration_s)
+    shown_gap, prediction = None, None
     if gap is not None:
-        diagnosed = read_gap(gap, recording.rig, recording.duration_s)
+        shown_gap = read_gap(gap, recording.rig, recording.duration_s)
         if (corrected_rig := read_corrected(gap, recording.rig)) is not None:
-            motion, window_s = deflection(recording, truth_recording), diagnosed.horizon_s or WINDOW_S
+            motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
             with working("predicting the believed and the corrected rig"):
-                predicted = predicted_motion(recording, motion, corrected_rig, modal, window_s, station)
+                prediction = predicted_motion(recording, motion, corrected_rig, modal, window_s, station)
     with progress_bar(f"writing {rrd_path.name}") as progress:
         write_rrd(
             recording,
             truth_recording,
             rrd_path,
             magnification,
-            identified=identified,
-            gap=diagnosed,
-            predicted=predicted,
+            identified_contacts=identified_contacts,
+            gap=shown_gap,
+            prediction=prediction,
             progress=progress,
         )
     print(f"{rrd_path}: written", flush=True)

@@ -120,9 +120,14 @@ def literal_console() -> Console:
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    progress_columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(
-        *columns,
+        *progress_columns,
         console=console,
         disable=not console.is_terminal,
         transient=True,
@@ -140,12 +145,12 @@ def working(description: str) -> Iterator[None]:
         yield
 
 
-def check_ending(path: Path, endings: Sequence[str], content: str) -> None:
+def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None:
     """Raise RigError unless the name of a file to be written ends as files of its content do."""
     if path.suffix.lower() not in endings:
         ending_text = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
         raise RigError(
-            f"{path}: {ending_text}, and {content} in {' or '.join(endings)}; name it "
+            f"{path}: {ending_text}, and {content_words} in {' or '.join(endings)}; name it "
             f"{path.with_suffix(endings[0]).name}"
         )
 

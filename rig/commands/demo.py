@@ -52,14 +52,14 @@ def demo(
     """
     started_s = time.monotonic()
     plant = "ancf" if find_spec("exudyn") else "modal"
-    settings = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
+    setting_options = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
     nominal_path, changed_path = out / "nominal.mcap", out / "changed.mcap"
     page_paths = out / "contact" / "contact.html", out / "gap" / "gap.html"
     for path in (nominal_path, changed_path, *page_paths):
         refuse_existing(path, force, new_folder=True)
     out.mkdir(parents=True, exist_ok=True)
     mass_effect = f"added_mass:mass_kg={MASS_KG},relative_position={POSITION_M / BarrelCradle().length_m}"
-    record_command = ("rig", "record", "barrel_cradle", *settings)
+    record_command = ("rig", "record", "barrel_cradle", *setting_options)
     force_option = ("--force",) if force else ()
     identification_commands = (
         (*record_command, "--plant", plant, "--duration", NOMINAL_S, "--out", nominal_path, *force_option),
@@ -83,20 +83,20 @@ def demo(
         ("identify", "gap", changed_path, "--out", out / "gap", *force_option),
     )
     console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    progress_columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*progress_columns, console=console, disable=not console.is_terminal, transient=True) as progress:
 
         def task_description(task: Any) -> ShowText:
             return lambda text: progress.update(task, description=text)
 
         with ThreadPoolExecutor(2) as pool:
-            chains = [
+            chain_futures = [
                 pool.submit(_run_all, commands, task_description(progress.add_task("")))
                 for commands in (identification_commands, diagnosis_commands)
             ]
-            chains[0].result()
+            chain_futures[0].result()
             _print_contacts(identification_commands, out / "contact")
-            chains[1].result()
+            chain_futures[1].result()
             _print_diagnosis(diagnosis_commands, out / "gap")
     print()
     say(f"{time.monotonic() - started_s:.0f} s. Pages: {page_paths[0]}, {page_paths[1]}")
@@ -109,8 +109,8 @@ def _run_all(commands: tuple[tuple[object, ...], ...], show_text: ShowText) -> N
     """Run commands one after another; raise RigError with the last line of one that fails."""
     for command in commands:
         show_text(" ".join(map(str, command[:3])))
-        words = [sys.executable, "-m", "rig.commands.start", *map(str, command)]
-        finished_process = subprocess.run(words, capture_output=True, text=True, check=False)
+        arguments = [sys.executable, "-m", "rig.commands.start", *map(str, command)]
+        finished_process = subprocess.run(arguments, capture_output=True, text=True, check=False)
         if finished_process.returncode:
             reason = finished_process.stderr.strip().splitlines()[-1:] or ["no reason was given"]
             raise RigError(f"{' '.join(map(str, command[:2]))} failed: {reason[0]}")

@@ -30,29 +30,29 @@ class SampleTimes:
     fault describes an irregularity of the stamps in words; empty if there is none.
     """
 
-    samples: int
+    sample_count: int
     rate_hz: float
     stamps_s: Float[np.ndarray, " samples"] | None = None
     fault: str = ""
 
     @classmethod
-    def of_rate(cls, rate_hz: float, samples: int) -> "SampleTimes":
-        if samples < 2:
+    def of_rate(cls, rate_hz: float, sample_count: int) -> "SampleTimes":
+        if sample_count < 2:
             raise RigError("it holds fewer than two samples; export more")
-        return cls(samples, rate_hz)
+        return cls(sample_count, rate_hz)
 
     @classmethod
     def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "SampleTimes":
         """Times by stamps; raises RigError if they do not increase or have a long gap."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            rate_hz, fault = _rate_and_fault(stamps_s)
-        return cls(stamps_s.size, rate_hz, stamps_s, fault)
+            rate_hz, stamp_fault = _rate_and_fault(stamps_s)
+        return cls(stamps_s.size, rate_hz, stamps_s, stamp_fault)
 
-    def stamps(self, first: int, last: int) -> Float[np.ndarray, " some"]:
+    def stamps(self, first_sample: int, end_sample: int) -> Float[np.ndarray, " some"]:
         """Time stamps of the samples first to last - 1, s."""
         if self.stamps_s is None:
-            return np.arange(first, last) / self.rate_hz
-        return self.stamps_s[first:last]
+            return np.arange(first_sample, end_sample) / self.rate_hz
+        return self.stamps_s[first_sample:end_sample]
 
 
 def evenly_sampled(
@@ -86,16 +86,16 @@ def evenly_sampled(
         )
     rate_ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
     grid_hz = rate_hz / float(rate_ratio)
-    steps: tuple[str, ...] = ()
+    history_steps: tuple[str, ...] = ()
     if stamp_fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
         values = _resample_to_grid(values, sample_times, grid_hz)
-        steps = (
+        history_steps = (
             f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {stamp_fault or 'the rate is uneven'}",
         )
     if rate_ratio != 1:
         values = np.stack([_filter_to_rate(samples, rate_ratio) for samples in values])
-        steps = (*steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
-    return values, steps
+        history_steps = (*history_steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
+    return values, history_steps
 
 
 def _resample_to_grid(
@@ -104,19 +104,19 @@ def _resample_to_grid(
     """Resample to an even grid by cubic splines, piece by piece with overlapping knots."""
     (start_s,), (end_s,) = (
         sample_times.stamps(0, 1),
-        sample_times.stamps(sample_times.samples - 1, sample_times.samples),
+        sample_times.stamps(sample_times.sample_count - 1, sample_times.sample_count),
     )
     grid_values = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
     piece_length = max(PIECE_SAMPLES // len(values), OVERLAP_SAMPLES)
     grid_start = 0
-    for first_sample in range(0, sample_times.samples - 1, piece_length):
-        last_sample = min(first_sample + piece_length, sample_times.samples - 1)
+    for first_sample in range(0, sample_times.sample_count - 1, piece_length):
+        last_sample = min(first_sample + piece_length, sample_times.sample_count - 1)
         first_knot, last_knot = (
             max(first_sample - OVERLAP_SAMPLES, 0),
-            min(last_sample + OVERLAP_SAMPLES, sample_times.samples),
+            min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count),
         )
         knots_s = sample_times.stamps(first_knot, last_knot)
-        is_final = last_sample == sample_times.samples - 1
+        is_final = last_sample == sample_times.sample_count - 1
         grid_stop = (
             grid_values.shape[1] if is_final else math.ceil((knots_s[last_sample - first_knot] - start_s) * grid_hz)
         )

@@ -26,7 +26,7 @@ class ColumnBlock:
     """
 
     names: tuple[str, ...]
-    samples: int
+    sample_count: int
     read: Callable[[Sequence[int]], Sequence[Column]]
     working_bytes: int = 0
 

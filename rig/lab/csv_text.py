@@ -61,7 +61,7 @@ class _SampleLines:
     """
 
     cell_count: int
-    samples: int
+    sample_count: int
     first_line_by_count: Mapping[int, int]
     trailing_empty_count: int
 
@@ -104,8 +104,8 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
     )
     yield ColumnBlock(
         column_names,
-        sample_lines_shape.samples,
-        partial(_read_columns, path, form, skipped_line_count, column_names, sample_lines_shape.samples),
+        sample_lines_shape.sample_count,
+        partial(_read_columns, path, form, skipped_line_count, column_names, sample_lines_shape.sample_count),
     )
 
 
@@ -251,10 +251,11 @@ def _check_decimal(
     for line_number, line in numbered_lines:
         if "." in line:
             cells = cells_of(line, form.delimiter)
-            for k in column_indices:
-                if k < len(cells) and "." in cells[k]:
+            for column_index in column_indices:
+                if column_index < len(cells) and "." in cells[column_index]:
                     raise RigError(
-                        f"{path}: line {line_number} has {cells[k].strip()!r} in column {column_names[k]!r}, and the "
+                        f"{path}: line {line_number} has {cells[column_index].strip()!r} in column "
+                        f"{column_names[column_index]!r}, and the "
                         f"decimal is {form.decimal!r}; export numbers without points, or correct decimal in the map"
                     )
 
@@ -268,12 +269,12 @@ def _no_number_error(
 ) -> RigError:
     for line_number, line in numbered_lines:
         cells = cells_of(line, form.delimiter)
-        for k in column_indices:
-            cell = cells[k].strip() if k < len(cells) else ""
+        for column_index in column_indices:
+            cell = cells[column_index].strip() if column_index < len(cells) else ""
             if not is_number(cell, form.decimal):
                 return RigError(
-                    f"{path}: line {line_number} has {cell[:50]!r} in column {column_names[k]!r}, which is no number; "
-                    "check encoding, delimiter, decimal and the lines skipped"
+                    f"{path}: line {line_number} has {cell[:50]!r} in column {column_names[column_index]!r}, which is "
+                    "no number; check encoding, delimiter, decimal and the lines skipped"
                 )
     return RigError(
         f"{path}: lines {numbered_lines[0][0]} to {numbered_lines[-1][0]} are not of numbers; check delimiter and "

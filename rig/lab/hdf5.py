@@ -57,18 +57,18 @@ def hdf5_blocks(path: Path) -> Blocks:
 
 
 def _group_blocks(
-    path: Path, group: Any, prefix: str, visited: set[int], depth: int
+    path: Path, group: Any, prefix: str, visited_addresses: set[int], depth: int
 ) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
-    for name, item in members(group, prefix, depth):
-        full_name = f"{prefix}{name}"
+    for item_name, item in members(group, prefix, depth):
+        full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
             yield item
-        elif not is_new(item, visited):
+        elif not is_new(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
-            yield from _group_blocks(path, item, f"{full_name}/", visited, depth + 1)
+            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, depth + 1)
         elif isinstance(item, h5py.Dataset):
             yield from dataset_blocks(path, item, attribute_text(item, NAME_ATTRIBUTES) or full_name)
 
@@ -82,34 +82,39 @@ def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
 
     if len(prefix) > MAX_NAME or depth > MAX_DEPTH:
         raise UnreadableError(f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters")
-    for name in sorted(group):
-        link_type = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
+    for member_name in sorted(group):
+        link_type = group.id.links.get_info(member_name.encode("utf-8", "surrogateescape")).type
         if link_type == h5py.h5l.TYPE_EXTERNAL:
-            yield name, Refused(f"{prefix}{name}", _elsewhere_sentence(f"{prefix}{name}", "is a link to another file"))
+            yield (
+                member_name,
+                Refused(
+                    f"{prefix}{member_name}", _elsewhere_sentence(f"{prefix}{member_name}", "is a link to another file")
+                ),
+            )
         elif link_type == h5py.h5l.TYPE_HARD:
-            yield name, group[name]
+            yield member_name, group[member_name]
 
 
-def is_new(item: Any, visited: set[int]) -> bool:
+def is_new(item: Any, visited_addresses: set[int]) -> bool:
     """True if an object is visited for the first time, under any name; raises UnreadableError if there are too many."""
     import h5py
 
     object_address = h5py.h5o.get_info(item.id).addr
-    if object_address in visited:
+    if object_address in visited_addresses:
         return False
-    visited.add(object_address)
-    if len(visited) > MAX_ITEMS:
+    visited_addresses.add(object_address)
+    if len(visited_addresses) > MAX_ITEMS:
         raise UnreadableError(f"it has more than {MAX_ITEMS} groups and datasets")
     return True
 
 
-def dataset_blocks(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
+def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
     """
-    if sentence := elsewhere_sentence(dataset, name):
-        yield Refused(name, sentence)
+    if sentence := elsewhere_sentence(dataset, dataset_name):
+        yield Refused(dataset_name, sentence)
         return
     try:
         shape, number_type = dataset.shape, dataset.dtype
@@ -117,14 +122,23 @@ def dataset_blocks(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock 
         return
     if number_type.kind not in "iuf" or len(shape) not in (1, 2) or math.prod(shape) < 2:
         return
-    axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
-    column_count = math.prod(shape) // shape[axis]
+    sample_axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
+    column_count = math.prod(shape) // shape[sample_axis]
     if column_count > MAX_ITEMS:
-        raise UnreadableError(f"its dataset {name!r} has {column_count} columns")
-    names = (name,) if column_count == 1 else tuple(f"{name}[{number}]" for number in range(1, column_count + 1))
+        raise UnreadableError(f"its dataset {dataset_name!r} has {column_count} columns")
+    column_names = (
+        (dataset_name,)
+        if column_count == 1
+        else tuple(f"{dataset_name}[{column_number}]" for column_number in range(1, column_count + 1))
+    )
     chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
     working_bytes = 2 * chunk_bytes + min(dataset.nbytes, READ_BYTES)
-    yield ColumnBlock(names, shape[axis], partial(_read_columns, path, dataset, axis, names), working_bytes)
+    yield ColumnBlock(
+        column_names,
+        shape[sample_axis],
+        partial(_read_columns, path, dataset, sample_axis, column_names),
+        working_bytes,
+    )
 
 
 def elsewhere_sentence(dataset: Any, name: str) -> str:
@@ -144,48 +158,52 @@ def _elsewhere_sentence(name: str, reason: str) -> str:
 
 
 def _read_columns(
-    path: Path, dataset: Any, axis: int, names: Sequence[str], column_indices: Sequence[int]
+    path: Path, dataset: Any, sample_axis: int, column_names: Sequence[str], column_indices: Sequence[int]
 ) -> list[Column]:
-    check_stored(path, dataset, names[column_indices[0]])
-    for name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
-        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE_VALUE_SHAPES:
-            raise UnreadableError(f"its dataset {names[0]!r} has an attribute {name!r} of other than one value")
+    check_stored(path, dataset, column_names[column_indices[0]])
+    for attribute_name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
+        if attribute_name in dataset.attrs and dataset.attrs.get_id(attribute_name).shape not in SINGLE_VALUE_SHAPES:
+            raise UnreadableError(
+                f"its dataset {column_names[0]!r} has an attribute {attribute_name!r} of other than one value"
+            )
     unit_text, rate_text = attribute_text(dataset, UNIT_ATTRIBUTES), attribute_text(dataset, RATE_ATTRIBUTES)
     try:
         rate_hz = None if rate_text is None else float(rate_text)
     except ValueError:
-        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate_text!r}") from None
-    values = _read_rows(dataset, axis, column_indices)
+        raise UnreadableError(f"its dataset {column_names[0]!r} has the sample rate {rate_text!r}") from None
+    values = _read_rows(dataset, sample_axis, column_indices)
     date_text = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
     return [
-        Column(names[k], samples, unit_text or None, rate_hz, date_text)
+        Column(column_names[k], samples, unit_text or None, rate_hz, date_text)
         for k, samples in zip(column_indices, values, strict=True)
     ]
 
 
-def _read_rows(dataset: Any, axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
+def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
     """Channels of a matrix, read in spans of whole chunks, or channel by channel if a chunk is too large."""
-    sample_count = dataset.shape[axis]
+    sample_count = dataset.shape[sample_axis]
     values = np.empty((len(column_indices), sample_count))
-    chunk_length = dataset.chunks[axis] if dataset.chunks else 1
+    chunk_length = dataset.chunks[sample_axis] if dataset.chunks else 1
     span_length = READ_BYTES // (dataset.nbytes // sample_count) // chunk_length * chunk_length
     if dataset.ndim == 1:
         values[0] = dataset[()]
     elif dataset.nbytes <= READ_BYTES or (span_length and len(column_indices) > 1):
         for first_sample in range(0, sample_count, span_length or sample_count):
-            span = slice(first_sample, first_sample + (span_length or sample_count))
-            values[:, span] = dataset[:, span][column_indices] if axis else dataset[span].T[column_indices]
+            sample_span = slice(first_sample, first_sample + (span_length or sample_count))
+            values[:, sample_span] = (
+                dataset[:, sample_span][column_indices] if sample_axis else dataset[sample_span].T[column_indices]
+            )
     else:
-        for row, k in zip(values, column_indices, strict=True):
-            row[:] = dataset[k] if axis else dataset[:, k]
+        for row, column_index in zip(values, column_indices, strict=True):
+            row[:] = dataset[column_index] if sample_axis else dataset[:, column_index]
     return values
 
 
-def check_stored(path: Path, dataset: Any, name: str) -> None:
+def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     """Raise RigError if samples were never written, have unknown filters, or expand beyond their chunk."""
     import h5py
 
-    dataset_label = f"{path}: {name!r}"
+    dataset_label = f"{path}: {dataset_name!r}"
     properties = dataset.id.get_create_plist()
     layout = properties.get_layout()
     if layout == h5py.h5d.CONTIGUOUS and not dataset.id.get_storage_size():
@@ -207,8 +225,10 @@ def check_stored(path: Path, dataset: Any, name: str) -> None:
 
     def count_stored(chunk: Any) -> None:
         nonlocal stored_count
-        edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        stored_count += math.prod(max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in edges)
+        chunk_edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        stored_count += math.prod(
+            max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in chunk_edges
+        )
         if compression_codes and chunk.size * MAX_EXPANSION[compression_codes[0]] > max(UNPACKED_BYTES, chunk_bytes):
             doubtful_offsets.append(chunk.chunk_offset)
 

@@ -79,44 +79,44 @@ def read_map(path: Path, out: Path) -> tuple[Map, Rig]:
 
     Raises RigError if a placeholder is left, if either file is invalid, or if their sensors or forces differ.
     """
-    mapping = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
-    rig_path = path.parent / mapping.rig
+    column_map = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
+    rig_path = path.parent / column_map.rig
     check_target(out, rig_path)
     if not rig_path.exists():
         raise RigError(
             f"{rig_path}: cannot be opened (No such file or directory), and {path} names it as the description of the "
-            f"machine; write it by `rig init` (rig init mass --help), or correct rig = {mapping.rig!r}"
+            f"machine; write it by `rig init` (rig init mass --help), or correct rig = {column_map.rig!r}"
         )
     try:
-        return mapping, _placed_rig(mapping, read_rig(rig_path), path)
+        return column_map, _placed_rig(column_map, read_rig(rig_path), path)
     except RigError as error:
         raise error if str(error).startswith((str(path), str(rig_path))) else RigError(f"{path}: {error}") from error
 
 
-def _placed_rig(mapping: Map, rig: Rig, path: Path) -> Rig:
-    forces = mapping.forces
-    is_placed = bool(forces) and all(force.station for force in forces)
-    if mapping.force != "none" and len(forces) != len(rig.forces) and not is_placed:
+def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
+    force_sources = column_map.forces
+    is_placed = bool(force_sources) and all(force.station for force in force_sources)
+    if column_map.force != "none" and len(force_sources) != len(rig.forces) and not is_placed:
         raise RigError(
-            f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
-            "give each column body and position_m"
+            f"{path}: force has {len(force_sources)} columns, and its rig.json {len(rig.forces)} forces; make them "
+            "agree, or give each column body and position_m"
         )
     force_stations = (
-        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(force_sources))
         or rig.forces
     )
-    if any(source.body for source in mapping.sensors.values()):
-        sensors = tuple(_mapped_sensor(name, source, rig) for name, source in mapping.sensors.items())
+    if any(source.body for source in column_map.sensors.values()):
+        sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
         sensors = rig.sensors
-        rig_names, map_names = {s.name for s in sensors}, set(mapping.sensors)
-        for differing_names, fault in (
+        rig_names, map_names = {s.name for s in sensors}, set(column_map.sensors)
+        for differing_names, fault_words in (
             (map_names - rig_names, "is no sensor of the rig"),
             (rig_names - map_names, "is missing"),
         ):
             if differing_names:
                 raise RigError(
-                    f"{path}: sensor {min(differing_names)!r} {fault}; [sensors] needs "
+                    f"{path}: sensor {min(differing_names)!r} {fault_words}; [sensors] needs "
                     f"{', '.join(sorted(rig_names))}, or give each column body, position_m and quantity"
                 )
     if sensors == rig.sensors and force_stations == rig.forces:
@@ -170,8 +170,8 @@ def _check_filled(path: Path, map_values: dict[str, Any]) -> None:
         )
 
 
-def _enumeration(words: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+def _enumeration(texts: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(texts[:-1]), texts[-1]]))
 
 
 def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:

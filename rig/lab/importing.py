@@ -26,13 +26,15 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     Values are converted to SI: value times scale times unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
-    mapping, rig = read_map(map_path, out)
-    column_keys = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
-    table = read_table(source, mapping.csv, column_keys)
-    date, date_origin = recorded_date(source, mapping.csv, [column.recorded for column in table.columns.values()])
+    column_map, rig = read_map(map_path, out)
+    column_keys = [
+        entry.column for entry in (*column_map.forces, *column_map.sensors.values(), column_map.time) if entry
+    ]
+    table = read_table(source, column_map.csv, column_keys)
+    date, date_origin = recorded_date(source, column_map.csv, [column.recorded for column in table.columns.values()])
     provenance_origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
     table = replace(table, notes=(*table.notes, f"recorded {date} by {date_origin}"))
-    return _import(table, provenance_origin, str(source), mapping, rig, map_path, out)
+    return _import(table, provenance_origin, str(source), column_map, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
@@ -44,27 +46,27 @@ def _import(
     table: Table,
     origin: Mapping[str, str],
     source: str,
-    mapping: Map,
+    column_map: Map,
     rig: Rig,
     map_path: Path,
     out: Path,
 ) -> tuple[str, ...]:
-    force_sources = mapping.forces
+    force_sources = column_map.forces
     source_by_name = {name: ("force", source) for name, source in zip(rig.force_names, force_sources, strict=False)}
-    source_by_name |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
+    source_by_name |= {s.name: (s.quantity, column_map.sensors[s.name]) for s in rig.sensors}
     try:
-        columns, si_factors = source_columns(table, source_by_name)
+        column_by_name, si_factors = source_columns(table, source_by_name)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        sample_times = sample_times_of(table, list(columns.values()), mapping.time, mapping.sample_rate_hz)
-        si_rows = rows_in_si(columns, si_factors)
-        values, resampling_steps = evenly_sampled(si_rows, sample_times, rig.sample_rate_hz, mapping.resample)
+        sample_times = sample_times_of(table, list(column_by_name.values()), column_map.time, column_map.sample_rate_hz)
+        si_rows = rows_in_si(column_by_name, si_factors)
+        values, resampling_steps = evenly_sampled(si_rows, sample_times, rig.sample_rate_hz, column_map.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
     history_steps = (
         f"{si_rows.shape[1]} samples of {len(si_rows)} columns read from {origin['source']}",
-        "made SI: " + ", ".join(f"{n} = {si_factors[n]:.9g} x column {c.name!r}" for n, c in columns.items()),
+        "made SI: " + ", ".join(f"{n} = {si_factors[n]:.9g} x column {c.name!r}" for n, c in column_by_name.items()),
         *(() if force_sources else ("no force was measured: its channel is zero",)),
         *resampling_steps,
         *table.notes,
@@ -75,26 +77,33 @@ def _import(
         "map": map_path.name,
     }
     zero_forces = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
-    _write(out, rig, zero_forces | dict(zip(columns, values, strict=True)), with_history(provenance, *history_steps))
+    _write(
+        out, rig, zero_forces | dict(zip(column_by_name, values, strict=True)), with_history(provenance, *history_steps)
+    )
     return history_steps
 
 
 def source_columns(
-    table: Table, sources: Mapping[str, tuple[str, Source]]
+    table: Table, source_by_name: Mapping[str, tuple[str, Source]]
 ) -> tuple[dict[str, Column], dict[str, float]]:
     """Columns by source name, with the factors from their numbers to the SI unit of the quantity.
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
-    columns = {name: table.column(entry.column) for name, (_, entry) in sources.items()}
-    _check_columns(columns)
-    return columns, {name: _factor_to_si(quantity, entry, columns[name]) for name, (quantity, entry) in sources.items()}
+    column_by_name = {name: table.column(source.column) for name, (_, source) in source_by_name.items()}
+    _check_columns(column_by_name)
+    return column_by_name, {
+        name: _factor_to_si(quantity, source, column_by_name[name])
+        for name, (quantity, source) in source_by_name.items()
+    }
 
 
-def rows_in_si(columns: Mapping[str, Column], si_factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
+def rows_in_si(
+    column_by_name: Mapping[str, Column], si_factors: Mapping[str, float]
+) -> Float[np.ndarray, "channels samples"]:
     """Columns in SI as rows; raises RigError if a number overflows."""
-    si_rows = np.empty((len(columns), next(iter(columns.values())).values.size))
-    for si_row, (channel_name, column) in zip(si_rows, columns.items(), strict=True):
+    si_rows = np.empty((len(column_by_name), next(iter(column_by_name.values())).values.size))
+    for si_row, (channel_name, column) in zip(si_rows, column_by_name.items(), strict=True):
         with np.errstate(over="ignore"):
             np.multiply(si_factors[channel_name], column.values, out=si_row)
         if not np.isfinite(si_row).all():
@@ -135,20 +144,23 @@ def sample_times_of(
 def _write(
     out: Path, rig: Rig, samples_by_channel: Mapping[str, Float[np.ndarray, " samples"]], provenance: Mapping[str, str]
 ) -> None:
-    groups = channel_groups(rig)
-    with writing(out, rig, groups, provenance) as recording:
+    channels_by_group = channel_groups(rig)
+    with writing(out, rig, channels_by_group, provenance) as recording:
         for first_sample in range(0, next(iter(samples_by_channel.values())).size, SAMPLES_AT_ONCE):
             sample_span = slice(first_sample, first_sample + SAMPLES_AT_ONCE)
             recording.append_all(
-                {name: np.stack([samples_by_channel[c][sample_span] for c in g.names]) for name, g in groups.items()}
+                {
+                    name: np.stack([samples_by_channel[c][sample_span] for c in g.names])
+                    for name, g in channels_by_group.items()
+                }
             )
 
 
-def _check_columns(columns: Mapping[str, Column]) -> None:
+def _check_columns(column_by_name: Mapping[str, Column]) -> None:
     """Raise RigError unless columns are distinct, of equal length and finite."""
     name_by_column_id: dict[int, str] = {}
-    first_name, first_column = next(iter(columns.items()))
-    for channel_name, column in columns.items():
+    first_name, first_column = next(iter(column_by_name.items()))
+    for channel_name, column in column_by_name.items():
         if earlier_name := name_by_column_id.get(id(column)):
             raise RigError(
                 f"column {column.name!r} is given to both {earlier_name!r} and {channel_name!r}; each needs its own"

@@ -49,7 +49,7 @@ def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
 
 
 def _matrix_block(
-    name: str,
+    array_name: str,
     shape: tuple[int, ...],
     read_array: Callable[[], np.ndarray],
     least_values: int,
@@ -60,9 +60,11 @@ def _matrix_block(
         return
     channel_count, sample_count = sorted(shape)
     if channel_count > MAX_ITEMS:
-        raise UnreadableError(f"its array {name!r} has {channel_count} columns")
+        raise UnreadableError(f"its array {array_name!r} has {channel_count} columns")
     channel_names = (
-        (name,) if channel_count == 1 else tuple(f"{name}[{number}]" for number in range(1, channel_count + 1))
+        (array_name,)
+        if channel_count == 1
+        else tuple(f"{array_name}[{channel_number}]" for channel_number in range(1, channel_count + 1))
     )
     yield ColumnBlock(channel_names, sample_count, partial(_read_columns, channel_names, read_array), working_bytes)
 
@@ -111,21 +113,21 @@ class _Version5:
     def _compressed_blocks(self, compressed: memoryview) -> Iterator[ColumnBlock]:
         """Blocks of a compressed array; only the head of a numeric one is decompressed, structs and cells wholly."""
         first_bytes = memoryview(zlib.decompressobj().decompress(compressed, _HEAD_BYTES))
-        element_type, length, data_start, _ = self._tag(first_bytes, 0)
-        if element_type != _MATRIX or not length:
+        element_type, data_length, data_start, _ = self._tag(first_bytes, 0)
+        if element_type != _MATRIX or not data_length:
             return
-        element_size = data_start + length
-        head = self._head(first_bytes[data_start:])
-        if head.is_real:
+        element_size = data_start + data_length
+        array_head = self._head(first_bytes[data_start:])
+        if array_head.is_real:
             yield from self._numeric_blocks(
-                head,
+                array_head,
                 first_bytes[data_start:],
-                head.name,
+                array_head.name,
                 lambda: memoryview(_unpack(compressed, element_size))[data_start:],
                 element_size,
             )
-        elif head.array_class in (_CELL, _STRUCT):
-            variable_label = f"{self._path}: its variable {head.name!r}"
+        elif array_head.array_class in (_CELL, _STRUCT):
+            variable_label = f"{self._path}: its variable {array_head.name!r}"
             check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), variable_label)
             yield from self._array_blocks(memoryview(_unpack(compressed, element_size))[data_start:], "", 0)
 
@@ -133,24 +135,26 @@ class _Version5:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
         if not array_bytes:
             return
-        head = self._head(array_bytes)
-        name = enclosing_name or head.name
-        if depth > MAX_DEPTH or len(name) > MAX_NAME:
+        array_head = self._head(array_bytes)
+        array_name = enclosing_name or array_head.name
+        if depth > MAX_DEPTH or len(array_name) > MAX_NAME:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters"
             )
-        if head.array_class == _CELL:
-            cell_names = (f"{name}{{{k}}}" for k in range(1, self._count_elements(name, head.shape) + 1))
-            yield from self._element_blocks(array_bytes, head.data_offset, cell_names, depth + 1)
-        elif head.array_class == _STRUCT:
-            yield from self._struct_blocks(array_bytes, head, name, depth + 1)
-        elif head.is_real:
-            yield from self._numeric_blocks(head, array_bytes, name, lambda: array_bytes, 0)
+        if array_head.array_class == _CELL:
+            cell_names = (
+                f"{array_name}{{{k}}}" for k in range(1, self._count_elements(array_name, array_head.shape) + 1)
+            )
+            yield from self._element_blocks(array_bytes, array_head.data_offset, cell_names, depth + 1)
+        elif array_head.array_class == _STRUCT:
+            yield from self._struct_blocks(array_bytes, array_head, array_name, depth + 1)
+        elif array_head.is_real:
+            yield from self._numeric_blocks(array_head, array_bytes, array_name, lambda: array_bytes, 0)
 
     def _struct_blocks(
-        self, array_bytes: memoryview, head: _Head, array_name: str, depth: int
+        self, array_bytes: memoryview, array_head: _Head, array_name: str, depth: int
     ) -> Iterator[ColumnBlock]:
-        _, length_bytes, offset = self._element(array_bytes, head.data_offset)
+        _, length_bytes, offset = self._element(array_bytes, array_head.data_offset)
         _, names_bytes, offset = self._element(array_bytes, offset)
         (name_length,) = struct.unpack(f"{self._order}i", length_bytes)
         if name_length < 1:
@@ -159,39 +163,48 @@ class _Version5:
             decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0])
             for k in range(0, len(names_bytes), name_length)
         ]
-        struct_count = self._count_elements(array_name, (*head.shape, len(field_names))) // max(1, len(field_names))
+        struct_count = self._count_elements(array_name, (*array_head.shape, len(field_names))) // max(
+            1, len(field_names)
+        )
         struct_names = (array_name if struct_count == 1 else f"{array_name}({k})" for k in range(1, struct_count + 1))
         yield from self._element_blocks(
             array_bytes, offset, (f"{e}.{field_name}" for e in struct_names for field_name in field_names), depth
         )
 
     def _element_blocks(
-        self, array_bytes: memoryview, offset: int, names: Iterator[str], depth: int
+        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], depth: int
     ) -> Iterator[ColumnBlock]:
         """Blocks of consecutive arrays with these names."""
-        for name in names:
+        for array_name in array_names:
             element_type, element_bytes, offset = self._element(array_bytes, offset)
             if element_type != _MATRIX:
-                raise UnreadableError(f"its array {name!r} is of the unknown type {element_type}")
-            yield from self._array_blocks(element_bytes, name, depth)
+                raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
+            yield from self._array_blocks(element_bytes, array_name, depth)
 
     def _numeric_blocks(
-        self, head: _Head, first_bytes: memoryview, name: str, read_bytes: Callable[[], memoryview], working_bytes: int
+        self,
+        array_head: _Head,
+        first_bytes: memoryview,
+        array_name: str,
+        read_bytes: Callable[[], memoryview],
+        working_bytes: int,
     ) -> Iterator[ColumnBlock]:
         """Block of a numeric array from its first bytes; `read_bytes` returns all of it."""
-        element_type, length, data_start, _ = self._tag(first_bytes, head.data_offset)
+        element_type, data_length, data_start, _ = self._tag(first_bytes, array_head.data_offset)
         if element_type not in _TYPES:
-            raise UnreadableError(f"its array {name!r} is of the unknown type {element_type}")
+            raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
         number_type = np.dtype(self._order + _TYPES[element_type])
-        if min(head.shape, default=0) < 0 or length != math.prod(head.shape) * number_type.itemsize:
-            raise UnreadableError(f"its array {name!r} of {head.shape} holds {length // number_type.itemsize} values")
-
-        def read_array() -> np.ndarray:
-            return np.frombuffer(read_bytes()[data_start : data_start + length], number_type).reshape(
-                head.shape, order="F"
+        if min(array_head.shape, default=0) < 0 or data_length != math.prod(array_head.shape) * number_type.itemsize:
+            raise UnreadableError(
+                f"its array {array_name!r} of {array_head.shape} holds {data_length // number_type.itemsize} values"
             )
 
-        yield from _matrix_block(name, head.shape, read_array, self._least_values, working_bytes)
+        def read_array() -> np.ndarray:
+            return np.frombuffer(read_bytes()[data_start : data_start + data_length], number_type).reshape(
+                array_head.shape, order="F"
+            )
+
+        yield from _matrix_block(array_name, array_head.shape, read_array, self._least_values, working_bytes)
 
     def _head(self, array_bytes: memoryview) -> _Head:
         _, flag_bytes, offset = self._element(array_bytes, 0)
@@ -203,22 +216,22 @@ class _Version5:
 
     def _tag(self, content: memoryview, offset: int) -> tuple[int, int, int, int]:
         """Tag of an element: type, length and offset of its data, and offset of the next element."""
-        element_type, length = struct.unpack_from(f"{self._order}II", content, offset)
+        element_type, data_length = struct.unpack_from(f"{self._order}II", content, offset)
         if element_type >> 16:  # up to four bytes, in the tag itself
             return element_type & 0xFFFF, element_type >> 16, offset + 4, offset + 8
         return (
             element_type,
-            length,
+            data_length,
             offset + 8,
-            offset + 8 + length + (-length % 8 if element_type != _COMPRESSED else 0),
+            offset + 8 + data_length + (-data_length % 8 if element_type != _COMPRESSED else 0),
         )
 
     def _element(self, content: memoryview, offset: int) -> tuple[int, memoryview, int]:
         """Type and data of an element, and offset of the next."""
-        element_type, length, data_start, next_offset = self._tag(content, offset)
-        if data_start + length > min(next_offset, len(content)):
-            raise UnreadableError(f"an element of {length} bytes is cut off")
-        return element_type, content[data_start : data_start + length], next_offset
+        element_type, data_length, data_start, next_offset = self._tag(content, offset)
+        if data_start + data_length > min(next_offset, len(content)):
+            raise UnreadableError(f"an element of {data_length} bytes is cut off")
+        return element_type, content[data_start : data_start + data_length], next_offset
 
     def _count_elements(self, name: str, shape: tuple[int, ...]) -> int:
         """Number of elements of a struct or cell array, added to those of the file (at most MAX_ITEMS)."""
@@ -247,9 +260,9 @@ def _version_4_blocks(content: bytes, least_values: int) -> Iterator[ColumnBlock
 
     if matfile_version(BytesIO(content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
         raise UnreadableError("its header is damaged")
-    for name, array in loadmat(BytesIO(content)).items():
+    for array_name, array in loadmat(BytesIO(content)).items():
         if isinstance(array, np.ndarray) and array.dtype.array_class in "iuf":
-            yield from _matrix_block(name, array.shape, partial(np.asarray, array), least_values)
+            yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), least_values)
 
 
 def matlab_hdf5_blocks(path: Path) -> Blocks:

@@ -78,7 +78,7 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
         year_month_day, text = _day_in(line)
         doubtful_text = doubtful_text or text
         if year_month_day is not None:
-            clock_lines = [line, *(other for other in header_lines if _TIME_LABEL.search(other))]
+            clock_lines = [line, *(other_line for other_line in header_lines if _TIME_LABEL.search(other_line))]
             time_matches = (match for text in clock_lines if (match := _TIME_OF_DAY.search(text)))
             return _date_and_time(year_month_day, next(time_matches, None)), doubtful_text
     return None, doubtful_text
@@ -133,41 +133,45 @@ def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
             month = match["month"].lower()
             year = int(match["year"])
             year += (1900 if year >= 70 else 2000) if year < 100 else 0
-            day = (year, int(month) if month.isdigit() else _MONTH_NUMBERS[month], int(match["day"]))
-            if _is_date(day):
-                return day, ""
+            year_month_day = (year, int(month) if month.isdigit() else _MONTH_NUMBERS[month], int(match["day"]))
+            if _is_date(year_month_day):
+                return year_month_day, ""
     if match := _EITHER_ORDER.search(line):
-        first, second, year = int(match["first"]), int(match["second"]), int(match["year"])
-        possible_days = {day for day in ((year, first, second), (year, second, first)) if _is_date(day)}
+        first_number, second_number, year = int(match["first"]), int(match["second"]), int(match["year"])
+        possible_days = {
+            year_month_day
+            for year_month_day in ((year, first_number, second_number), (year, second_number, first_number))
+            if _is_date(year_month_day)
+        }
         if len(possible_days) == 1:
             return possible_days.pop(), ""
         return None, match[0] if possible_days else ""
     return None, ""
 
 
-def _is_date(day: tuple[int, int, int]) -> bool:
+def _is_date(year_month_day: tuple[int, int, int]) -> bool:
     try:
-        return 1970 <= datetime(*day, tzinfo=UTC).year < 2200
+        return 1970 <= datetime(*year_month_day, tzinfo=UTC).year < 2200
     except ValueError:
         return False
 
 
-def _date_and_time(day: tuple[int, int, int], time_match: re.Match[str] | None) -> datetime:
+def _date_and_time(year_month_day: tuple[int, int, int], time_match: re.Match[str] | None) -> datetime:
     """Date and time of day; the date alone if the time is none."""
     if time_match is None:
-        return datetime(*day)
+        return datetime(*year_month_day)
     hour = int(time_match["hour"])
     if time_match["half"]:
         hour = hour % 12 + (12 if time_match["half"][0] in "pP" else 0)
     microsecond = int((time_match["fraction"] or "0").ljust(6, "0")[:6])
     zone_match = _ZONE.match(time_match.string, time_match.end())
     try:
-        date = datetime(*day, hour, int(time_match["minute"]), int(time_match["second"] or 0), microsecond)
+        date = datetime(*year_month_day, hour, int(time_match["minute"]), int(time_match["second"] or 0), microsecond)
         if zone_match is None:
             return date
         return date.replace(tzinfo=datetime.strptime(zone_match["zone"].replace("UTC", "Z"), "%z").tzinfo)
     except ValueError:
-        return datetime(*day)
+        return datetime(*year_month_day)
 
 
 def _header_lines(source: Path, form: TextForm) -> list[str]:

@@ -93,35 +93,35 @@ def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Res
 
 
 def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[Key] | None) -> Table:
-    names: list[str] = []
-    columns: dict[int, Column] = {}
+    column_names: list[str] = []
+    column_by_index: dict[int, Column] = {}
     notes: tuple[str, ...] = ()
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
     for block in blocks:
-        first_index = len(names)
+        first_index = len(column_names)
         if isinstance(block, Refused):
             if _may_select(block, first_index, column_keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
-        names += block.names
-        if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
+        column_names += block.names
+        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
             raise UnreadableError(f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters")
         chosen_indices = [
             k
-            for k, name in enumerate(block.names)
-            if column_keys is None or name in column_keys or first_index + k + 1 in column_keys
+            for k, column_name in enumerate(block.names)
+            if column_keys is None or column_name in column_keys or first_index + k + 1 in column_keys
         ]
         if chosen_indices:
-            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen_indices)
-            other_count = len(columns) + len(chosen_indices) - 1
+            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen_indices)
+            other_count = len(column_by_index) + len(chosen_indices) - 1
             content_label = f"{path}: column {block.names[chosen_indices[-1]]!r}" + (
                 f" with {other_count} more" if other_count else ""
             )
             check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content_label)
-            columns |= zip((first_index + k for k in chosen_indices), block.read(chosen_indices), strict=True)
-            if missing_count := block.samples - columns[first_index + chosen_indices[0]].values.size:
+            column_by_index |= zip((first_index + k for k in chosen_indices), block.read(chosen_indices), strict=True)
+            if missing_count := block.sample_count - column_by_index[first_index + chosen_indices[0]].values.size:
                 notes = (f"the last {missing_count} lines are incomplete and were left out",)
-    return Table(tuple(names), columns, notes)
+    return Table(tuple(column_names), column_by_index, notes)
 
 
 def _may_select(refused: Refused, column_count: int, column_keys: Collection[Key] | None) -> bool:

@@ -92,11 +92,11 @@ def datasets_of(content: mmap.mmap) -> Iterator[Dataset]:
         raise UnreadableError("it has no dataset")
     while opening_mark is not None:
         start_offset = opening_mark.end()
-        head = _line(content, start_offset)[0]
-        type_text, is_binary = head[:6].strip(), head[6:7].lower() == b"b"
+        type_line = _line(content, start_offset)[0]
+        type_text, is_binary = type_line[:6].strip(), type_line[6:7].lower() == b"b"
         if not type_text.isdigit():
             raise UnreadableError(f"its dataset at byte {start_offset} has no number, or is cut off")
-        closing_mark = _closing_mark(content, start_offset, head if is_binary else b"")
+        closing_mark = _closing_mark(content, start_offset, type_line if is_binary else b"")
         if closing_mark is None:
             raise UnreadableError(f"its dataset at byte {start_offset} is cut off")
         yield Dataset(int(type_text), is_binary, start_offset, closing_mark.start())
@@ -128,23 +128,23 @@ def _line(content: mmap.mmap, offset: int) -> tuple[bytes, int]:
 
 def _header(content: mmap.mmap, offset: int) -> tuple[bytes, list[str], int]:
     """Line of the type, the eleven lines below it, and the offset of the numbers."""
-    head, offset = _line(content, offset)
+    type_line, offset = _line(content, offset)
     header_lines = []
     for _ in range(11):
         line, offset = _line(content, offset)
         header_lines.append(decode_text(line[:200]))
-    return head, header_lines, offset
+    return type_line, header_lines, offset
 
 
-def _integer(line: bytes | str, first: int, last: int) -> int:
+def _integer(line: bytes | str, first_character: int, end_character: int) -> int:
     try:
-        return int(line[first:last])
+        return int(line[first_character:end_character])
     except ValueError:
-        raise UnreadableError(f"its header has {line[first:last]!r} in place of a number") from None
+        raise UnreadableError(f"its header has {line[first_character:end_character]!r} in place of a number") from None
 
 
 def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
-    head, header_lines, numbers_offset = _header(content, dataset.start)
+    type_line, header_lines, numbers_offset = _header(content, dataset.start)
     name, unit, type_code = (
         header_lines[0][:80].strip(),
         header_lines[8][46:67].strip(),
@@ -163,7 +163,7 @@ def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refuse
         point_count=_integer(header_lines[6], 10, 20),
         is_even=_integer(header_lines[6], 20, 30) == EVEN_CODE,
         interval_s=interval_s,
-        byte_order=("<" if _integer(head, 7, 13) == 1 else ">") if dataset.is_binary else "",
+        byte_order=("<" if _integer(type_line, 7, 13) == 1 else ">") if dataset.is_binary else "",
         start=numbers_offset,
         stop=dataset.stop,
         date_text=" ".join(line[:80].strip() for line in (header_lines[2], header_lines[1], *header_lines[3:5])),

@@ -19,7 +19,7 @@ class Assembly:
         self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, room_samples: int = 0
     ) -> None:
         """Start at sample `first_sample`, with memory for `room_samples`."""
-        self._path, self._name, self._channels = path, group_name, channels
+        self._path, self._group_name, self._channels = path, group_name, channels
         self._first_sample = self._end_sample = first_sample
         self._values = np.empty((len(channels.names), room_samples))
         self._early_blocks: list[Block] = []
@@ -31,7 +31,7 @@ class Assembly:
         channels = self._channels
         if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
             raise RigError(
-                f"{self._path}: a block of group {self._name} does not fit its channel's metadata; see "
+                f"{self._path}: a block of group {self._group_name} does not fit its channel's metadata; see "
                 "rig/recording/README.md"
             )
         if block.first_sample == self._end_sample:
@@ -47,14 +47,14 @@ class Assembly:
         for block in sorted(self._early_blocks, key=lambda b: b.first_sample):
             if block.first_sample != self._end_sample:
                 raise RigError(
-                    f"{self._path}: group {self._name} has samples {self._end_sample} to {block.first_sample} missing "
-                    "or doubled; record it again"
+                    f"{self._path}: group {self._group_name} has samples {self._end_sample} to {block.first_sample} "
+                    "missing or doubled; record it again"
                 )
             self._store(block)
         if self._end_sample == self._first_sample:
-            raise RigError(f"{self._path}: group {self._name} holds no samples; record it again")
-        for span in self._suspect_spans:
-            self._check_finite(span)
+            raise RigError(f"{self._path}: group {self._group_name} holds no samples; record it again")
+        for suspect_span in self._suspect_spans:
+            self._check_finite(suspect_span)
         return self._start_ns * 1e-9, self._values[:, : self._end_sample - self._first_sample]
 
     def _store(self, block: Block) -> None:
@@ -66,23 +66,22 @@ class Assembly:
             self._values = larger_values
         stored_values = self._values[:, start_index:stop_index]
         stored_values[:] = block.values
-        if (
-            not np.einsum("ij,ij->", stored_values, stored_values) < LARGEST**2
-        ):  # or only together; the fastest sum, without warnings
+        square_sum = np.einsum("ij,ij->", stored_values, stored_values)  # the fastest sum, without warnings
+        if not square_sum < LARGEST**2:  # or only together
             self._suspect_spans.append(slice(start_index, stop_index))
         if self._end_sample == self._first_sample:
             self._start_ns = block.time_ns
         self._end_sample += stop_index - start_index
 
-    def _check_finite(self, span: slice) -> None:
-        faulty_indices = np.argwhere(~(np.abs(self._values[:, span]) <= LARGEST))
+    def _check_finite(self, suspect_span: slice) -> None:
+        faulty_indices = np.argwhere(~(np.abs(self._values[:, suspect_span]) <= LARGEST))
         if faulty_indices.size:
-            sample = self._first_sample + span.start + faulty_indices[0, 1]
-            value = self._values[faulty_indices[0, 0], span.start + faulty_indices[0, 1]]
-            fault = f"{value:g}, which nothing measures," if math.isfinite(value) else "not a finite number"
+            sample = self._first_sample + suspect_span.start + faulty_indices[0, 1]
+            value = self._values[faulty_indices[0, 0], suspect_span.start + faulty_indices[0, 1]]
+            fault_words = f"{value:g}, which nothing measures," if math.isfinite(value) else "not a finite number"
             raise RigError(
-                f"{self._path}: channel {self._channels.names[faulty_indices[0, 0]]!r} is {fault} at sample {sample} "
-                f"({sample / self._channels.sample_rate_hz:.4f} s); repair or leave out that channel"
+                f"{self._path}: channel {self._channels.names[faulty_indices[0, 0]]!r} is {fault_words} at sample "
+                f"{sample} ({sample / self._channels.sample_rate_hz:.4f} s); repair or leave out that channel"
             )
 
 

@@ -240,8 +240,11 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
     channel_by_id: dict[int, ChannelRecord] = {}
     clock = Clock()
     for record in records:
-        if isinstance(record, ChannelRecord) and (earlier := channel_by_id.setdefault(record.id, record)) != record:
-            raise ValueError(f"channel {record.id} is described in two ways: {earlier.topic} and {record.topic}")
+        if (
+            isinstance(record, ChannelRecord)
+            and (earlier_record := channel_by_id.setdefault(record.id, record)) != record
+        ):
+            raise ValueError(f"channel {record.id} is described in two ways: {earlier_record.topic} and {record.topic}")
         if isinstance(record, Attachment):
             if record.name in contents.attachments:
                 raise RigError(f"more than one attachment is named {record.name!r}; keep the one that is meant")
@@ -249,13 +252,13 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
         elif isinstance(record, Metadata) and record.name == PROVENANCE:
             _add_provenance(record, contents)
         elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and holds_blocks(record):
-            group = record.topic.split("/")[2]
-            group_by_channel_id[record.id] = group
-            contents.groups[group] = from_metadata(record.topic, record.metadata)
+            group_name = record.topic.split("/")[2]
+            group_by_channel_id[record.id] = group_name
+            contents.groups[group_name] = from_metadata(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
-            group, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
-            clock.check(group, contents.groups[group].sample_rate_hz, block)
-            yield group, block
+            group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
+            clock.check(group_name, contents.groups[group_name].sample_rate_hz, block)
+            yield group_name, block
 
 
 def _add_provenance(record: Metadata, contents: Contents) -> None:
@@ -309,15 +312,15 @@ class Clock:
         self._start_ns: float | None = None
         self._first_group = ""
 
-    def check(self, group: str, sample_rate_hz: float, block: Block) -> None:
+    def check(self, group_name: str, sample_rate_hz: float, block: Block) -> None:
         """Raise RigError, without the name of the file, if a block's time does not follow from its first sample."""
         since_start_ns = block.first_sample * 1e9 / sample_rate_hz
         if self._start_ns is None:
-            self._start_ns, self._first_group = block.time_ns - since_start_ns, group
+            self._start_ns, self._first_group = block.time_ns - since_start_ns, group_name
         expected_ns = self._start_ns + since_start_ns
         if not abs(block.time_ns - expected_ns) <= max(TOLERANCE_NS, TOLERANCE_SAMPLES * 1e9 / sample_rate_hz):
             raise RigError(
-                f"group {group}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "
+                f"group {group_name}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "
                 f"{expected_ns * 1e-9:.9g} s follows from its number, {sample_rate_hz:g} Hz and the first block (of "
                 f"group {self._first_group}); stamp every block with first_sample / sample_rate_hz, or record again"
             )

@@ -82,34 +82,34 @@ def preview_head(value_count: int) -> bytes:
 _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulation, dim[0], data_offset
 
 
-def _values_offsets(data: bytes | memoryview) -> tuple[int, int]:
+def _values_offsets(message_bytes: bytes | memoryview) -> tuple[int, int]:
     """Offsets at which the fields before the values end and the doubles begin.
 
     The values must be the last field and contiguous; otherwise the end of the message, and 0.
     """
     offset = 0
-    while offset < min(len(data), _LONGEST_HEAD):
-        field_start, tag, offset = offset, data[offset], offset + 1
+    while offset < min(len(message_bytes), _LONGEST_HEAD):
+        field_start, tag, offset = offset, message_bytes[offset], offset + 1
         if tag == _VALUES_TAG[0]:
-            length, offset = _decode_varint(data, offset)
-            if length == len(data) - offset and length % 8 == 0:
+            field_length, offset = _decode_varint(message_bytes, offset)
+            if field_length == len(message_bytes) - offset and field_length % 8 == 0:
                 return field_start, offset
             break
         if tag & 7 == 1:
             offset += 8
         else:
-            length, offset = _decode_varint(data, offset)
-            offset += length if tag & 7 == 2 else 0
-    return len(data), 0
+            field_length, offset = _decode_varint(message_bytes, offset)
+            offset += field_length if tag & 7 == 2 else 0
+    return len(message_bytes), 0
 
 
-def _decode_varint(data: bytes | memoryview, offset: int) -> tuple[int, int]:
+def _decode_varint(message_bytes: bytes | memoryview, offset: int) -> tuple[int, int]:
     """Value of a varint, and the offset behind it."""
-    value, shift = 0, 0
-    while offset < len(data) and shift < 64:
-        value |= (data[offset] & 0x7F) << shift
-        offset, shift = offset + 1, shift + 7
-        if data[offset - 1] < 0x80:
+    value, shift_bits = 0, 0
+    while offset < len(message_bytes) and shift_bits < 64:
+        value |= (message_bytes[offset] & 0x7F) << shift_bits
+        offset, shift_bits = offset + 1, shift_bits + 7
+        if message_bytes[offset - 1] < 0x80:
             break
     return value, offset
 

@@ -76,34 +76,36 @@ class RecordingWriter:
         self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written_counts = dict.fromkeys(groups, 0)
 
-    def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        earlier_values = self._pending_values[group]
+    def append(self, group_name: str, values: Float[np.ndarray, "channels samples"]) -> None:
+        earlier_values = self._pending_values[group_name]
         pending_values = np.concatenate([earlier_values, values], axis=1) if earlier_values.size else values
         full_count = pending_values.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
         for first_sample in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
             self._write(
-                group, pending_values[:, first_sample : min(first_sample + SAMPLES_AT_ONCE, full_count)], BLOCK_SAMPLES
+                group_name,
+                pending_values[:, first_sample : min(first_sample + SAMPLES_AT_ONCE, full_count)],
+                BLOCK_SAMPLES,
             )
-        self._pending_values[group] = pending_values[:, full_count:].copy()
+        self._pending_values[group_name] = pending_values[:, full_count:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
         """Append samples of every group, interleaved in the file, so that it can be read segment by segment."""
         for first_sample in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
-            for group, group_values in values.items():
-                self.append(group, group_values[:, first_sample : first_sample + SAMPLES_AT_ONCE])
+            for group_name, group_values in values.items():
+                self.append(group_name, group_values[:, first_sample : first_sample + SAMPLES_AT_ONCE])
 
     def finish(self) -> None:
         """Write the remaining samples and the index, which completes the file."""
-        for group, remainder in self._pending_values.items():
+        for group_name, remainder in self._pending_values.items():
             if remainder.shape[1]:
-                self._write(group, remainder, remainder.shape[1])
+                self._write(group_name, remainder, remainder.shape[1])
         self._writer.finish()
 
-    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
+    def _write(self, group_name: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
         """Write blocks of `block_samples` and the previews of their channels."""
-        rate_hz, first_sample = self._groups[group].sample_rate_hz, self._written_counts[group]
-        block_id, preview_ids = self._channel_ids[group]
+        rate_hz, first_sample = self._groups[group_name].sample_rate_hz, self._written_counts[group_name]
+        block_id, preview_ids = self._channel_ids[group_name]
         channel_count, sample_count = values.shape
         for offset in range(0, sample_count, block_samples):
             time_ns = round((first_sample + offset) / rate_hz * 1e9)
@@ -121,7 +123,7 @@ class RecordingWriter:
         times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
         for preview_id, extremes in zip(preview_ids, part_extremes, strict=True):
             self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
-        self._written_counts[group] += sample_count
+        self._written_counts[group_name] += sample_count
 
     def _write_full_chunk(self) -> None:
         if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:

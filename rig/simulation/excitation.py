@@ -251,18 +251,18 @@ def _check_force(excitation: Excitation, duration_s: float, step_s: float) -> No
         raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
 
 
-def _segment(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
-    """Segment k under its window; the force rises smoothly from its start, half-way through segment 0."""
+def _segment(band: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
+    """Segment of that number under its window; the force rises smoothly from its start, half-way through segment 0."""
     sample_count = 2 * round(SEGMENT_S / 2 / step_s)
-    spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, k))
+    spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, segment_number))
     unscaled_rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / sample_count
     force_n = (
         np.fft.irfft(spectrum, sample_count)
         * (band.rms_n / unscaled_rms)
         * np.sin(np.pi * np.arange(sample_count) / sample_count)
     )
-    if k < 2:
-        rise_start = (1 - k) * sample_count // 2
+    if segment_number < 2:
+        rise_start = (1 - segment_number) * sample_count // 2
         force_n[rise_start:] *= _rise_window(sample_count - rise_start, step_s)
     force_n.flags.writeable = False
     return np.asarray(force_n)

@@ -47,48 +47,48 @@ def forces_at_steps(
 
 
 def replayed_recording(
-    believed: Rig,
-    actual: Rig,
+    believed_rig: Rig,
+    actual_rig: Rig,
     force_n: Float[np.ndarray, "*forces samples"],
     plant: Plant,
     step_s: float,
     seed: int,
     progress: Progress = lambda _: None,
 ) -> Recording:
-    """Recording of the rig `actual` under forces given at the sampling rate; it states the nominal rig `believed`.
+    """Recording of `actual_rig` under forces given at the sampling rate; it states the nominal rig, `believed_rig`.
 
     Several forces are rows. Each is interpolated by a cubic to the plant's step and stays at its last value while the
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
-    rate_hz, sample_count, force_rows_n = believed.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
+    rate_hz, sample_count, force_rows_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
     step_forces = forces_at_steps(
-        force_rows_n, rate_hz, step_s, round(needed_duration_s(actual, sample_count / rate_hz) / step_s)
+        force_rows_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
     )
     with threadpool_limits(1):  # the matrices are small
-        motion = sensed_alone(plant(actual, step_forces, step_s, progress))
-        sample_blocks = list(digitise(actual, motion, np.random.default_rng([seed, 1])))
-    channels_by_group = channel_groups(believed)
+        motion = sensed_alone(plant(actual_rig, step_forces, step_s, progress))
+        sample_blocks = list(digitise(actual_rig, motion, np.random.default_rng([seed, 1])))
+    channels_by_group = channel_groups(believed_rig)
     signals = {"force": Signals(channels_by_group["force"], 0.0, force_rows_n)}
-    for quantity in quantities_of(believed):
+    for quantity in quantities_of(believed_rig):
         sensor_values = np.concatenate([b.sensed[quantity] for b in sample_blocks], axis=1)[:, :sample_count]
         signals[quantity] = Signals(channels_by_group[quantity], 0.0, sensor_values)
-    return Recording(believed, signals, {"made_by": "replay", "seed": str(seed)})
+    return Recording(believed_rig, signals, {"made_by": "replay", "seed": str(seed)})
 
 
-def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
+def modal(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """Replay by the plant `modal`, with 24 modes a beam at 32 kHz or more."""
     from rig.simulation.plants.modal import simulate
 
     plant = partial(simulate, modes_per_beam=24)
-    return replayed_recording(believed, actual, force_n, plant, step_s_of(believed, 2.0**15), seed)
+    return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**15), seed)
 
 
-def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
+def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """Replay by the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 
     plant = partial(simulate, element_count=12)
-    return replayed_recording(believed, actual, force_n, plant, step_s_of(believed, 2.0**13), seed)
+    return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**13), seed)
 
 
 def step_s_of(rig: Rig, least_hz: float) -> float:

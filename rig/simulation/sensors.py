@@ -81,8 +81,8 @@ class Samples:
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
         """Force of a rig with a single force, N."""
-        (only,) = self.forces_n
-        return np.asarray(only)
+        (single_force_n,) = self.forces_n
+        return np.asarray(single_force_n)
 
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:

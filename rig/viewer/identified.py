@@ -61,17 +61,17 @@ class Curves:
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedContacts:
     """Identified laws by contact, and the curves if they were exported."""
 
     laws: Mapping[str, ContactLaw] = field(default_factory=dict)
     curves: Curves | None = None
 
 
-NOTHING_IDENTIFIED = Identified()
+NOTHING_IDENTIFIED = IdentifiedContacts()
 
 
-def read_identified(path: Path, rig: Rig, duration_s: float) -> Identified:
+def read_identified(path: Path, rig: Rig, duration_s: float) -> IdentifiedContacts:
     """Read a contact.json, given by its path or folder, and the curves that `--export` wrote beside it.
 
     Raises RigError if a file is unreadable or invalid, or belongs to another recording.
@@ -83,7 +83,7 @@ def read_identified(path: Path, rig: Rig, duration_s: float) -> Identified:
         for candidate in (report_path.with_name("motion.parquet"), report_path.with_name("motion.csv"))
         if candidate.exists()
     ]
-    return Identified(laws, _curves(curve_files[0], rig, duration_s) if curve_files else None)
+    return IdentifiedContacts(laws, _curves(curve_files[0], rig, duration_s) if curve_files else None)
 
 
 def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:

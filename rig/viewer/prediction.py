@@ -95,11 +95,11 @@ def predicted_motion(
     )
 
 
-def summary_text(predicted: PredictedMotion, window_s: float) -> str:
+def summary_text(prediction: PredictedMotion, window_s: float) -> str:
     """Median errors of both rigs over the windows, in Markdown."""
     believed_mm, corrected_mm = (
-        1e3 * float(np.median(predicted.window_errors_m(displacement_m)))
-        for displacement_m in (predicted.believed_m, predicted.corrected_m)
+        1e3 * float(np.median(prediction.window_errors_m(displacement_m)))
+        for displacement_m in (prediction.believed_m, prediction.corrected_m)
     )
     change_text = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
     return (

@@ -13,32 +13,32 @@ from rig.viewer.prediction import PredictedMotion, summary_text
 from rig.viewer.stage import Stage
 
 
-def send_prediction(stream: rr.RecordingStream, predicted: PredictedMotion, scene: Stage, stride: int) -> None:
+def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, scene: Stage, stride: int) -> None:
     """Send outlines of both rigs, the displacement of the shown station, the errors over time and a summary.
 
     Every `stride`-th sample is plotted; the lines are broken where a window begins.
     """
     rate_hz = scene.sample_rate_hz
-    summary_words = summary_text(predicted, predicted.window_samples / rate_hz)
+    summary_words = summary_text(prediction, prediction.window_samples / rate_hz)
     send_static(stream, f"{PREDICTION}/words", rr.TextDocument(summary_words, media_type="text/markdown"))
     displacement_by_source = {
-        "measured": (predicted.measured_m, MACHINE),
-        "believed": (predicted.believed_m, BELIEVED),
-        "corrected": (predicted.corrected_m, FOUND),
+        "measured": (prediction.measured_m, MACHINE),
+        "believed": (prediction.believed_m, BELIEVED),
+        "corrected": (prediction.corrected_m, FOUND),
     }
-    plotted_samples = np.arange(0, predicted.measured_m.shape[1], stride)
-    time_s = (predicted.first_sample + plotted_samples) / rate_hz
-    window_begins = np.flatnonzero(np.diff(plotted_samples // predicted.window_samples)) + 1
+    plotted_samples = np.arange(0, prediction.measured_m.shape[1], stride)
+    time_s = (prediction.first_sample + plotted_samples) / rate_hz
+    window_begins = np.flatnonzero(np.diff(plotted_samples // prediction.window_samples)) + 1
     for source_name, (displacement_m, colour) in displacement_by_source.items():
-        breaks = window_begins if source_name != "measured" else window_begins[:0]
+        break_positions = window_begins if source_name != "measured" else window_begins[:0]
         for origin, values_m in (
-            ("displacement", displacement_m[predicted.shown_row]),
-            ("error", predicted.errors_m(displacement_m)),
+            ("displacement", displacement_m[prediction.shown_row]),
+            ("error", prediction.errors_m(displacement_m)),
         ):
             if origin == "error" and source_name == "measured":
                 continue
-            values_mm = np.insert(1e3 * values_m[plotted_samples], breaks, np.nan)
-            times_s = np.insert(time_s, breaks, time_s[breaks] - 1e-7)
+            values_mm = np.insert(1e3 * values_m[plotted_samples], break_positions, np.nan)
+            times_s = np.insert(time_s, break_positions, time_s[break_positions] - 1e-7)
             send_lines(
                 stream, f"{PREDICTION}/{origin}/{source_name}", times_s, values_mm[None], [source_name], (colour,)
             )
@@ -47,21 +47,21 @@ def send_prediction(stream: rr.RecordingStream, predicted: PredictedMotion, scen
     send_legend(stream, f"{PREDICTION}/error", legend[1:])
     for source_name in ("believed", "corrected"):
         displacement_m, colour = displacement_by_source[source_name]
-        _send_ghosts(stream, f"{PREDICTED_RIGS}/{source_name}", predicted, displacement_m, colour, scene)
+        _send_ghosts(stream, f"{PREDICTED_RIGS}/{source_name}", prediction, displacement_m, colour, scene)
 
 
 def _send_ghosts(
     stream: rr.RecordingStream,
     path: str,
-    predicted: PredictedMotion,
+    prediction: PredictedMotion,
     displacement_m: Float[np.ndarray, "stations samples"],
     colour: Colour,
     scene: Stage,
 ) -> None:
     """Send the outlines of all bodies as one rig moves; there are none outside the predicted time."""
     record_displacement_m = scene.deflection.displacement_m.copy()
-    record_displacement_m[:, predicted.samples] = displacement_m
-    is_predicted = (scene.frame_samples >= predicted.samples.start) & (scene.frame_samples < predicted.samples.stop)
+    record_displacement_m[:, prediction.samples] = displacement_m
+    is_predicted = (scene.frame_samples >= prediction.samples.start) & (scene.frame_samples < prediction.samples.stop)
     predicted_frames = scene.frame_samples[is_predicted]
     ghost_stage = replace(
         scene,
@@ -73,6 +73,6 @@ def _send_ghosts(
         send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(1.5)]))
         send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_stage.strips(body))
     if predicted_frames.size and predicted_frames.size < scene.frame_samples.size:
-        stream.set_time(TIMELINE, duration=float(predicted.samples.stop / scene.sample_rate_hz))
+        stream.set_time(TIMELINE, duration=float(prediction.samples.stop / scene.sample_rate_hz))
         for body in scene.rig.bodies:
             stream.log(f"{path}/{entity(body.name)}", rr.Clear(recursive=False))

@@ -31,7 +31,7 @@ from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import entity, send_legend, send_lines
 from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
-from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
+from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
 from rig.viewer.palette import FORCE, SENSOR, Colour, shades
 from rig.viewer.prediction import PredictedMotion
@@ -49,18 +49,18 @@ def write_rrd(
     path: Path,
     magnification: float | None = None,
     *,
-    identified: Identified = NOTHING_IDENTIFIED,
+    identified_contacts: IdentifiedContacts = NOTHING_IDENTIFIED,
     gap: ShownGap | None = None,
-    predicted: PredictedMotion | None = None,
+    prediction: PredictedMotion | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Write a recording for the rerun viewer; `truth`, if given, adds the simulated truth.
 
     The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
     lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
-    were `identified`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
+    are those of `identified_contacts`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
     walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
-    them. A diagnosed `gap` is marked on the bodies. `predicted` adds a tab with the believed and the corrected rig
+    them. A diagnosed `gap` is marked on the bodies. `prediction` adds a tab with the believed and the corrected rig
     beside the measured one.
 
     Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
@@ -73,7 +73,7 @@ def write_rrd(
     motion = deflection(recording, truth)
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
     stride = max(1, -(-_series_scalars(recording, truth) // MOST_SCALARS))
-    contact_motions = _contact_motions(recording, truth, motion, identified, scene.frame_samples, stride)
+    contact_motions = _contact_motions(recording, truth, motion, identified_contacts, scene.frame_samples, stride)
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
         contact_force=None
@@ -93,8 +93,8 @@ def write_rrd(
         ),
         has_diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
-        predicted_station_name=station_words(recording.rig, predicted.stations[predicted.shown_row])
-        if predicted
+        predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_row])
+        if prediction
         else None,
     )
     with rr.RecordingStream("rig") as stream, _drained_stream(stream) as encoded_stream:
@@ -112,8 +112,8 @@ def write_rrd(
             progress(0.3 + 0.5 * contact_number / len(contact_motions))
         if gap is not None:
             send_gap(stream, gap, scene, contact_motions)
-        if predicted is not None:
-            send_prediction(stream, predicted, scene, stride)
+        if prediction is not None:
+            send_prediction(stream, prediction, scene, stride)
         _send_series(stream, recording, contact_motions, stride)
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
@@ -137,7 +137,7 @@ def _contact_motions(
     recording: Recording,
     truth: Recording | None,
     motion: Deflection,
-    identified: Identified,
+    identified_contacts: IdentifiedContacts,
     frame_samples: Int[np.ndarray, " frames"],
     stride: int,
 ) -> list[ContactMotion]:
@@ -149,36 +149,40 @@ def _contact_motions(
             truth.signals[source_name].values for source_name in ("relative_displacement", "contact_force")
         )
     known_samples = slice(0, time_s.size)
-    if truth is None and identified.curves is not None:
-        known_samples = identified.curves.covered_samples(time_s)
-        relative_displacement_m, force_n = identified.curves.interpolate(time_s[known_samples])
+    if truth is None and identified_contacts.curves is not None:
+        known_samples = identified_contacts.curves.covered_samples(time_s)
+        relative_displacement_m, force_n = identified_contacts.curves.interpolate(time_s[known_samples])
     contact_motions = []
-    for j, believed_contact in enumerate(recording.rig.contacts):
-        law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
+    for index, believed_contact in enumerate(recording.rig.contacts):
+        law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
         law_by_source |= (
-            {"identified": identified.laws[believed_contact.name]} if believed_contact.name in identified.laws else {}
+            {"identified": identified_contacts.laws[believed_contact.name]}
+            if believed_contact.name in identified_contacts.laws
+            else {}
         )
         law_by_source["believed"] = believed_contact.law
         wall_source = next(iter(law_by_source))
         overlaid_laws = {
-            source_name: law
-            for source_name, law in law_by_source.items()
-            if source_name == "identified" or law != law_by_source[wall_source]
+            source_name: contact_law
+            for source_name, contact_law in law_by_source.items()
+            if source_name == "identified" or contact_law != law_by_source[wall_source]
         }
         contact_motion = ContactMotion(
             contact=replace(believed_contact, law=law_by_source[wall_source]),
             wall_source=wall_source,
             overlaid_laws={
-                source_name: law for source_name, law in overlaid_laws.items() if source_name != wall_source
+                source_name: contact_law
+                for source_name, contact_law in overlaid_laws.items()
+                if source_name != wall_source
             },
             time_s=time_s[known_samples],
             until_s=float(time_s[known_samples.stop]) if known_samples.stop < time_s.size else None,
-            eta_m=relative_displacement_m[j],
-            force_n=None if force_n is None else force_n[j],
+            eta_m=relative_displacement_m[index],
+            force_n=None if force_n is None else force_n[index],
             frame_samples=frame_samples[(frame_samples >= known_samples.start) & (frame_samples < known_samples.stop)]
             - known_samples.start,
             stride=stride,
-            is_identified=truth is None and identified.curves is not None,
+            is_identified=truth is None and identified_contacts.curves is not None,
         )
         contact_motions.append(contact_motion)
     return contact_motions

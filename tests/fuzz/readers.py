@@ -206,7 +206,7 @@ def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
         if found.curves is not None:
             assert np.isfinite(found.curves.interpolated(found.curves.time_s)).all()
         if drawn:
-            write_rrd(sound_recording(), None, folder / "r.rrd", identified=found)
+            write_rrd(sound_recording(), None, folder / "r.rrd", identified_contacts=found)
 
     return refused_or_right(folder, work)
 

@@ -31,12 +31,12 @@ class SeenClock:
 
 def clock_in(file: SeenFile, channels: Sequence[SeenColumn], rig_rate_hz: float | None) -> SeenClock:
     """Clock of a file: a column that increases evenly, or else the rate that its channels or header state."""
-    sample_count = channels[0].samples if channels else 0
+    sample_count = channels[0].sample_count if channels else 0
     rate_hz = next((c.rate_hz for c in channels if c.rate_hz), None)
     if rate_hz is not None:
         return SeenClock(None, None, rate_hz, f"{rate_hz:.9g} Hz by the file itself")
     stated_hz = file.rate_hz
-    time_column = _time_column([c for c in file.columns if c.samples == sample_count])
+    time_column = _time_column([c for c in file.columns if c.sample_count == sample_count])
     if time_column is None:
         rate_note = (
             f"{stated_hz:.9g} Hz by {file.rate_origin}"

@@ -23,7 +23,7 @@ class SeenColumn:
     number: int
     name: str
     unit: str | None
-    samples: int
+    sample_count: int
     lowest: float
     highest: float
     distinct_count: int
@@ -75,7 +75,7 @@ def seen_column(
         number=column_number,
         name=column.name,
         unit=column.unit,
-        samples=values.size,
+        sample_count=values.size,
         lowest=lowest,
         highest=highest,
         distinct_count=distinct_count,
@@ -96,7 +96,7 @@ def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
     for block in blocks:
         if isinstance(block, Refused):
             refusal_facts.append(f"left out: {block.sentence}")
-        elif block.samples == 1 and len(block.names) == 1:
+        elif block.sample_count == 1 and len(block.names) == 1:
             (column,) = block.read([0])
             stated_hz = rate_in([[column.name.rpartition(".")[2], repr(float(column.values[0]))]], ".")
             if stated_hz is not None and rate_hz is None:

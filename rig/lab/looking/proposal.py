@@ -55,7 +55,7 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
     date, date_origin = recorded_date(source, file.form, [column.recorded for column in channels])
     facts = (
         *file.facts,
-        f"{channels[0].samples if channels else 0} samples of {len(channels)} channels; {clock.note}",
+        f"{channels[0].sample_count if channels else 0} samples of {len(channels)} channels; {clock.note}",
         f"recorded {date} by {date_origin}",
         *_rate_advice(clock, rig, rig_name),
     )

@@ -33,12 +33,12 @@ def candidates_in(columns: Sequence[SeenColumn]) -> tuple[tuple[SeenColumn, ...]
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
     reason_by_number = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
     usable_columns = [column for column in columns if column.number not in reason_by_number]
-    counts_by_length_and_rate = Counter((column.samples, column.rate_hz) for column in usable_columns)
+    counts_by_length_and_rate = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
     if counts_by_length_and_rate:
         (usual_samples, usual_rate_hz), _ = counts_by_length_and_rate.most_common(1)[0]
         for column in usable_columns:
-            if column.samples != usual_samples:
-                reason_by_number[column.number] = f"it has {column.samples} samples, most have {usual_samples}"
+            if column.sample_count != usual_samples:
+                reason_by_number[column.number] = f"it has {column.sample_count} samples, most have {usual_samples}"
             elif column.rate_hz != usual_rate_hz:
                 reason_by_number[column.number] = (
                     f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"

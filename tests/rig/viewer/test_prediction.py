@@ -71,7 +71,7 @@ def test_the_rig_as_it_is_predicts_the_motion_and_the_believed_one_does_not(chan
 def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(changed, tmp_path):
     recording, truth, true = changed
     predicted = predicted_motion(recording, deflection(recording, truth), true, modal_predictor)
-    write_rrd(recording, truth, tmp_path / "r.rrd", predicted=predicted)
+    write_rrd(recording, truth, tmp_path / "r.rrd", prediction=predicted)
     for name, values_m, colour in (
         ("measured", predicted.measured_m, MACHINE),
         ("believed", predicted.believed_m, BELIEVED),
