@@ -57,9 +57,9 @@ def write_rrd(
     """Write a recording for the rerun viewer; `truth`, if given, adds the simulated truth.
 
     The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
-    lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
-    are those of `identified_contacts`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
-    walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
+    lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves of
+    `identified_contacts`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen.
+    The walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
     them. A diagnosed `gap` is marked on the bodies. `prediction` adds a tab with the believed and the corrected rig
     beside the measured one.
 
