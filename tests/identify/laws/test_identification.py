@@ -143,7 +143,7 @@ def test_the_text_of_a_formula_says_what_it_computes(seed):
 
 
 def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
-    monkeypatch.setattr(symbolic, "GENERATIONS", 60)
+    monkeypatch.setattr(symbolic, "GENERATION_COUNT", 60)
     rng = np.random.default_rng(3)
     x = np.linspace(-1, 1, 1000)
     noise = 1e-3

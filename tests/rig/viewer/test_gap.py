@@ -40,9 +40,9 @@ MARKS = {
 def test_what_acts_is_marked_at_its_place(tmp_path, name):
     (tmp_path / "gap.json").write_bytes(msgspec.json.encode(GAPS[name]))
     gap = read_gap(tmp_path, RIGS[name], 61.0)
-    assert [(m.place, m.words) for m in gap.marks] == MARKS[name]
+    assert [(m.station, m.words) for m in gap.marks] == MARKS[name]
     assert GAPS[name].sentence in gap.text
-    assert bool(gap.shares) == (name not in ("consistent", "cannot_tell"))
+    assert bool(gap.share_by_station) == (name not in ("consistent", "cannot_tell"))
 
 
 @pytest.mark.parametrize(

@@ -131,8 +131,8 @@ def test_accelerometers_alone_give_the_motion_above_one_hertz(beams, tmp_path):
     poor = only_accelerometers(recording)
     write_rrd(poor, None, tmp_path / "r.rrd")
     motion, true_motion = deflection(poor, None), deflection(recording, truth)
-    assert motion.approximate
-    assert not true_motion.approximate
+    assert motion.is_approximate
+    assert not true_motion.is_approximate
     station = recording.rig.contacts[0].against
     middle = slice(recording.samples // 3, 2 * recording.samples // 3)
     error = (motion.displacement_at(station) - true_motion.displacement_at(station))[middle]
@@ -164,7 +164,7 @@ def test_the_bodies_lie_over_each_other_at_their_contacts_and_move_magnified(bea
     for contact in recording.rig.contacts:
         station, against = scene.point(contact.at), scene.point(contact.against)
         np.testing.assert_allclose(station[:, 0], against[:, 0])
-        eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frames]
+        eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frame_samples]
         np.testing.assert_allclose(station[:, 2] - against[:, 2], 3.0 * eta, atol=1e-12)
         jaws = scene.fork(contact, contact.law)[..., 2]
         outside = (station[:, 2] > jaws[:, 0]) | (station[:, 2] < jaws[:, 3])
