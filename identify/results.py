@@ -281,7 +281,7 @@ class HistoryResult(Summarized):
     def table(self) -> list[Row]:
         """Row of each quantity: mean, change from the first recording to the last, and the p-values of both tests."""
         names = ("quantity", "mean", "first_to_last", "p_trend", "p_different")
-        return [dict(zip(names, row, strict=True)) for row in history_page.rows(self.report)]
+        return [dict(zip(names, row, strict=True)) for row in history_page.quantity_rows(self.report)]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
@@ -308,7 +308,7 @@ class HistoryResult(Summarized):
     def summary(self) -> Summary:
         """Sentence on what changed, and each quantity with its change and the p-values of both tests."""
         names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
-        rows = tuple(dict(zip(names, row, strict=True)) for row in history_page.rows(self.report))
+        rows = tuple(dict(zip(names, row, strict=True)) for row in history_page.quantity_rows(self.report))
         return Summary(rows, above=(self.sentence,))
 
 

@@ -43,7 +43,7 @@ def barrel_cradle(
     # for the viewer: the walls found over the true ones
     rig = read(recording)
     found = read_identified(out / "accelerometers", rig.rig, rig.duration_s)
-    write_rrd(rig, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified=found)
+    write_rrd(rig, read_truth(truth_path(recording)), out / "barrel_cradle.rrd", identified_contacts=found)
 
 
 if __name__ == "__main__":

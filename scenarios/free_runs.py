@@ -9,7 +9,7 @@ from rig.model.description import Rig
 from rig.recording import Recording
 from rig.simulation import prediction
 from rig.simulation.plants.modal import simulate as modal
-from rig.simulation.replay import replayed
+from rig.simulation.replay import replayed_recording
 
 STEPS_PER_SAMPLE = 8
 """Steps of the plant `modal` in a sample of the recording, whose force is interpolated by a cubic."""
@@ -17,7 +17,7 @@ STEPS_PER_SAMPLE = 8
 
 def simulated(nominal: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"], seed: int) -> Recording:
     """The recording, with the rig `nominal` in it, that the actual rig makes from rest under a measured force."""
-    return replayed(nominal, actual, force_n, modal, 1 / (STEPS_PER_SAMPLE * nominal.sample_rate_hz), seed)
+    return replayed_recording(nominal, actual, force_n, modal, 1 / (STEPS_PER_SAMPLE * nominal.sample_rate_hz), seed)
 
 
 def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:

@@ -20,7 +20,7 @@ from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.excitation import QUIET_S, force_signal
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.sensors import digitised, needed_duration_s
+from rig.simulation.sensors import digitise, needed_duration_s
 
 FORMS: tuple[Form, Form] = ("paper", "weak")
 AVERAGES = 40
@@ -189,7 +189,7 @@ def _pieces(study: Study, rig: Rig) -> Iterator[Float[np.ndarray, "rows samples"
     force_n = force_signal(settings.force(), duration_s, settings.step_s)
     moved = modal.simulate(rig, force_n, settings.step_s, lambda _: None)
     held, size = [np.zeros((1 + sensors + noises, margin))], margin
-    for block in digitised(rig, moved, rng):
+    for block in digitise(rig, moved, rng):
         samples = block.force_n.size
         held.append(np.vstack([block.force_n, block.sensed["displacement"], rng.standard_normal((noises, samples))]))
         size += samples

@@ -77,7 +77,7 @@ def _frame(motion: Deflection, sample: int, time_s: float, largest_mm: float) ->
         x_m = np.linspace(0, body.length_m, PLACES)
         w_mm = 1e3 * motion.of_body(body, x_m, np.array([sample]))[:, 0]
         axes.plot(left_m[body.name] + x_m, w_mm, color=colour, lw=5, solid_capstyle="butt", label=body.name, zorder=3)
-    for contact, relative_m in zip(rig.contacts, motion.relative()[:, sample], strict=True):
+    for contact, relative_m in zip(rig.contacts, motion.relative_displacement_m()[:, sample], strict=True):
         law, carrier_mm = contact.law, 0.0
         if contact.against is not None:
             carrier_mm = 1e3 * float(motion.displacement_at(contact.against)[sample])

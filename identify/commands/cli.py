@@ -94,8 +94,8 @@ def law(
     sensors = checked_use(use)
     check_export(export, out)
     if out is not None:
-        for name in ("law.json", "law.html"):
-            refuse_existing(out / name, force, file, new_folder=True)
+        for file_name in ("law.json", "law.html"):
+            refuse_existing(out / file_name, force, file, new_folder=True)
     with progress_bar(f"searching the laws of {file.name}") as progress:
         result = identify.law(
             file,
@@ -119,21 +119,23 @@ def law(
 def print_laws(report: LawReport, console: Console) -> None:
     """Print the findings, then the verdict, formula and candidates of every contact."""
     print_findings(report.findings, console)
-    for estimate in report.laws:
-        console.print(Text.assemble((estimate.contact, "bold"), f": {estimate.verdict}."), soft_wrap=True)
-        console.print(f"  formula found: {estimate.formula}", soft_wrap=True)
-        table = Table("law", "rms left of held-out data, N")
-        for candidate in estimate.candidates:
-            table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
-        console.print(table)
+    for law_estimate in report.laws:
+        console.print(Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."), soft_wrap=True)
+        console.print(f"  formula found: {law_estimate.formula}", soft_wrap=True)
+        candidate_table = Table("law", "rms left of held-out data, N")
+        for candidate in law_estimate.candidates:
+            candidate_table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
+        console.print(candidate_table)
         console.print(
-            f"  of a force of {estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
-            f"{100 * estimate.hysteresis_share:.2g} % of the scatter's variance"
-            + ("" if estimate.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
+            f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
+            f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"
+            + ("" if law_estimate.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
             soft_wrap=True,
         )
-    for unanswered in report.unanswered:
-        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}", soft_wrap=True)
+    for unanswered_contact in report.unanswered:
+        console.print(
+            f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", soft_wrap=True
+        )
 
 
 def main() -> None:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from identify.checks import Finding
-from identify.commands.contact_files import RESULTS, ContactSettings, identified
+from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
 from identify.commands.contact_folder import contact_folder
 from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
@@ -20,7 +20,7 @@ from rig.commands.command_line import Force, Json, literal_console, progress_bar
 from rig.commands.tasks import Dask
 from rig.model.tolerances import tolerances_named
 
-DRAWN_FROM = 0.8
+DRAWING_START_SHARE = 0.8
 """Share of the progress at which results are drawn."""
 
 
@@ -86,37 +86,37 @@ def contact(
     if dask is not None:
         raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
     if out is not None:
-        for name in RESULTS:
-            refuse_existing(out / name, force, file, new_folder=True)
+        for file_name in RESULTS:
+            refuse_existing(out / file_name, force, file, new_folder=True)
     with progress_bar(f"identifying {file.name}") as progress:
-        identification_share = 1.0 if out is None else DRAWN_FROM
-        answer = identified(file, settings, lambda share: progress(identification_share * share))
+        identification_share = 1.0 if out is None else DRAWING_START_SHARE
+        file_answer = identify_file(file, settings, lambda share: progress(identification_share * share))
         if out is not None:
-            answer.save(out)
+            file_answer.save(out)
     if as_json:
-        print_json(answer.report)
+        print_json(file_answer.report)
     else:
-        print_report(answer.report, literal_console(), details)
+        print_report(file_answer.report, literal_console(), details)
 
 
 def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
     """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
     print_findings(report.findings, console)
-    table = Table(title=f"Contacts of {report.rig}, ± 95 %")
+    contact_table = Table(title=f"Contacts of {report.rig}, ± 95 %")
     for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
-        table.add_column(heading, justify="left" if heading == "contact" else "right")
+        contact_table.add_column(heading, justify="left" if heading == "contact" else "right")
     for estimate in report.contacts:
-        table.add_row(
+        contact_table.add_row(
             estimate.name,
             "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
             _interval(estimate.stiffness_n_per_m),
             _interval(estimate.damping_n_s_per_m),
         )
-    console.print(table)
+    console.print(contact_table)
     for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
         console.print(f"{sentence}.", soft_wrap=True)
-    for unanswered in report.unanswered:
-        console.print(f"{unanswered.name}: not told by this record: {unanswered.reason}")
+    for unanswered_contact in report.unanswered:
+        console.print(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}")
     for note in report.notes:
         console.print(f"note: {note}", soft_wrap=True)
     if details and report.nifo:
@@ -129,23 +129,25 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
 
 
 def _nifo_table(report: ContactReport) -> Table:
-    spectra = Table(title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency")
+    nifo_table = Table(
+        title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
+    )
     for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
-        spectra.add_column(heading)
-    for result in report.nifo:
-        for stiffness in result.stiffness:
-            spectra.add_row(
-                result.equation,
+        nifo_table.add_column(heading)
+    for equation_result in report.nifo:
+        for stiffness in equation_result.stiffness:
+            nifo_table.add_row(
+                equation_result.equation,
                 stiffness.contact,
                 number(stiffness.mean_n_per_m.value),
                 f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
-                "nearly invisible" if stiffness.contact in result.nearly_invisible else "",
+                "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",
             )
-        answered = {s.contact for s in result.stiffness}
-        for name in (n for n in result.nearly_invisible if n not in answered):
-            spectra.add_row(result.equation, name, "", "", "on a node: not told")
-    return spectra
+        answered_contacts = {s.contact for s in equation_result.stiffness}
+        for contact_name in (n for n in equation_result.nearly_invisible if n not in answered_contacts):
+            nifo_table.add_row(equation_result.equation, contact_name, "", "", "on a node: not told")
+    return nifo_table
 
 
-def _interval(estimate: Estimate, scale: float = 1.0) -> str:
-    return interval(scale * estimate.value, scale * estimate.standard_error, "1")
+def _interval(estimate: Estimate, unit_factor: float = 1.0) -> str:
+    return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, "1")

@@ -43,7 +43,9 @@ class FileAnswer:
     save: Callable[[Path], None]
 
 
-def identified(file: Path, settings: ContactSettings, progress: Callable[[float], None] = lambda _: None) -> FileAnswer:
+def identify_file(
+    file: Path, settings: ContactSettings, progress: Callable[[float], None] = lambda _: None
+) -> FileAnswer:
     """Answer on a recording, segment by segment if the settings say so or the file is large.
 
     Raises RigError if the recording does not allow it.
@@ -52,7 +54,7 @@ def identified(file: Path, settings: ContactSettings, progress: Callable[[float]
     if segment_s is None and file.exists() and file.stat().st_size > LARGE_BYTES:
         segment_s = longest_segment_s(file)
     if segment_s is None:
-        result = identify.contact(
+        contact_result = identify.contact(
             file,
             use=settings.use,
             averaging=settings.averaging,
@@ -60,7 +62,7 @@ def identified(file: Path, settings: ContactSettings, progress: Callable[[float]
             tolerances=settings.tolerances,
             progress=progress,
         )
-        return FileAnswer(result.report, lambda out: _save(result, out, settings.export))
+        return FileAnswer(contact_result.report, lambda out: _save(contact_result, out, settings.export))
     report, segment_results = identify_long(
         file,
         segment_s=segment_s,
@@ -73,10 +75,10 @@ def identified(file: Path, settings: ContactSettings, progress: Callable[[float]
     return FileAnswer(report, lambda out: _save_pooled(file, segment_s, report, segment_results, out))
 
 
-def _save(result: ContactResult, out: Path, export: str | None) -> None:
-    result.save(out)
+def _save(contact_result: ContactResult, out: Path, export: str | None) -> None:
+    contact_result.save(out)
     if export is not None:
-        save_tables(curves(result.found), out, export)
+        save_tables(curves(contact_result.found), out, export)
 
 
 def _save_pooled(

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
-from identify.commands.contact_files import RESULTS, ContactSettings, identified
+from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
 from identify.contacts.refusals import ContactRefusedError
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Unanswered
@@ -41,7 +41,7 @@ def contact_folder(
     tasks = tasks_of(folder, out, settings, RESULTS, force)
     answers = answer_all(contact_rows, [tasks], out, settings, RESULTS[0], dask, force)
     if not as_json:
-        _print(answers)
+        _print_contacts(answers)
     finish(answers, COLUMNS, out, TABLE, as_json)
 
 
@@ -49,25 +49,25 @@ def contact_rows(task: RecordingTask) -> TableRows:
     """Rows of a recording, whose files are written; one row with the reason if it is refused."""
     settings = msgspec.json.decode(task.settings, type=ContactSettings)
     try:
-        answer = identified(task.path, settings)
+        file_answer = identify_file(task.path, settings)
     except ContactRefusedError as error:
         return refused_row(task.path, error, code=error.refusal.code)
     except RigError as error:
         return refused_row(task.path, error)
-    answer.save(task.folder)
-    return TableRows(tuple(_rows(task.path.name, answer.report)))
+    file_answer.save(task.folder)
+    return TableRows(tuple(_rows_of_report(task.path.name, file_answer.report)))
 
 
-def _rows(recording: str, report: ContactReport) -> list[dict[str, str | float | None]]:
+def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str, str | float | None]]:
     findings = " | ".join(finding.sentence for finding in report.findings)
     verdict = "not_to_be_relied_on" if findings else "identified"
-    cells = [(_estimate_cells(contact), contact.name, verdict) for contact in report.contacts]
-    cells += [(_reason_cells(contact), contact.name, "not_told") for contact in report.unanswered]
+    contact_cells = [(_estimate_cells(contact), contact.name, verdict) for contact in report.contacts]
+    contact_cells += [(_reason_cells(contact), contact.name, "not_told") for contact in report.unanswered]
     return [
         {
-            "recording": recording,
+            "recording": recording_name,
             "rig": report.rig,
-            "contact": name,
+            "contact": contact_name,
             "verdict": row_verdict,
             "law": "",
             "code": "",
@@ -75,7 +75,7 @@ def _rows(recording: str, report: ContactReport) -> list[dict[str, str | float |
             "findings": findings,
             **estimate_cells,
         }
-        for estimate_cells, name, row_verdict in cells
+        for estimate_cells, contact_name, row_verdict in contact_cells
     ]
 
 
@@ -85,11 +85,11 @@ def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
         "reference_depth_m": contact.reference_depth_m,
         "closed_share": contact.closed_share,
     }
-    for name, unit in QUANTITIES.items():
-        estimate: Estimate | None = getattr(contact, f"{name}_{unit}")
+    for quantity_name, unit in QUANTITIES.items():
+        estimate: Estimate | None = getattr(contact, f"{quantity_name}_{unit}")
         if estimate is not None:
-            cells[f"{name}_{unit}"] = estimate.value
-            cells[f"{name}_standard_error_{unit}"] = estimate.standard_error
+            cells[f"{quantity_name}_{unit}"] = estimate.value
+            cells[f"{quantity_name}_standard_error_{unit}"] = estimate.standard_error
     if contact.exponent is not None:
         cells["exponent"], cells["exponent_standard_error"] = contact.exponent.value, contact.exponent.standard_error
     return cells
@@ -99,7 +99,7 @@ def _reason_cells(contact: Unanswered) -> dict[str, str | float | None]:
     return {"code": contact.code or "", "reason": contact.reason}
 
 
-def _print(answers: list[TableRows]) -> None:
+def _print_contacts(answers: list[TableRows]) -> None:
     """Table of all contacts, then what is not told or was refused, one line each."""
     table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
     reasons = []
@@ -110,16 +110,16 @@ def _print(answers: list[TableRows]) -> None:
             str(row["recording"]), str(row.get("contact", "")), *interval_cells, verdict * (verdict != "identified")
         )
         if row.get("reason"):
-            of_contact = f", {row['contact']}" if row.get("contact") else ""
-            reasons.append(f"{row['recording']}{of_contact}: {verdict}: {row['reason']}")
+            contact_phrase = f", {row['contact']}" if row.get("contact") else ""
+            reasons.append(f"{row['recording']}{contact_phrase}: {verdict}: {row['reason']}")
     console = literal_console()
     console.print(table)
     for reason in reasons:
         console.print(reason, soft_wrap=True)
 
 
-def _interval(row: dict[str, str | float | None], name: str, unit: str, scale: float) -> str:
-    value, error = row.get(f"{name}_{unit}"), row.get(f"{name}_standard_error_{unit}")
-    if not isinstance(value, float) or not isinstance(error, float):
+def _interval(row: dict[str, str | float | None], quantity_name: str, unit: str, unit_factor: float) -> str:
+    value, standard_error = row.get(f"{quantity_name}_{unit}"), row.get(f"{quantity_name}_standard_error_{unit}")
+    if not isinstance(value, float) or not isinstance(standard_error, float):
         return ""
-    return interval(scale * value, scale * error, "1")
+    return interval(unit_factor * value, unit_factor * standard_error, "1")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from identify.api import gap as diagnosed
+from identify.api import gap as diagnose
 from identify.commands.gap_folder import GapSettings, gap_folder
 from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
@@ -92,23 +92,23 @@ def gap(
             null_reference=None if null_reference is None else str(null_reference.absolute()),
             export=export,
         )
-        results = check_folder_options(real[0], out, validate=validate)
-        gap_folder(real[0], results, settings, dask, as_json, force)
+        results_folder = check_folder_options(real[0], out, validate=validate)
+        gap_folder(real[0], results_folder, settings, dask, as_json, force)
         return
     if dask is not None:
         raise typer.BadParameter("is for a folder of recordings", param_hint="--dask")
     if out is not None:
-        sources = [*real, *(path for path in (validate, null_reference, rig) if path)]
-        for name in ("gap.json", "gap.html", "rig.json"):
-            refuse_existing(out / name, force, *sources, new_folder=True)
-    stages = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
+        source_paths = [*real, *(path for path in (validate, null_reference, rig) if path)]
+        for file_name in ("gap.json", "gap.html", "rig.json"):
+            refuse_existing(out / file_name, force, *source_paths, new_folder=True)
+    stage_shares = {"null_reference": (0.0, 0.6), "causes": (0.6, 0.4)}
     with progress_bar(f"diagnosing {', '.join(path.name for path in real)}") as progress:
 
-        def show(stage: str, fraction: float) -> None:
-            start, length = stages[stage]
-            progress(start + length * fraction)
+        def show_progress(stage: str, stage_fraction: float) -> None:
+            start_share, length_share = stage_shares[stage]
+            progress(start_share + length_share * stage_fraction)
 
-        result = diagnosed(
+        gap_result = diagnose(
             real,
             validate,
             simulator=simulator,
@@ -117,20 +117,20 @@ def gap(
             matters=thresholds,
             next_experiment=next_experiment,
             rig=rig,
-            progress=show,
+            progress=show_progress,
         )
     if out is not None:
-        result.save(out)
+        gap_result.save(out)
         if export is not None:
-            save_tables(curves(result.report), out, export)
+            save_tables(curves(gap_result.report), out, export)
     if as_json:
-        print_json(result.report)
+        print_json(gap_result.report)
     else:
         from identify.gaps.page.screen import screen_view
 
         console = literal_console()
-        console.print(screen_view(result.report))
-        if result.findings:
+        console.print(screen_view(gap_result.report))
+        if gap_result.findings:
             console.print("the check of the recordings says:", style="bold")
-        for finding in result.findings:
+        for finding in gap_result.findings:
             console.print(f"  {finding.sentence}", soft_wrap=True)

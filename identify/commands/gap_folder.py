@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 from rich.table import Table
 
-from identify.api import gap as diagnosed
+from identify.api import gap as diagnose
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
 from identify.contacts.refusals import ContactRefusedError
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
@@ -47,7 +47,7 @@ COLUMNS = (
 )
 """Columns of every table; behind them stand the parameters of the likeliest causes, EFFECT.FIELD, and half the widths
 of their 95 % intervals, EFFECT.FIELD_within_95."""
-FIRST_S = 1.0
+FIRST_SEGMENT_S = 1.0
 """Length of the segment from which a recording's rig is read."""
 
 
@@ -68,29 +68,32 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
 
     Recordings of one rig.json share a file of null references: the first of each rig makes it, then the others follow.
     """
-    firsts: dict[str, RecordingTask] = {}
+    first_task_by_reference: dict[str, RecordingTask] = {}
     tasks = []
     with working(f"reading {folder}"):
         for task in tasks_of(folder, out, settings, RESULTS, force):
-            shared = settings.null_reference or str(_null_references(out, task.path, settings.rig))
-            tasks.append(msgspec.structs.replace(task, shared=shared))
-            firsts.setdefault(shared, tasks[-1])
+            reference_path = settings.null_reference or str(_null_reference_path(out, task.path, settings.rig))
+            tasks.append(msgspec.structs.replace(task, shared=reference_path))
+            first_task_by_reference.setdefault(reference_path, tasks[-1])
     make_folder(out / NULL_REFERENCES)
-    stages = [list(firsts.values()), [task for task in tasks if task not in firsts.values()]]
-    answers = answer_all(gap_rows, stages, out, settings, RESULTS[0], dask, force)
-    order = {task.path.name: number for number, task in enumerate(tasks)}
-    answers.sort(key=lambda answer: order[str(answer.rows[0]["recording"])])
+    task_stages = [
+        list(first_task_by_reference.values()),
+        [task for task in tasks if task not in first_task_by_reference.values()],
+    ]
+    answers = answer_all(gap_rows, task_stages, out, settings, RESULTS[0], dask, force)
+    task_positions = {task.path.name: position for position, task in enumerate(tasks)}
+    answers.sort(key=lambda answer: task_positions[str(answer.rows[0]["recording"])])
     if not as_json:
-        _print(answers)
-    parameters = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
-    finish(answers, (*COLUMNS, *parameters), out, TABLE, as_json)
+        _print_diagnoses(answers)
+    parameter_columns = sorted({name for answer in answers for row in answer.rows for name in row} - set(COLUMNS))
+    finish(answers, (*COLUMNS, *parameter_columns), out, TABLE, as_json)
 
 
 def gap_rows(task: RecordingTask) -> TableRows:
     """Row of a recording, whose files are written, or with the reason if it is refused."""
     settings = msgspec.json.decode(task.settings, type=GapSettings)
     try:
-        result = diagnosed(
+        result = diagnose(
             task.path,
             simulator=settings.simulator,
             null_reference=task.shared,
@@ -109,35 +112,35 @@ def gap_rows(task: RecordingTask) -> TableRows:
     return TableRows((_row(task.path.name, result),))
 
 
-def _row(recording: str, result: GapResult) -> dict[str, str | float | None]:
-    gap = result.report
+def _row(recording_name: str, result: GapResult) -> dict[str, str | float | None]:
+    gap_report = result.report
     row: dict[str, str | float | None] = {
-        "recording": recording,
+        "recording": recording_name,
         "rig": result.corrected.name,
-        "verdict": gap.verdict,
-        "sentence": gap.sentence,
-        "named": " | ".join(gap.criteria.named),
+        "verdict": gap_report.verdict,
+        "sentence": gap_report.sentence,
+        "named": " | ".join(gap_report.criteria.named),
         "effects": "",
         "places": "",
         "inclusion_probabilities": "",
-        "probability_nothing": gap.probability_nothing,
-        "probability_unknown": gap.probability_unknown,
-        "p_value": gap.evidence.p_value,
-        "p_value_after": gap.evidence.p_value_after,
-        "unexplained_share": gap.before.share,
-        "unexplained_share_after": gap.after.share,
+        "probability_nothing": gap_report.probability_nothing,
+        "probability_unknown": gap_report.probability_unknown,
+        "p_value": gap_report.evidence.p_value,
+        "p_value_after": gap_report.evidence.p_value_after,
+        "unexplained_share": gap_report.before.share,
+        "unexplained_share_after": gap_report.after.share,
         "code": "",
         "reason": "",
         "findings": " | ".join(finding.sentence for finding in result.findings),
     }
-    return row | _cause_cells(gap)
+    return row | _cause_cells(gap_report)
 
 
-def _cause_cells(gap: Gap) -> dict[str, str | float | None]:
+def _cause_cells(gap_report: Gap) -> dict[str, str | float | None]:
     """Cells of the likeliest cause, that of the named effects where there are any."""
-    if not gap.causes:
+    if not gap_report.causes:
         return {}
-    cause = gap.causes[0]
+    cause = gap_report.causes[0]
     cells: dict[str, str | float | None] = {
         "effects": " | ".join(cause.labels),
         "places": " | ".join(f"{field}={place}" for field, place in cause.places.items()),
@@ -145,21 +148,21 @@ def _cause_cells(gap: Gap) -> dict[str, str | float | None]:
         "inclusion_probabilities": " | ".join(f"{s.inclusion_probability:.6g}" for s in cause.strengths),
         "explained": cause.explained,
     }
-    for name, value in cause.parameters.items():
-        cells[name], cells[f"{name}_within_95"] = value.value, COVERED * value.standard_error
+    for parameter_name, estimate in cause.parameters.items():
+        cells[parameter_name], cells[f"{parameter_name}_within_95"] = estimate.value, COVERED * estimate.standard_error
     return cells
 
 
-def _null_references(out: Path, recording: Path, rig: str | None) -> Path:
+def _null_reference_path(out: Path, recording: Path, rig_text: str | None) -> Path:
     """File of the null references of a recording's rig, named after the rig's description."""
     try:
-        described = rig.encode() if rig else to_json(next(iter(segments(recording, FIRST_S, 0.0))).rig)
+        rig_json = rig_text.encode() if rig_text else to_json(next(iter(segments(recording, FIRST_SEGMENT_S, 0.0))).rig)
     except RigError:
-        described = b""  # its own task says what is wrong
-    return (out / NULL_REFERENCES / f"{hashlib.sha256(described).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
+        rig_json = b""  # its own task says what is wrong
+    return (out / NULL_REFERENCES / f"{hashlib.sha256(rig_json).hexdigest()[:16]}{NULL_REFERENCE_SUFFIX}").absolute()
 
 
-def _print(answers: list[TableRows]) -> None:
+def _print_diagnoses(answers: list[TableRows]) -> None:
     """Table of verdicts and likeliest causes, then the sentences."""
     table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
     sentences = []

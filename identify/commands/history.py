@@ -7,10 +7,10 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from identify.api import compare as compared
+from identify.api import compare as compare_recordings
 from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
 from identify.history.observations import sources_in
-from identify.history.page import rows
+from identify.history.page import quantity_rows
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
 
 Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
@@ -58,7 +58,7 @@ def _compare_and_print(
         for file_name in ("history.html", "history.csv", "history.json"):
             refuse_existing(out / file_name, force, *sources, new_folder=True)
     with progress_bar(f"comparing {len(sources)} recordings") as progress:
-        result = compared(sources, use=sensors, tolerances=tolerances, progress=progress)
+        result = compare_recordings(sources, use=sensors, tolerances=tolerances, progress=progress)
     if out is not None:
         result.save(out)
     if as_json:
@@ -66,7 +66,7 @@ def _compare_and_print(
         return
     say(result.sentence)
     table = Table("", "mean", "first to last, ± 95 %", "p, trend", "p, differences", box=SIMPLE_HEAD)
-    for row in rows(result.report):
+    for row in quantity_rows(result.report):
         table.add_row(*row)
     literal_console().print(table)
     for observation in result.report.observations:

@@ -8,7 +8,7 @@ import msgspec
 import typer
 
 from identify.commands.options import print_json
-from identify.history.observations import by_name
+from identify.history.observations import sorted_by_name
 from identify.pages.tables import Row, save_rows
 from rig.commands.command_line import refuse_existing, say
 from rig.commands.tasks import kept_path, outcomes_of_tasks
@@ -16,10 +16,10 @@ from rig.errors import RigError, one_line
 from rig.files import contents, make_folder, sha256_of, write_json
 from rig.recording import recordings_in
 
-SETTINGS, KEPT = "settings.json", "tasks"
+SETTINGS, KEPT_TASKS = "settings.json", "tasks"
 REFUSED, FAILED = "refused", "failed"
 """Verdicts on a recording without a result: it does not allow one; something else went wrong, and is tried again."""
-WORDS = frozenset(
+TEXT_COLUMNS = frozenset(
     {
         "recording",
         "rig",
@@ -74,65 +74,70 @@ def refused_row(path: Path, error: BaseException, verdict: str = REFUSED, code: 
     return TableRows((row,), is_refused=True)
 
 
-def check_folder_options(folder: Path, out: Path | None, **of_one_file: object) -> Path:
+def check_folder_options(folder: Path, out: Path | None, **single_file_options: object) -> Path:
     """Folder of the results; raises RigError without one, and for options that a single recording alone takes."""
-    for option, value in of_one_file.items():
+    for option_name, value in single_file_options.items():
         if value:
-            raise RigError(f"--{option.replace('_', '-')} is for recordings given by name; leave it out for a folder")
+            raise RigError(
+                f"--{option_name.replace('_', '-')} is for recordings given by name; leave it out for a folder"
+            )
     if out is None:
         raise RigError(f"{folder}: is a folder of recordings; give --out DIR for their results")
     return out
 
 
 def tasks_of(
-    folder: Path, out: Path, settings: msgspec.Struct, results: Sequence[str], force: bool
+    folder: Path, out: Path, settings: msgspec.Struct, result_names: Sequence[str], force: bool
 ) -> list[RecordingTask]:
     """Task of every recording in a folder, by name, after a check that nothing else would be overwritten.
 
     A folder of results goes on with the settings that it began with, which it keeps in SETTINGS; with `force` it begins
     anew. Raises RigError if there are no recordings, or the folder holds results by other settings.
     """
-    recordings = by_name(recordings_in(folder))
+    recordings = sorted_by_name(recordings_in(folder))
     if not recordings:
         raise RigError(f"{folder}: holds no recordings (*.mcap); give another folder")
-    text, path = msgspec.json.encode(settings), out / SETTINGS
-    begun = path.exists() and not force
-    if begun and not _is_same_json(contents(path), text):
-        raise RigError(f"{path}: {out} holds results by other settings; give another folder, or --force to begin anew")
+    settings_json, settings_path = msgspec.json.encode(settings), out / SETTINGS
+    is_begun = settings_path.exists() and not force
+    if is_begun and not _is_same_json(contents(settings_path), settings_json):
+        raise RigError(
+            f"{settings_path}: {out} holds results by other settings; give another folder, or --force to begin anew"
+        )
     tasks = [
-        RecordingTask(str(r.absolute()), _sha256(r), str((out / r.stem).absolute()), msgspec.Raw(text))
+        RecordingTask(str(r.absolute()), _sha256(r), str((out / r.stem).absolute()), msgspec.Raw(settings_json))
         for r in recordings
     ]
-    for task in tasks if not begun else ():
-        for name in results:
-            refuse_existing(task.folder / name, force, task.path, new_folder=True)
+    for task in tasks if not is_begun else ():
+        for result_name in result_names:
+            refuse_existing(task.folder / result_name, force, task.path, new_folder=True)
     return tasks
 
 
 def answer_all(
-    function: Callable[[RecordingTask], TableRows],
+    answer_function: Callable[[RecordingTask], TableRows],
     stages: Sequence[Sequence[RecordingTask]],
     out: Path,
     settings: msgspec.Struct,
-    result: str,
+    last_file_name: str,
     dask: str | None,
     force: bool,
 ) -> list[TableRows]:
     """Rows of every task, stage after stage, those of former runs included where their files are still there.
 
-    `result` is the file of a recording's folder that is written last.
+    `last_file_name` is the file of a recording's folder that is written last.
     """
     make_folder(out)
     write_json(settings, out / SETTINGS)
     answers: list[TableRows] = []
     for tasks in stages:
         for task in tasks:
-            path = kept_path(function, task, out / KEPT)
-            if path.exists() and (force or not _is_whole(path, task.folder / result)):
-                path.unlink()
-            if not path.exists():
-                (task.folder / result).unlink(missing_ok=True)  # of a run that was cut short, or of other samples
-        outcomes = outcomes_of_tasks(function, tasks, TableRows, out / KEPT, dask)
+            answer_path = kept_path(answer_function, task, out / KEPT_TASKS)
+            if answer_path.exists() and (force or not _is_answer_kept(answer_path, task.folder / last_file_name)):
+                answer_path.unlink()
+            if not answer_path.exists():
+                # of a run that was cut short, or of other samples
+                (task.folder / last_file_name).unlink(missing_ok=True)
+        outcomes = outcomes_of_tasks(answer_function, tasks, TableRows, out / KEPT_TASKS, dask)
         answers += [
             refused_row(task.path, outcome, FAILED) if isinstance(outcome, BaseException) else outcome
             for task, outcome in zip(tasks, outcomes, strict=True)
@@ -140,24 +145,30 @@ def answer_all(
     return answers
 
 
-def finish(answers: Sequence[TableRows], columns: Sequence[str], out: Path, name: str, as_json: bool) -> None:
+def finish(
+    answers: Sequence[TableRows], column_names: Sequence[str], out: Path, table_name: str, as_json: bool
+) -> None:
     """Write the table and print where it is, or print its rows as JSON; exit with 1 if recordings were refused."""
     rows: list[Row] = [
-        {column: row.get(column, "" if column in WORDS else None) for column in columns}
+        {column_name: row.get(column_name, "" if column_name in TEXT_COLUMNS else None) for column_name in column_names}
         for answer in answers
         for row in answer.rows
     ]
-    note = save_rows(rows, columns, out, name)
-    refused = sum(answer.is_refused for answer in answers)
+    parquet_note = save_rows(rows, column_names, out, table_name)
+    refused_count = sum(answer.is_refused for answer in answers)
     if as_json:
         print_json(rows)
     else:
-        say(f"{out / name}.csv{'' if note else ' and .parquet'}: {len(rows)} rows of {len(answers)} recordings")
-        if note:
-            say(f"note: {note}")
-    if refused:
+        say(
+            f"{out / table_name}.csv{'' if parquet_note else ' and .parquet'}: {len(rows)} rows of "
+            f"{len(answers)} recordings"
+        )
+        if parquet_note:
+            say(f"note: {parquet_note}")
+    if refused_count:
         print(
-            f"identify: {refused} of {len(answers)} recordings were refused; {out / name}.csv says why", file=sys.stderr
+            f"identify: {refused_count} of {len(answers)} recordings were refused; {out / table_name}.csv says why",
+            file=sys.stderr,
         )
         raise typer.Exit(1)
 
@@ -169,7 +180,7 @@ def _is_same_json(json_text: bytes, other_text: bytes) -> bool:
         return False
 
 
-def _is_whole(answer_path: Path, result_path: Path) -> bool:
+def _is_answer_kept(answer_path: Path, result_path: Path) -> bool:
     """True if the kept answer can be read and the files that belong to it are there."""
     try:
         return msgspec.json.decode(answer_path.read_bytes(), type=TableRows).is_refused or result_path.exists()

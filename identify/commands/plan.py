@@ -9,7 +9,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from identify.api import plan as planned
+from identify.api import plan as plan_test
 from identify.commands.options import TolerancesOption, print_json
 from identify.planning import page
 from identify.planning.ranking import MOST_CHANGES
@@ -55,10 +55,10 @@ def plan(
     Example: identify plan rig.json --duration 30 --force-rms 14 --band 0.5 100 --out plan
     """
     if out is not None:
-        for name in ("plan.html", "plan.json"):
-            refuse_existing(out / name, force, source, new_folder=True)
+        for file_name in ("plan.html", "plan.json"):
+            refuse_existing(out / file_name, force, source, new_folder=True)
     with progress_bar(f"planning {source.name}") as progress:
-        result = planned(
+        plan_result = plan_test(
             source,
             duration_s=duration,
             force_rms_n=force_rms,
@@ -70,28 +70,30 @@ def plan(
             progress=progress,
         )
     if out is not None:
-        result.save(out)
+        plan_result.save(out)
     if as_json:
-        print_json(result.to_dict())
+        print_json(plan_result.to_dict())
         return
-    report, console = result.report, literal_console()
+    report, console = plan_result.report, literal_console()
     say(f"Planned: {page.test_sentence(report)}.")
     if report.contacts:
-        console.print(_table(page.HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %"))
+        console.print(
+            _console_table(page.HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %")
+        )
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:
-        rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
-        console.print(_table(page.CHANGE_HEAD, rows, "What would help, ranked by the widest interval"))
+        change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
+        console.print(_console_table(page.CHANGE_HEAD, change_rows, "What would help, ranked by the widest interval"))
     if report.effects:
-        title = "Effects that identify gap would name, over all their places"
-        console.print(_table(page.KIND_HEAD, page.kind_rows(report.effects), title))
-    for text in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
-        say(text)
+        table_title = "Effects that identify gap would name, over all their places"
+        console.print(_console_table(page.KIND_HEAD, page.kind_rows(report.effects), table_title))
+    for sentence in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
+        say(sentence)
 
 
-def _table(head: tuple[str, ...], rows: Iterable[Sequence[str]], title: str) -> Table:
-    table = Table(*head, title=title, box=SIMPLE_HEAD)
+def _console_table(headings: tuple[str, ...], rows: Iterable[Sequence[str]], table_title: str) -> Table:
+    table = Table(*headings, title=table_title, box=SIMPLE_HEAD)
     for row in rows:
         table.add_row(*row)
     return table

@@ -101,7 +101,7 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
 def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
     """Figures 5 and 13: restoring force over two coordinates, averaged in cells."""
     surface = result.surface
-    every_nth = slice(None, None, surface.factor)
+    every_nth = slice(None, None, surface.decimation)
     first_place, *other_places = result.same_place
     first = result.eta_m[first_place.members[0]][every_nth]
     if other_places:
@@ -109,10 +109,10 @@ def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str)
         label = f"η of {other_places[0].contact.name}, mm"
     else:
         second, label = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0], "velocity, m/s"
-    count = min(first.size, second.size, surface.measured.size)
+    count = min(first.size, second.size, surface.measured_force.size)
     axes = figure.subplots()
     cells = axes.hexbin(
-        1e3 * first[:count], second[:count], C=surface.measured[:count], gridsize=70, cmap="RdBu_r", mincnt=3
+        1e3 * first[:count], second[:count], C=surface.measured_force[:count], gridsize=70, cmap="RdBu_r", mincnt=3
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
     axes.set(xlabel=f"η of {first_place.contact.name}, mm", ylabel=label)
@@ -126,16 +126,16 @@ def _section(figure: Any, result: Identification, marks: Marks, marks_name: str)
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
     place."""
     surface = result.surface
-    every_nth = slice(None, None, surface.factor)
+    every_nth = slice(None, None, surface.decimation)
     axes_row = figure.subplots(1, len(result.same_place), squeeze=False, sharey=True)[0]
-    unexplained = surface.measured - surface.fitted
+    unexplained = surface.measured_force - surface.fitted_force
     for axes, place in zip(axes_row, result.same_place, strict=True):
         first, members = place.members[0], list(place.members)
         scale = surface.equation.shape_at_contacts[first] or 1.0
         eta = result.eta_m[first][every_nth]
         count = min(eta.size, unexplained.size)
         thinned = slice(None, None, max(1, count // 6000))
-        fitted = surface.contact_share[members].sum(axis=0)[:count] / scale
+        fitted = surface.contact_forces[members].sum(axis=0)[:count] / scale
         force = unexplained[:count] / scale + fitted
         order = np.argsort(eta[:count])
         axes.plot(1e3 * eta[order], fitted[order], color=RED, lw=2.5, label="dead zone as fitted")
@@ -319,14 +319,14 @@ def _motion_table(result: Identification) -> Table:
 def _surface_table(result: Identification, names: list[str]) -> Table:
     """Relative displacements, modal velocity and restoring force of the main modal equation over time."""
     surface = result.surface
-    eta = result.eta_m[:, :: surface.factor]
-    velocity = surface.equation.velocity[:: surface.factor]
-    rows = min(eta.shape[1], surface.measured.size, velocity.size)
-    table: Table = {"time_s": result.motion.time_s(rows, surface.factor)}
+    eta = result.eta_m[:, :: surface.decimation]
+    velocity = surface.equation.velocity[:: surface.decimation]
+    rows = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    table: Table = {"time_s": result.motion.time_s(rows, surface.decimation)}
     table |= {f"{name} relative displacement m": row[:rows] for name, row in zip(names, eta, strict=True)}
     table["modal velocity sqrt(kg) m/s"] = velocity[:rows]
-    table["restoring force N/sqrt(kg)"] = surface.measured[:rows]
-    table["fitted restoring force N/sqrt(kg)"] = surface.fitted[:rows]
+    table["restoring force N/sqrt(kg)"] = surface.measured_force[:rows]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:rows]
     return table
 
 

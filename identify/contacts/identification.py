@@ -26,7 +26,7 @@ from identify.contacts.results import ContactReport
 from identify.linear.joined import Joined
 from identify.linear.modal import NEARLY_INVISIBLE, Transformation
 from identify.pages.wording import COVERED
-from identify.paper.nifo import Nifo, fitted_mode
+from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
 from identify.signals.kinematics import Kinematics, Use
 from identify.signals.measured_base import count_on_bodies
@@ -242,7 +242,7 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
         acting = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
-        return results.Mode(body, nifo.equation.index, *fitted_mode(nifo), acting)
+        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), acting)
 
     return tuple(mode_of(nifo) for nifo in nifo_in_band)
 

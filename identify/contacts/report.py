@@ -13,7 +13,7 @@ from identify.contacts.identification import Identification
 from identify.contacts.paper_methods import attempted
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
-from identify.pages.machine import machine
+from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
 from identify.pages.wording import interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
@@ -78,7 +78,7 @@ def write_page(
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
     identified, count = len(report.contacts), len(result.rig.contacts)
-    findings = page.listed(f.sentence for f in report.findings)
+    findings = page.list_html(f.sentence for f in report.findings)
     page.write(
         path,
         title=title,
@@ -91,25 +91,25 @@ def write_page(
             else f"{identified} of {count} contacts identified",
             [_sentence(result)],
         ),
-        first=[
+        top_blocks=[
             f"{findings if report.findings else ''}{_drawing(result)}{_values(result, laws, laws_name)}",
-            "".join(_figures({n: p for n, p in figures.items() if n == DECISIVE_FIGURE}, page.FIRST_PX)),
+            "".join(_figures({n: p for n, p in figures.items() if n == DECISIVE_FIGURE}, page.FIRST_PLOT_PX)),
         ],
         sections=[
             *([("What was refused", _refusals(result))] if report.unanswered else []),
-            ("What would make it surer", page.listed(recommendations(result))),
+            ("What would make it surer", page.list_html(recommendations(result))),
         ],
-        folded=[
+        folded_sections=[
             *(
                 [("Does it fit?", "".join(other_figures))]
                 if (other_figures := _figures({n: p for n, p in figures.items() if n != DECISIVE_FIGURE}))
                 else []
             ),
             *([("How sure is it?", _variance_table(result))] if identified else []),
-            ("What was assumed", page.listed(assumptions(result))),
+            ("What was assumed", page.list_html(assumptions(result))),
             ("Beside it: the paper's methods", _methods(result)),
         ],
-        foot="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+        foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
     )
 
@@ -125,7 +125,7 @@ def _drawing(result: Identification) -> str:
     }
     contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in result.report.unanswered}
     caption = "<figcaption>The rig, to scale along the bodies, and what was identified (95 % intervals).</figcaption>"
-    return f"<figure>{machine(result.rig, contact_lines)}{caption}</figure>"
+    return f"<figure>{rig_drawing(result.rig, contact_lines)}{caption}</figure>"
 
 
 def _variance_table(result: Identification) -> str:
@@ -168,7 +168,7 @@ def _values(result: Identification, laws: Laws, laws_name: str) -> str:
     return (
         page.table(("", "", "identified", laws_name, "differs by"), rows)
         + note
-        + (page.listed(law_sentences) if law_sentences else "")
+        + (page.list_html(law_sentences) if law_sentences else "")
     )
 
 
@@ -205,7 +205,7 @@ def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> li
     notes: list[str] = []
     named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
     html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
-    return [*([page.listed(notes)] if notes else []), *html.values()]
+    return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 
 def _methods(result: Identification) -> str:
@@ -218,7 +218,7 @@ def _methods(result: Identification) -> str:
         for m in report.modes
     ]
     return (
-        (page.listed(report.notes) if report.notes else "")
+        (page.list_html(report.notes) if report.notes else "")
         + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
         f"{nifo_bands}the restoring force surface are applied to every modal equation. Their values "
         "have no known error, and the answers above do not rest on them: each equation believes in its mode of "

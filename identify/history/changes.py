@@ -7,7 +7,8 @@ from datetime import datetime
 import msgspec
 import numpy as np
 from jaxtyping import Float
-from scipy.stats import chi2, t
+from scipy.stats import chi2
+from scipy.stats import t as student_t
 
 from identify.contacts.results import ContactReport, Estimate
 from rig.errors import RigError
@@ -22,7 +23,7 @@ FEWEST_FOR_TREND = 4
 UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}
 MODAL_UNITS = {"frequency_hz": "Hz", "damping_ratio": "1"}
 
-Row = Float[np.ndarray, " recordings"]
+PerRecording = Float[np.ndarray, " recordings"]
 
 
 class Observation(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -90,57 +91,70 @@ def history_of(observations: Sequence[Observation]) -> History:
     for report in reports[1:]:
         if report.rig != rig:
             raise RigError(f"recordings of the rigs {rig!r} and {report.rig!r}; compare those of one machine")
-    return History(rig, tuple(observations), holm_corrected([*_of_contacts(reports), *_of_modes(reports)]))
+    return History(rig, tuple(observations), holm_corrected([*_contact_histories(reports), *_mode_histories(reports)]))
 
 
-def _of_contacts(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
+def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of the quantities of every contact that any report has."""
-    contacts = [{c.name: c for c in r.contacts} for r in reports]
-    names = list(dict.fromkeys(name for by_name in contacts for name in by_name))
+    contacts_by_name = [{c.name: c for c in r.contacts} for r in reports]
+    contact_names = list(dict.fromkeys(contact_name for by_name in contacts_by_name for contact_name in by_name))
     return [
         quantity_of(
-            name, field, unit, [getattr(by_name[name], field) if name in by_name else None for by_name in contacts]
+            contact_name,
+            field,
+            unit,
+            [
+                getattr(by_name[contact_name], field) if contact_name in by_name else None
+                for by_name in contacts_by_name
+            ],
         )
-        for name in names
+        for contact_name in contact_names
         for field, unit in UNITS.items()
     ]
 
 
-def _of_modes(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
+def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of frequency and damping of the modes that all reports have, without known errors."""
-    modes = [{f"mode {m.index} of {m.beam}": m for m in r.modes} for r in reports]
-    names = [name for name in modes[0] if all(name in by_name for by_name in modes)]
+    modes_by_name = [{f"mode {m.index} of {m.beam}": m for m in r.modes} for r in reports]
+    common_mode_names = [
+        mode_name for mode_name in modes_by_name[0] if all(mode_name in by_name for by_name in modes_by_name)
+    ]
     return [
-        quantity_of(name, field, unit, [Estimate(getattr(by_name[name], field), 0.0, 0.0) for by_name in modes])
-        for name in names
+        quantity_of(
+            mode_name,
+            field,
+            unit,
+            [Estimate(getattr(by_name[mode_name], field), 0.0, 0.0) for by_name in modes_by_name],
+        )
+        for mode_name in common_mode_names
         for field, unit in MODAL_UNITS.items()
     ]
 
 
 def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate | None]) -> QuantityHistory:
     """History of one quantity, with p-values not yet corrected for the number of tests."""
-    missing = Estimate(np.nan, np.nan)
-    filled = [e or missing for e in estimates]
-    values, errors = np.array([(e.value, e.standard_error) for e in filled]).T
-    own_errors = np.array([e.standard_error if e.own_error is None else e.own_error for e in filled])
+    undetermined = Estimate(np.nan, np.nan)
+    filled_estimates = [e or undetermined for e in estimates]
+    values, standard_errors = np.array([(e.value, e.standard_error) for e in filled_estimates]).T
+    own_errors = np.array([e.standard_error if e.own_error is None else e.own_error for e in filled_estimates])
     is_determined = np.isfinite(values) & np.isfinite(own_errors)
     errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
     weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
     mean = float(np.average(values[is_determined], weights=weights[is_determined]))
-    positions = np.flatnonzero(is_determined).astype(float)
-    tests = change_tests(positions, values[is_determined], weights[is_determined], errors_known)
-    common_error = float(np.sqrt(max(0.0, np.mean((errors**2 - own_errors**2)[is_determined]))))
+    recording_positions = np.flatnonzero(is_determined).astype(float)
+    change_results = change_tests(recording_positions, values[is_determined], weights[is_determined], errors_known)
+    common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
         quantity=quantity,
         unit=unit,
         values=_finite_values(values),
-        standard_errors=_finite_values(errors),
+        standard_errors=_finite_values(standard_errors),
         own_errors=_finite_values(own_errors),
         mean=mean,
-        p_different=tests.p_different,
-        p_trend=tests.p_trend,
-        drift=tests.drift and _with_common_error(tests.drift, mean, common_error),
+        p_different=change_results.p_different,
+        p_trend=change_results.p_trend,
+        drift=change_results.drift and _with_common_error(change_results.drift, mean, common_error),
     )
 
 
@@ -150,9 +164,9 @@ def _with_common_error(drift: Estimate, mean: float, common_error: float) -> Est
     return Estimate(drift.value, float(np.hypot(drift.standard_error, share * drift.value)))
 
 
-def _finite_values(row: Row) -> tuple[float | None, ...]:
+def _finite_values(values: PerRecording) -> tuple[float | None, ...]:
     """Values of a row, None for those that are not finite."""
-    return tuple(value if np.isfinite(value) else None for value in row.tolist())
+    return tuple(value if np.isfinite(value) else None for value in values.tolist())
 
 
 @dataclass(frozen=True)
@@ -164,7 +178,9 @@ class ChangeTests:
     drift: Estimate | None
 
 
-def change_tests(positions: Row, values: Row, weights: Row, errors_known: bool) -> ChangeTests:
+def change_tests(
+    recording_positions: PerRecording, values: PerRecording, weights: PerRecording, errors_known: bool
+) -> ChangeTests:
     """Test whether the values x_i differ, and whether they follow a line over the positions t_i.
 
     With weights w_i = 1 / s_i^2 of known errors s_i, Q = sum of w_i (x_i - mean)^2 / ERROR_INFLATION^2 has a chi-square
@@ -173,35 +189,41 @@ def change_tests(positions: Row, values: Row, weights: Row, errors_known: bool) 
     residuals with n - 2 degrees of freedom, at least 1 with known errors, so that slightly small errors give no trend.
     b / s_b is compared with Student's t. Without known errors only the line is tested.
     """
-    count = values.size
-    if count < 2:
+    recording_count = values.size
+    if recording_count < 2:
         return ChangeTests(None, None, None)
-    centred_positions = positions - np.average(positions, weights=weights)
+    centred_positions = recording_positions - np.average(recording_positions, weights=weights)
     centred_values = values - np.average(values, weights=weights)
-    p_different = float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, count - 1)) if errors_known else None
-    if count < FEWEST_FOR_TREND:
+    p_different = (
+        float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1)) if errors_known else None
+    )
+    if recording_count < FEWEST_FOR_TREND:
         return ChangeTests(p_different, None, None)
-    spread = weights @ centred_positions**2
-    slope = float(weights @ (centred_positions * centred_values) / spread)
-    mean_square = float(weights @ (centred_values - slope * centred_positions) ** 2) / (count - 2)
-    error = float(np.sqrt(max(mean_square, 1.0 if errors_known else 0.0) / spread))
-    span = float(np.ptp(positions))
-    p_trend = float(2 * t.sf(abs(slope) / error, count - 2)) if error > 0 else float(slope == 0)
-    return ChangeTests(p_different, p_trend, Estimate(slope * span, error * span))
+    position_square_sum = weights @ centred_positions**2
+    slope = float(weights @ (centred_positions * centred_values) / position_square_sum)
+    residual_mean_square = float(weights @ (centred_values - slope * centred_positions) ** 2) / (recording_count - 2)
+    slope_error = float(np.sqrt(max(residual_mean_square, 1.0 if errors_known else 0.0) / position_square_sum))
+    position_span = float(np.ptp(recording_positions))
+    p_trend = (
+        float(2 * student_t.sf(abs(slope) / slope_error, recording_count - 2)) if slope_error > 0 else float(slope == 0)
+    )
+    return ChangeTests(p_different, p_trend, Estimate(slope * position_span, slope_error * position_span))
 
 
 def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHistory, ...]:
     """Quantities with p-values corrected for all tests (Holm, "A simple sequentially rejective multiple test
     procedure", 1979)."""
     p_values = [
-        (p, i, name)
-        for i, q in enumerate(quantities)
-        for name in ("p_different", "p_trend")
-        if (p := getattr(q, name)) is not None
+        (p_value, quantity_index, field_name)
+        for quantity_index, q in enumerate(quantities)
+        for field_name in ("p_different", "p_trend")
+        if (p_value := getattr(q, field_name)) is not None
     ]
-    adjustments: list[dict[str, float]] = [{} for _ in quantities]
-    adjusted = 0.0
-    for rank, (p, i, name) in enumerate(sorted(p_values)):
-        adjusted = max(adjusted, min(1.0, (len(p_values) - rank) * p))
-        adjustments[i][name] = adjusted
-    return tuple(msgspec.structs.replace(q, **changes) for q, changes in zip(quantities, adjustments, strict=True))
+    adjusted_by_field: list[dict[str, float]] = [{} for _ in quantities]
+    adjusted_p = 0.0
+    for rank, (p_value, quantity_index, field_name) in enumerate(sorted(p_values)):
+        adjusted_p = max(adjusted_p, min(1.0, (len(p_values) - rank) * p_value))
+        adjusted_by_field[quantity_index][field_name] = adjusted_p
+    return tuple(
+        msgspec.structs.replace(q, **changes) for q, changes in zip(quantities, adjusted_by_field, strict=True)
+    )

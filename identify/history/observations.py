@@ -14,7 +14,7 @@ from rig.limits import decoded_result
 from rig.model.tolerances import Tolerances
 from rig.recording import read, recorded_at, recordings_in
 
-RESULT = "contact.json"
+REPORT_NAME = "contact.json"
 
 
 def sources_in(folder: Path) -> list[Path]:
@@ -24,13 +24,13 @@ def sources_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise RigError(f"{folder}: is no folder; give the one with the recordings")
-    sources = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{RESULT}")]
-    if not sources:
-        raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {RESULT}; give another")
-    return by_name(sources)
+    source_paths = recordings_in(folder) or [path.parent for path in folder.glob(f"*/{REPORT_NAME}")]
+    if not source_paths:
+        raise RigError(f"{folder}: holds no recordings (*.mcap) and no folders with a {REPORT_NAME}; give another")
+    return sorted_by_name(source_paths)
 
 
-def by_name(paths: Iterable[Path]) -> list[Path]:
+def sorted_by_name(paths: Iterable[Path]) -> list[Path]:
     """Paths sorted by name, 2 before 10."""
     return sorted(paths, key=lambda path: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", path.name)])
 
@@ -42,24 +42,24 @@ def observations(
     progress: Callable[[float], None] = lambda _: None,
 ) -> Iterator[Observation]:
     """Yield the observation of each source; one that cannot be read or identified holds the reason."""
-    for number, source in enumerate(sources):
+    for source_index, source in enumerate(sources):
         try:
-            yield _observed(source, use, tolerances)
+            yield _observation_of(source, use, tolerances)
         except RigError as error:
             yield Observation(name=source.name, reason=str(error))
-        progress((number + 1) / len(sources))
+        progress((source_index + 1) / len(sources))
 
 
-def _observed(source: Path, use: Use, tolerances: Tolerances | None) -> Observation:
+def _observation_of(source: Path, use: Use, tolerances: Tolerances | None) -> Observation:
     """Observation of a recording, or of a contact.json or its folder; raises RigError if there is none."""
     if source.suffix == ".mcap":
         recording = read(source)
         report = identify_contact(recording, use=use, tolerances=tolerances).report
-        recorded = recorded_at(recording.provenance)
-        return Observation(name=source.name, recorded=recorded, report=report, sha256=sha256_of(source))
-    result = source / RESULT if source.is_dir() else source
-    return Observation(name=source.name, report=_report(result), sha256=sha256_of(result))
+        recorded_time = recorded_at(recording.provenance)
+        return Observation(name=source.name, recorded=recorded_time, report=report, sha256=sha256_of(source))
+    report_path = source / REPORT_NAME if source.is_dir() else source
+    return Observation(name=source.name, report=_read_report(report_path), sha256=sha256_of(report_path))
 
 
-def _report(path: Path) -> ContactReport:
-    return decoded_result(contents(path), ContactReport, str(path), RESULT, "identify the recording again")
+def _read_report(path: Path) -> ContactReport:
+    return decoded_result(contents(path), ContactReport, str(path), REPORT_NAME, "identify the recording again")

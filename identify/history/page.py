@@ -14,9 +14,9 @@ from identify.pages import page
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number
 
-ORDER = "recording, in order"
-SPANS = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
-WORDS = {
+ORDER_LABEL = "recording, in order"
+TIME_UNITS_S = (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0))
+WORD_UNIT_FACTOR = {
     "clearance_m": ("clearance", "mm", 1e3),
     "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
     "damping_n_s_per_m": ("damping", "N s/m", 1.0),
@@ -27,16 +27,18 @@ WORDS = {
 
 def sentence(history: History) -> str:
     """Sentence on the quantities that changed, by how much, and with which p-value."""
-    changes = "; ".join(f"{quantity_name(q)} {_change(q)}" for q in history.quantities if q.changed)
-    count = f"{len(history.used)} recordings of {history.rig}"
-    return f"{count}: {changes}." if changes else f"{count}: nothing changed by more than chance."
+    changes = "; ".join(f"{quantity_name(q)} {_change_predicate(q)}" for q in history.quantities if q.changed)
+    recordings_phrase = f"{len(history.used)} recordings of {history.rig}"
+    return (
+        f"{recordings_phrase}: {changes}." if changes else f"{recordings_phrase}: nothing changed by more than chance."
+    )
 
 
 def quantity_name(quantity: QuantityHistory) -> str:
-    return f"{quantity.of}: {WORDS[quantity.quantity][0]}"
+    return f"{quantity.of}: {WORD_UNIT_FACTOR[quantity.quantity][0]}"
 
 
-def _change(quantity: QuantityHistory) -> str:
+def _change_predicate(quantity: QuantityHistory) -> str:
     """Predicate on a quantity that changed: its drift if the trend is significant, else its differences."""
     if quantity.p_trend is not None and quantity.p_trend < LEVEL:
         return f"drifts by {drift(quantity)} from the first to the last (p = {quantity.p_trend:.2g})"
@@ -47,39 +49,43 @@ def drift(quantity: QuantityHistory) -> str:
     """Change along the trend ± 95 %, in its unit and, if smaller than the mean, in per cent of it."""
     if quantity.drift is None:
         return ""
-    _, unit, unit_factor = WORDS[quantity.quantity]
-    change, error = quantity.drift.value, quantity.drift.standard_error
-    share = f" ({100 * change / quantity.mean:+.2g} %)" if abs(change) < abs(quantity.mean) else ""
-    return interval(unit_factor * change, unit_factor * error, unit) + share
+    _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
+    change, standard_error = quantity.drift.value, quantity.drift.standard_error
+    percent_phrase = f" ({100 * change / quantity.mean:+.2g} %)" if abs(change) < abs(quantity.mean) else ""
+    return interval(unit_factor * change, unit_factor * standard_error, unit) + percent_phrase
 
 
-def rows(history: History) -> Iterator[tuple[str, ...]]:
+def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
     """Yield for each quantity its name, mean, change along the trend, p of the trend and p of the differences."""
     for quantity in history.quantities:
-        _, unit, unit_factor = WORDS[quantity.quantity]
-        chances = (
+        _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
+        p_texts = (
             "" if p is None else f"{p:.2g}" if p > 0 else "< 1e-300" for p in (quantity.p_trend, quantity.p_different)
         )
-        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *chances
+        yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *p_texts
 
 
 def csv_of(history: History) -> bytes:
     """Content of history.csv: a row for each quantity and recording, with the half-widths of the 95 % intervals of the
     value alone and of its differences."""
-    text = StringIO()
-    writer = csv.writer(text, lineterminator="\n")
+    csv_text = StringIO()
+    writer = csv.writer(csv_text, lineterminator="\n")
     writer.writerow(["recording", "recorded", "of", "quantity", "unit", "value", "within_95", "own_within_95"])
     for quantity in history.quantities:
-        columns = zip(history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True)
-        for observation, value, *errors in columns:
+        recording_values = zip(
+            history.used, quantity.values, quantity.standard_errors, quantity.own_errors, strict=True
+        )
+        for observation, value, *errors in recording_values:
             if value is not None:
-                halves = ["" if not error else repr(COVERED * error) for error in errors]
-                source = (observation.name, _recorded_text(observation))
-                writer.writerow([*source, quantity.of, quantity.quantity, quantity.unit, repr(value), *halves])
-    return text.getvalue().encode()
+                half_width_texts = ["" if not error else repr(COVERED * error) for error in errors]
+                recording_cells = (observation.name, _date_text(observation))
+                writer.writerow(
+                    [*recording_cells, quantity.of, quantity.quantity, quantity.unit, repr(value), *half_width_texts]
+                )
+    return csv_text.getvalue().encode()
 
 
-def _recorded_text(observation: Observation) -> str:
+def _date_text(observation: Observation) -> str:
     """Date in ISO 8601, empty if unknown."""
     return f"{observation.recorded:%Y-%m-%dT%H:%M:%SZ}" if observation.recorded else ""
 
@@ -88,11 +94,15 @@ def _axis_positions(history: History) -> tuple[Float[np.ndarray, " recordings"],
     """Position of each recording on the axis, and its label: the time since the first recording if all have a date and
     the dates ascend, else the order."""
     dates = [observation.recorded for observation in history.used if observation.recorded]
-    since_s = np.array([(date - dates[0]).total_seconds() for date in dates])
-    if since_s.size < len(history.used) or not np.all(np.diff(since_s) > 0):
-        return np.arange(1.0, len(history.used) + 1), ORDER
-    unit, length_s = next(span for span in SPANS if since_s[-1] >= 2 * span[1] or span is SPANS[-1])
-    return since_s / length_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
+    since_first_s = np.array([(date - dates[0]).total_seconds() for date in dates])
+    if since_first_s.size < len(history.used) or not np.all(np.diff(since_first_s) > 0):
+        return np.arange(1.0, len(history.used) + 1), ORDER_LABEL
+    unit, unit_s = next(
+        time_unit
+        for time_unit in TIME_UNITS_S
+        if since_first_s[-1] >= 2 * time_unit[1] or time_unit is TIME_UNITS_S[-1]
+    )
+    return since_first_s / unit_s, f"time since {dates[0]:%Y-%m-%d %H:%M} UTC, {unit}"
 
 
 def history_figure(history: History) -> Picture:
@@ -100,30 +110,31 @@ def history_figure(history: History) -> Picture:
     from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
     colours = (BLUE, RED, GREEN, GREY)
-    names = list(dict.fromkeys(q.of for q in history.quantities if q.quantity in UNITS))
-    recording_positions, label = _axis_positions(history)
+    contact_names = list(dict.fromkeys(q.of for q in history.quantities if q.quantity in UNITS))
+    recording_positions, axis_label = _axis_positions(history)
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(2, 1, sharex=True)
         for axes, quantity in zip(panels, ("clearance_m", "stiffness_n_per_m"), strict=True):
             histories = [
-                next(q for q in history.quantities if (q.of, q.quantity) == (name, quantity)) for name in names
+                next(q for q in history.quantities if (q.of, q.quantity) == (contact_name, quantity))
+                for contact_name in contact_names
             ]
-            for index, quantity_history in enumerate(histories):
+            for contact_index, quantity_history in enumerate(histories):
                 values = np.array([np.nan if v is None else v for v in quantity_history.values])
-                errors = np.array([np.nan if e is None else e for e in quantity_history.own_errors])
-                positions = recording_positions + 0.08 * np.diff(recording_positions).min() * (
-                    index - (len(histories) - 1) / 2
+                own_errors = np.array([np.nan if e is None else e for e in quantity_history.own_errors])
+                shifted_positions = recording_positions + 0.08 * np.diff(recording_positions).min() * (
+                    contact_index - (len(histories) - 1) / 2
                 )
-                deviations, half_widths = (
+                deviations_percent, half_widths_percent = (
                     100 * (values / quantity_history.mean - 1),
-                    100 * COVERED * errors / quantity_history.mean,
+                    100 * COVERED * own_errors / quantity_history.mean,
                 )
-                colour = colours[index % len(colours)]
+                colour = colours[contact_index % len(colours)]
                 axes.errorbar(
-                    positions,
-                    deviations,
-                    half_widths,
+                    shifted_positions,
+                    deviations_percent,
+                    half_widths_percent,
                     fmt="o-",
                     ms=4,
                     lw=0.8,
@@ -131,10 +142,10 @@ def history_figure(history: History) -> Picture:
                     label=quantity_history.of,
                     capsize=2,
                 )
-            axes.set_ylabel(f"{WORDS[quantity][0]}, % off its mean")
+            axes.set_ylabel(f"{WORD_UNIT_FACTOR[quantity][0]}, % off its mean")
         panels[0].legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        panels[1].set_xlabel(label)
-        if label == ORDER:
+        panels[1].set_xlabel(axis_label)
+        if axis_label == ORDER_LABEL:
             panels[1].xaxis.get_major_locator().set_params(integer=True)
 
     return picture(draw)
@@ -142,18 +153,18 @@ def history_figure(history: History) -> Picture:
 
 def write_page(history: History, figure: Picture, path: Path) -> None:
     """Write history.html."""
-    changed = any(q.changed for q in history.quantities)
-    findings = any(o.report.findings for o in history.used if o.report)
+    has_changes = any(q.changed for q in history.quantities)
+    has_findings = any(o.report.findings for o in history.used if o.report)
     page.write(
         path,
         title=f"{history.rig}: {len(history.used)} recordings compared",
         answer=page.Answer(
-            "yellow" if findings or changed else "green",
-            "not to be relied on" if findings else "changed" if changed else "no change",
+            "yellow" if has_findings or has_changes else "green",
+            "not to be relied on" if has_findings else "changed" if has_changes else "no change",
             [sentence(history)],
         ),
         sections=_sections(history, figure),
-        foot="Made by identify compare or identify history; the numbers are in history.csv and history.json.",
+        foot_text="Made by identify compare or identify history; the numbers are in history.csv and history.json.",
     )
 
 
@@ -163,28 +174,28 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
         "Every recording's value against the mean of all. Bars: 95 % intervals of the differences between recordings, "
         "without what rig.json may have wrong, which is the same in all of them."
     )
-    note = (
+    table_note = (
         f"<p>± 95 %. A trend is tested from {FEWEST_FOR_TREND} recordings on. p is the chance of such a trend, or of "
         f"such differences, in a machine that does not change, corrected for the number of tests: in one history of "
         f"{1 / LEVEL:.0f} any p falls below {LEVEL:g} by chance.</p>"
     )
-    head = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
+    headings = ("", "mean", "first to last, along the trend", "p of the trend", "p of the differences")
     sections = [("Over the recordings", page.figure("history", figure, caption))]
-    sections.append(("What changed", note + page.table(head, rows(history))))
+    sections.append(("What changed", table_note + page.table(headings, quantity_rows(history))))
     sections.append(
-        ("The recordings", page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recordings(history)))
+        ("The recordings", page.table(("", "recording", "SHA-256", "recorded, UTC", "told"), _recording_rows(history)))
     )
     return sections
 
 
-def _recordings(history: History) -> Iterator[Sequence[str]]:
+def _recording_rows(history: History) -> Iterator[Sequence[str]]:
     """Yield for each recording its number if it is used, name, digits of the SHA-256, date and remark."""
-    count = 0
+    used_count = 0
     for observation in history.observations:
-        number, remark = "", f"left out: {observation.reason}"
+        number_text, remark = "", f"left out: {observation.reason}"
         if observation.report is not None:
-            count += 1
+            used_count += 1
             findings = "; ".join(f.sentence for f in observation.report.findings)
-            number, remark = str(count), f"not to be relied on: {findings}" if findings else "used"
-        recorded = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
-        yield number, observation.name, observation.sha256[: page.SHOWN_DIGITS], recorded, remark
+            number_text, remark = str(used_count), f"not to be relied on: {findings}" if findings else "used"
+        date_text = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
+        yield number_text, observation.name, observation.sha256[: page.SHOWN_DIGITS], date_text, remark

@@ -15,26 +15,26 @@ from scipy.optimize import least_squares
 from identify.signals.law_evaluation import evaluated, interpolated, low_passed
 from identify.signals.scores import part_scores
 
-HATS, HAT_GROUPS = 81, 9
+HAT_COUNT, HAT_GROUP_COUNT = 81, 9
 MOST_KNEES = 8
-STIFFENING = 1e-3
+BEND_PENALTY = 1e-3
 KNEE_ERROR_RATIO = 1.02
 """A knee is dropped if the error of the fit without it is at most this multiple."""
 ERROR_RESOLUTION = 1e-3
 """Resolution of errors, as a share of the force's standard deviation."""
 
-BACKLASHES, STIFFNESSES = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
+START_BACKLASHES, START_STIFFNESSES = (0.02, 0.1, 0.3, 0.6), (3.0, 10.0, 40.0)
 """Starting values: backlash over the range of eta, and stiffness over the range of force by that of eta."""
-ROUGH_STARTS, ROUGH_TOLERANCE = 3, 1e-2
+ROUGH_START_COUNT, ROUGH_TOLERANCE = 3, 1e-2
 """Count of starts that are fitted roughly, and the relative fall of the sum of squares that ends it; the best is then
 fitted to the end."""
 SLIDING_QUANTILE = 0.85
 """Quantile of the force in either direction that is the starting value of the sliding force."""
-STEP = 1e-3
+LOG_STEP = 1e-3
 """Step of numerical derivatives by the logarithms of the parameters."""
 
 Signal = Float[np.ndarray, "*shape"]
-Function = Callable[..., Signal]
+LawFunction = Callable[..., Signal]
 Rows = slice
 
 
@@ -44,51 +44,53 @@ class Course:
 
     steps_m: tuple[float, ...]
     """Displacement from each turning point to the next."""
-    run: Int[np.ndarray, " more"]
+    run_indices: Int[np.ndarray, " more"]
     """Index of the run of each sample."""
     since_turn_m: Float[np.ndarray, " more"]
 
 
 def course_of(eta_m: Float[np.ndarray, " more"]) -> Course:
     """Turning points of a relative displacement."""
-    turns = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
-    run_starts = np.concatenate([[0], turns])
-    run = np.repeat(np.arange(run_starts.size), np.diff(run_starts, append=eta_m.size))
-    return Course(tuple(np.diff(eta_m[run_starts]).tolist()), run, eta_m - eta_m[run_starts][run])
+    turn_samples = np.flatnonzero(np.diff(np.sign(np.diff(eta_m)))) + 1
+    run_starts = np.concatenate([[0], turn_samples])
+    run_indices = np.repeat(np.arange(run_starts.size), np.diff(run_starts, append=eta_m.size))
+    return Course(tuple(np.diff(eta_m[run_starts]).tolist()), run_indices, eta_m - eta_m[run_starts][run_indices])
 
 
 @dataclass(frozen=True)
 class ForceSamples:
     """Low-passed contact force (N) and the relative displacement (m) that causes it.
 
-    The displacement has the sample rate, the force every `factor`-th sample of it. The low-pass falsifies the force at
-    both ends of the record: choose rows that leave these out.
+    The displacement has the sample rate, the force every `decimation`-th sample of it. The low-pass falsifies the force
+    at both ends of the record: choose rows that leave these out.
     """
 
     eta_m: Float[np.ndarray, " more"]
     force_n: Float[np.ndarray, " samples"]
     sample_rate_hz: float
-    factor: int
+    decimation: int
 
     @property
     def eta_at_force_m(self) -> Float[np.ndarray, " samples"]:
         """Relative displacement at the force's samples."""
-        return self.eta_m[:: self.factor][: self.force_n.size]
+        return self.eta_m[:: self.decimation][: self.force_n.size]
 
     @cached_property
     def course(self) -> Course:
         """Course of the interpolated displacement, for friction."""
         return course_of(interpolated(self.eta_m, self.sample_rate_hz))
 
-    def low_passed(self, law: Function, *arguments: Float[np.ndarray, " more"]) -> Float[np.ndarray, "*rows samples"]:
+    def low_passed(
+        self, law: LawFunction, *arguments: Float[np.ndarray, " more"]
+    ) -> Float[np.ndarray, "*rows samples"]:
         """Force law(eta, *arguments), evaluated without aliasing and low-passed as the measured force is."""
         if isinstance(law, SlidingFriction):
-            force = low_passed(law.force_n(self.course), self.sample_rate_hz, self.factor)
+            force_n = low_passed(law.force_n(self.course), self.sample_rate_hz, self.decimation)
         else:
-            force = evaluated(law, np.stack([self.eta_m, *arguments]), self.sample_rate_hz, self.factor)
-        return force[..., : self.force_n.size]
+            force_n = evaluated(law, np.stack([self.eta_m, *arguments]), self.sample_rate_hz, self.decimation)
+        return force_n[..., : self.force_n.size]
 
-    def error_n(self, law: Function, rows: Rows) -> float:
+    def error_n(self, law: LawFunction, rows: Rows) -> float:
         """Rms of the force less the low-passed law over some rows, N."""
         return float(np.sqrt(np.mean((self.force_n - self.low_passed(law))[rows] ** 2)))
 
@@ -99,15 +101,19 @@ def force_without_low_pass(samples: ForceSamples, rows: Rows) -> Float[np.ndarra
     A curve of 81 straight pieces is fitted under the low-pass by linear least squares with a weak penalty of its bends;
     the effect of the low-pass on that curve is subtracted from the force.
     """
-    centres_m = np.linspace(samples.eta_m.min(), samples.eta_m.max(), HATS)
-    width = centres_m[1] - centres_m[0]
-    hats = np.concatenate(
-        [samples.low_passed(partial(_hats, group, width)) for group in np.split(centres_m, HAT_GROUPS)]
+    centres_m = np.linspace(samples.eta_m.min(), samples.eta_m.max(), HAT_COUNT)
+    width_m = centres_m[1] - centres_m[0]
+    hat_forces = np.concatenate(
+        [samples.low_passed(partial(_hats, group, width_m)) for group in np.split(centres_m, HAT_GROUP_COUNT)]
     ).T
-    straightness = STIFFENING * np.sqrt(np.sum(hats[rows] ** 2) / HATS) * np.diff(np.eye(HATS), 2, axis=0)
-    system = np.concatenate([hats[rows], straightness])
-    heights = np.linalg.lstsq(system, np.concatenate([samples.force_n[rows], np.zeros(HATS - 2)]), rcond=None)[0]
-    return (samples.force_n - hats @ heights + np.interp(samples.eta_at_force_m, centres_m, heights))[rows]
+    bend_rows = (
+        BEND_PENALTY * np.sqrt(np.sum(hat_forces[rows] ** 2) / HAT_COUNT) * np.diff(np.eye(HAT_COUNT), 2, axis=0)
+    )
+    system_rows = np.concatenate([hat_forces[rows], bend_rows])
+    heights_n = np.linalg.lstsq(
+        system_rows, np.concatenate([samples.force_n[rows], np.zeros(HAT_COUNT - 2)]), rcond=None
+    )[0]
+    return (samples.force_n - hat_forces @ heights_n + np.interp(samples.eta_at_force_m, centres_m, heights_n))[rows]
 
 
 def _hats(centres_m: Float[np.ndarray, " places"], width_m: float, eta_m: Signal) -> Float[np.ndarray, "places *shape"]:
@@ -115,12 +121,12 @@ def _hats(centres_m: Float[np.ndarray, " places"], width_m: float, eta_m: Signal
     return np.stack([np.clip(1 - np.abs(eta_m - centre_m) / width_m, 0, None) for centre_m in centres_m])
 
 
-def polynomial(samples: ForceSamples, rows: Rows, degree: int) -> Function:
+def polynomial(samples: ForceSamples, rows: Rows, degree: int) -> LawFunction:
     """Polynomial in eta fitted to the rows under the low-pass."""
-    size = float(np.abs(samples.eta_m).max())
-    columns = samples.low_passed(lambda eta: np.stack([(eta / size) ** n for n in range(degree + 1)]))
-    coefficients = np.linalg.lstsq(columns[:, rows].T, samples.force_n[rows], rcond=None)[0]
-    return lambda eta: np.polynomial.polynomial.polyval(eta / size, coefficients)
+    largest_eta_m = float(np.abs(samples.eta_m).max())
+    power_columns = samples.low_passed(lambda eta: np.stack([(eta / largest_eta_m) ** n for n in range(degree + 1)]))
+    coefficients = np.linalg.lstsq(power_columns[:, rows].T, samples.force_n[rows], rcond=None)[0]
+    return lambda eta: np.polynomial.polynomial.polyval(eta / largest_eta_m, coefficients)
 
 
 @dataclass(frozen=True)
@@ -133,36 +139,40 @@ class PiecewiseLinear:
     knee_errors_m: Float[np.ndarray, " knees"]
     slope_errors_n_per_m: Float[np.ndarray, " pieces"]
 
-    def __call__(self, eta: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-        force = self.offset_n + self.slopes_n_per_m[0] * eta
-        for knee, jump in zip(self.knees_m, np.diff(self.slopes_n_per_m), strict=True):
-            force = force + jump * np.maximum(eta - knee, 0.0)
-        return force
+    def __call__(self, eta_m: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+        force_n = self.offset_n + self.slopes_n_per_m[0] * eta_m
+        for knee_m, slope_jump_n_per_m in zip(self.knees_m, np.diff(self.slopes_n_per_m), strict=True):
+            force_n = force_n + slope_jump_n_per_m * np.maximum(eta_m - knee_m, 0.0)
+        return force_n
 
 
-def slope_jumps(law: Function, low_m: float, high_m: float, share: float = 0.03) -> Float[np.ndarray, " knees"]:
+def slope_jumps(law: LawFunction, low_m: float, high_m: float, jump_share: float = 0.03) -> Float[np.ndarray, " knees"]:
     """Knees of a law: places where its slope changes within some thousandths of the range by more than a share of the
     slope's own range.
 
     Of many the largest are kept: the slope of a law that is nearly constant is all rounding.
     """
-    eta = np.linspace(low_m, high_m, 4001)
-    slope = np.gradient(law(eta), eta)
-    span = 8
-    change = np.abs(slope[span:] - slope[:-span])
-    is_jump = change > share * max(float(np.ptp(slope)), 1e-9 * float(np.abs(slope).max()))
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
-    middle = eta[span // 2 : -span // 2]
-    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a <= 3 * span]
-    runs = sorted(sorted(runs, key=lambda run: -float(change[slice(*run)].sum()))[:MOST_KNEES])
-    return np.array([np.average(middle[a:b], weights=change[a:b]) for a, b in runs])
+    eta_m = np.linspace(low_m, high_m, 4001)
+    slopes_n_per_m = np.gradient(law(eta_m), eta_m)
+    span_samples = 8
+    slope_changes = np.abs(slopes_n_per_m[span_samples:] - slopes_n_per_m[:-span_samples])
+    is_jump = slope_changes > jump_share * max(
+        float(np.ptp(slopes_n_per_m)), 1e-9 * float(np.abs(slopes_n_per_m).max())
+    )
+    jump_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
+    middles_m = eta_m[span_samples // 2 : -span_samples // 2]
+    jump_runs = [(a, b) for a, b in zip(jump_edges[::2], jump_edges[1::2], strict=True) if b - a <= 3 * span_samples]
+    jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MOST_KNEES])
+    return np.array([np.average(middles_m[a:b], weights=slope_changes[a:b]) for a, b in jump_runs])
 
 
-def mean_slopes(law: Function, knees: Float[np.ndarray, " knees"], low: float, high: float) -> tuple[float, ...]:
+def mean_slopes(
+    law: LawFunction, knees_m: Float[np.ndarray, " knees"], low_m: float, high_m: float
+) -> tuple[float, ...]:
     """Mean slope (N/m) of a law on each piece between knees, a tenth of the piece away from them."""
-    edges_m = np.concatenate([[low], knees, [high]])
-    margin = 0.1 * np.diff(edges_m)
-    left_m, right_m = edges_m[:-1] + margin, edges_m[1:] - margin
+    edges_m = np.concatenate([[low_m], knees_m, [high_m]])
+    margins_m = 0.1 * np.diff(edges_m)
+    left_m, right_m = edges_m[:-1] + margins_m, edges_m[1:] - margins_m
     return tuple(float(s) for s in (law(right_m) - law(left_m)) / (right_m - left_m))
 
 
@@ -172,13 +182,13 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     The knees are found by nonlinear least squares, the slopes by linear ones within. Standard errors are sandwich
     estimates over sixteenths of the rows: of the scatter alone, not of errors of the rig's description.
     """
-    law, error = _fit_pieces(samples, rows, np.sort(knees_m))
+    law, error_n = _fit_pieces(samples, rows, np.sort(knees_m))
     while law.knees_m.size:
-        weakest = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced, reduced_error = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest))
-        if reduced_error > KNEE_ERROR_RATIO * error + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
+        weakest_knee = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
+        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_knee))
+        if reduced_error_n > KNEE_ERROR_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
-        law, error = reduced, reduced_error
+        law, error_n = reduced_law, reduced_error_n
     return law
 
 
@@ -186,65 +196,74 @@ def _fit_pieces(
     samples: ForceSamples, rows: Rows, start_m: Float[np.ndarray, " knees"]
 ) -> tuple[PiecewiseLinear, float]:
     """Piecewise-linear law with as many knees as the start has, and its rms error (N)."""
-    force = samples.force_n[rows]
-    low, high = float(samples.eta_m.min()), float(samples.eta_m.max())
-    size = high - low
+    force_n = samples.force_n[rows]
+    low_m, high_m = float(samples.eta_m.min()), float(samples.eta_m.max())
+    span_m = high_m - low_m
 
-    def linear_fit(knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        columns = samples.low_passed(
-            lambda eta: np.stack([np.ones_like(eta), eta / size, *(np.maximum(eta / size - k, 0.0) for k in knees)])
+    def linear_fit(relative_knees: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        linear_columns = samples.low_passed(
+            lambda eta: np.stack(
+                [np.ones_like(eta), eta / span_m, *(np.maximum(eta / span_m - k, 0.0) for k in relative_knees)]
+            )
         )[:, rows].T
-        heights = np.linalg.lstsq(columns, force, rcond=None)[0]
-        return columns, heights, force - columns @ heights
+        heights = np.linalg.lstsq(linear_columns, force_n, rcond=None)[0]
+        return linear_columns, heights, force_n - linear_columns @ heights
 
-    def knee_derivatives(knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
-        steps = samples.low_passed(lambda eta: np.stack([(eta / size > k).astype(float) for k in knees]))
-        return (heights[2:, None] * steps[:, rows]).T
+    def knee_derivatives(relative_knees: np.ndarray, heights: np.ndarray) -> np.ndarray:
+        step_columns = samples.low_passed(
+            lambda eta: np.stack([(eta / span_m > k).astype(float) for k in relative_knees])
+        )
+        return (heights[2:, None] * step_columns[:, rows]).T
 
-    def jacobian(knees: np.ndarray) -> np.ndarray:
-        columns, heights, _ = linear_fit(knees)
-        knee_columns = knee_derivatives(knees, heights)
-        return knee_columns - columns @ np.linalg.lstsq(columns, knee_columns, rcond=None)[0]  # the slopes follow
+    def jacobian(relative_knees: np.ndarray) -> np.ndarray:
+        linear_columns, heights, _ = linear_fit(relative_knees)
+        knee_columns = knee_derivatives(relative_knees, heights)
+        height_derivatives = np.linalg.lstsq(linear_columns, knee_columns, rcond=None)[0]  # the slopes follow
+        return knee_columns - linear_columns @ height_derivatives
 
-    knees = np.clip(start_m / size, low / size + 0.01, high / size - 0.01)
-    if knees.size:
-        scale = 1 / max(float(np.std(linear_fit(knees)[2])), 1e-12)
+    relative_knees = np.clip(start_m / span_m, low_m / span_m + 0.01, high_m / span_m - 0.01)
+    if relative_knees.size:
+        inverse_error = 1 / max(float(np.std(linear_fit(relative_knees)[2])), 1e-12)
         optimum = least_squares(
-            lambda k: scale * linear_fit(k)[2],
-            knees,
-            lambda k: scale * jacobian(k),
-            bounds=(low / size, high / size),
+            lambda k: inverse_error * linear_fit(k)[2],
+            relative_knees,
+            lambda k: inverse_error * jacobian(k),
+            bounds=(low_m / span_m, high_m / span_m),
             x_scale=0.05,
             max_nfev=30,
         )
-        knees = np.sort(optimum.x)
-    columns, heights, residual = linear_fit(knees)
-    jacobian_columns = np.concatenate([columns, knee_derivatives(knees, heights)], axis=1) if knees.size else columns
+        relative_knees = np.sort(optimum.x)
+    linear_columns, heights, residual = linear_fit(relative_knees)
+    jacobian_columns = (
+        np.concatenate([linear_columns, knee_derivatives(relative_knees, heights)], axis=1)
+        if relative_knees.size
+        else linear_columns
+    )
     influence = jacobian_columns @ np.linalg.pinv(jacobian_columns.T @ jacobian_columns)
     scores = part_scores(influence, residual)
-    count = heights.size
-    slope_scores = np.cumsum(scores[:, 1:count], axis=1)
+    linear_count = heights.size
+    slope_scores = np.cumsum(scores[:, 1:linear_count], axis=1)
     law = PiecewiseLinear(
         offset_n=float(heights[0]),
-        knees_m=knees * size,
-        slopes_n_per_m=np.cumsum(heights[1:]) / size,
-        knee_errors_m=size * np.sqrt(np.sum(scores[:, count:] ** 2, axis=0)),
-        slope_errors_n_per_m=np.sqrt(np.sum(slope_scores**2, axis=0)) / size,
+        knees_m=relative_knees * span_m,
+        slopes_n_per_m=np.cumsum(heights[1:]) / span_m,
+        knee_errors_m=span_m * np.sqrt(np.sum(scores[:, linear_count:] ** 2, axis=0)),
+        slope_errors_n_per_m=np.sqrt(np.sum(slope_scores**2, axis=0)) / span_m,
     )
     return law, float(np.sqrt(np.mean(residual**2)))
 
 
 def hysteresis_share(
-    record: ForceSamples, velocity: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice
+    samples: ForceSamples, velocity_m_per_s: Float[np.ndarray, " more"], law: PiecewiseLinear, rows: slice
 ) -> float:
     """Share of the unexplained variance that a damper in proportion to the law's local slope explains."""
-    slopes = np.abs(law.slopes_n_per_m)
+    slopes_n_per_m = np.abs(law.slopes_n_per_m)
 
-    def by_slope(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
-        return slopes[np.searchsorted(law.knees_m, eta_m)] / slopes.max() * rate_m_per_s
+    def slope_weighted_rate(eta_m: Signal, rate_m_per_s: Signal) -> Signal:
+        return slopes_n_per_m[np.searchsorted(law.knees_m, eta_m)] / slopes_n_per_m.max() * rate_m_per_s
 
-    damper_n = record.low_passed(by_slope, velocity)[rows]
-    residual_n = (record.force_n - record.low_passed(law))[rows]
+    damper_n = samples.low_passed(slope_weighted_rate, velocity_m_per_s)[rows]
+    residual_n = (samples.force_n - samples.low_passed(law))[rows]
     return float((damper_n @ residual_n) ** 2 / ((damper_n @ damper_n) * (residual_n @ residual_n)))
 
 
@@ -256,15 +275,15 @@ class SlidingFriction:
         f = k (s - B/2)  for s > B/2,   k (s + B/2)  for s < -B/2,   0 between
 
     s is the position of eta in the backlash, from its middle, and starts at 0. So f is F_upper once eta has grown for
-    long enough, -F_lower once it has fallen, and after a reversal zero while the backlash is crossed. errors are
-    standard errors in the order of the fields.
+    long enough, -F_lower once it has fallen, and after a reversal zero while the backlash is crossed. standard_errors
+    are in the order of the fields.
     """
 
     upper_n: float
     lower_n: float
     backlash_m: float
     stiffness_n_per_m: float
-    errors: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
+    standard_errors: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def __call__(self, eta_m: Float[np.ndarray, " more"]) -> Float[np.ndarray, " more"]:
         """Force (N) along a relative displacement, all samples from the first on."""
@@ -272,53 +291,60 @@ class SlidingFriction:
 
     def force_n(self, course: Course) -> Float[np.ndarray, " more"]:
         """Force at every sample of a course."""
-        half, k = self.backlash_m / 2, self.stiffness_n_per_m
-        low, high = -half - self.lower_n / k, half + self.upper_n / k
-        slider_at_turns = [0.0]
-        for step in course.steps_m:
-            slider_at_turns.append(min(max(slider_at_turns[-1] + step, low), high))
-        s = np.clip(np.array(slider_at_turns)[course.run] + course.since_turn_m, low, high)
-        return np.asarray(k * (s - np.clip(s, -half, half)))
+        half_m, k = self.backlash_m / 2, self.stiffness_n_per_m
+        low_m, high_m = -half_m - self.lower_n / k, half_m + self.upper_n / k
+        slider_at_turns_m = [0.0]
+        for step_m in course.steps_m:
+            slider_at_turns_m.append(min(max(slider_at_turns_m[-1] + step_m, low_m), high_m))
+        s = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.since_turn_m, low_m, high_m)
+        return np.asarray(k * (s - np.clip(s, -half_m, half_m)))
 
 
 def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:
     """Friction fitted to the rows under the low-pass; standard errors are sandwich estimates as of straight pieces."""
-    force = samples.force_n[rows]
+    force_n = samples.force_n[rows]
     upper_n, lower_n = (
-        max(float(np.quantile(sign * force, SLIDING_QUANTILE)), 1e-9 * np.ptp(force)) for sign in (1, -1)
+        max(float(np.quantile(sign * force_n, SLIDING_QUANTILE)), 1e-9 * np.ptp(force_n)) for sign in (1, -1)
     )
     span_m, span_n = float(np.ptp(samples.eta_m)), upper_n + lower_n
-    scale = np.log([upper_n, lower_n, span_m, span_n / span_m])
+    log_scales = np.log([upper_n, lower_n, span_m, span_n / span_m])
 
     def law(logarithms: Float[np.ndarray, " parameters"]) -> SlidingFriction:
-        upper, lower, backlash, stiffness = np.exp(scale + logarithms).tolist()
+        upper, lower, backlash, stiffness = np.exp(log_scales + logarithms).tolist()
         return SlidingFriction(upper, lower, backlash, stiffness)
 
-    def error(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
-        return (force - samples.low_passed(law(logarithms))[rows]) / span_n
+    def relative_residual(logarithms: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " rows"]:
+        return (force_n - samples.low_passed(law(logarithms))[rows]) / span_n
 
-    starts = [np.log([1.0, 1.0, b, k]) for b, k in product(BACKLASHES, STIFFNESSES)]
-    starts.sort(key=lambda start: float(np.sum(error(start) ** 2)))
-    fit = partial(least_squares, error, bounds=(np.full(4, -12.0), np.full(4, 8.0)), diff_step=STEP, max_nfev=30)
-    rough = min(
-        (fit(start, ftol=ROUGH_TOLERANCE) for start in starts[:ROUGH_STARTS]),
+    log_starts = [np.log([1.0, 1.0, b, k]) for b, k in product(START_BACKLASHES, START_STIFFNESSES)]
+    log_starts.sort(key=lambda log_start: float(np.sum(relative_residual(log_start) ** 2)))
+    fit_from = partial(
+        least_squares, relative_residual, bounds=(np.full(4, -12.0), np.full(4, 8.0)), diff_step=LOG_STEP, max_nfev=30
+    )
+    rough_fit = min(
+        (fit_from(log_start, ftol=ROUGH_TOLERANCE) for log_start in log_starts[:ROUGH_START_COUNT]),
         key=lambda fit_result: float(fit_result.cost),
     )
-    optimum = fit(rough.x)
-    slopes = _slopes(error, optimum.x)
-    scores = part_scores(slopes @ np.linalg.pinv(slopes.T @ slopes), -error(optimum.x))
-    relative = np.sqrt(np.sum(scores**2, axis=0))
-    values = np.exp(scale + optimum.x)
-    upper, lower, backlash, stiffness = values.tolist()
-    return SlidingFriction(upper, lower, backlash, stiffness, tuple((values * relative).tolist()))
+    optimum = fit_from(rough_fit.x)
+    residual_slopes = _error_slopes(relative_residual, optimum.x)
+    scores = part_scores(
+        residual_slopes @ np.linalg.pinv(residual_slopes.T @ residual_slopes), -relative_residual(optimum.x)
+    )
+    relative_errors = np.sqrt(np.sum(scores**2, axis=0))
+    parameters = np.exp(log_scales + optimum.x)
+    upper, lower, backlash, stiffness = parameters.tolist()
+    return SlidingFriction(upper, lower, backlash, stiffness, tuple((parameters * relative_errors).tolist()))
 
 
-def _slopes(
-    error: Callable[[Float[np.ndarray, " parameters"]], Float[np.ndarray, " rows"]],
+def _error_slopes(
+    relative_residual: Callable[[Float[np.ndarray, " parameters"]], Float[np.ndarray, " rows"]],
     logarithms: Float[np.ndarray, " parameters"],
 ) -> Float[np.ndarray, "rows parameters"]:
     """Central differences of the error by each parameter."""
     return np.stack(
-        [(error(logarithms + step) - error(logarithms - step)) / (2 * STEP) for step in STEP * np.eye(logarithms.size)],
+        [
+            (relative_residual(logarithms + step) - relative_residual(logarithms - step)) / (2 * LOG_STEP)
+            for step in LOG_STEP * np.eye(logarithms.size)
+        ],
         axis=1,
     )

@@ -46,13 +46,13 @@ from rig.errors import RigError
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-POINTS = 4000
-CELLS = 100
-FALLBACK_KNEES = 4
+POINT_COUNT = 4000
+CELL_COUNT = 100
+FALLBACK_KNEE_COUNT = 4
 """Count of evenly spaced knees from which straight pieces start where those of the formula fit badly."""
-EDGE_SAMPLES = 64
+EDGE_SAMPLE_COUNT = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
-LEAST_SAMPLES = 500
+LEAST_SAMPLE_COUNT = 500
 EQUIVALENT_RATIO = 1.05
 """An error counts as equal to the smallest up to this multiple of it."""
 
@@ -113,62 +113,66 @@ def identify_law(
     """
     if not (np.isfinite(seconds) and seconds >= 1):
         raise RigError(f"seconds is {seconds}; give 1 or more")
-    names = [c.name for c in recording.rig.contacts]
-    if contact is not None and contact not in names:
-        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(names)}")
+    contact_names = [c.name for c in recording.rig.contacts]
+    if contact is not None and contact not in contact_names:
+        raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(contact_names)}")
     pyoperon()  # raises before the long computation if it is missing
     contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
     separation, refusals = contacts.separation, contacts.outcomes.refusals
-    places = zip(separation.same_place, separation.records, strict=True)
-    chosen = [
-        (place, contact_record)
-        for place, contact_record in places
-        if contact in (None, *(names[j] for j in place.members))
+    joined_and_records = zip(separation.same_place, separation.records, strict=True)
+    chosen_contacts = [
+        (joined_contact, contact_record)
+        for joined_contact, contact_record in joined_and_records
+        if contact in (None, *(contact_names[j] for j in joined_contact.members))
     ]
     laws: list[FoundLaw] = []
-    refused: dict[str, Refusal] = {}
-    for count, (place, contact_record) in enumerate(chosen, start=1):
-        members = [names[j] for j in place.members]
-        if set(members) <= refusals.keys() and (contact_record.drift is not None or not np.ptp(contact_record.eta_m)):
-            refused |= {name: refusals[name] for name in members}
+    refusal_by_name: dict[str, Refusal] = {}
+    for contact_number, (joined_contact, contact_record) in enumerate(chosen_contacts, start=1):
+        member_names = [contact_names[j] for j in joined_contact.members]
+        if set(member_names) <= refusals.keys() and (
+            contact_record.drift is not None or not np.ptp(contact_record.eta_m)
+        ):
+            refusal_by_name |= {name: refusals[name] for name in member_names}
         else:
-            laws.append(_identify_contact(contacts, place, contact_record, seconds / len(chosen), seed))
-        progress(0.1 + 0.9 * count / len(chosen))
+            laws.append(
+                _identify_contact(contacts, joined_contact, contact_record, seconds / len(chosen_contacts), seed)
+            )
+        progress(0.1 + 0.9 * contact_number / len(chosen_contacts))
     report = LawReport(
         rig=recording.rig.name,
         laws=tuple(law.result for law in laws),
-        unanswered=unanswered(refused),
+        unanswered=unanswered(refusal_by_name),
         findings=contacts.findings,
     )
     return Laws(report, tuple(laws))
 
 
 @dataclass(frozen=True)
-class _Samples:
+class _ContactSamples:
     """Force and complete relative displacement of a contact, with its joint estimates.
 
-    Laws are fitted to the rows `training`, the first half of the excited ones, and compared on `held_out`, the second;
-    the best is fitted again to all `excited` rows.
+    Laws are fitted to the rows `training_rows`, the first half of the excited ones, and compared on `held_out_rows`,
+    the second; the best is fitted again to all `excited_rows`.
     """
 
     record: ForceSamples
     velocity_m_per_s: Float[np.ndarray, " more"]
     estimates: tuple[JointEstimate, ...]
-    training: slice
-    held_out: slice
+    training_rows: slice
+    held_out_rows: slice
 
     @property
-    def excited(self) -> slice:
-        return slice(self.training.start, self.held_out.stop)
+    def excited_rows(self) -> slice:
+        return slice(self.training_rows.start, self.held_out_rows.stop)
 
     @property
     def error_resolution_n(self) -> float:
         """Difference below which errors count as equal, N."""
-        return ERROR_RESOLUTION * float(np.std(self.record.force_n[self.excited]))
+        return ERROR_RESOLUTION * float(np.std(self.record.force_n[self.excited_rows]))
 
     @property
-    def values(self) -> Float[np.ndarray, " laws"]:
+    def law_values(self) -> Float[np.ndarray, " laws"]:
         """Values of the laws of all joint estimates, end to end."""
         return np.array([estimate.values for estimate in self.estimates]).ravel()
 
@@ -185,47 +189,52 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: Contacts, place: Joined, contact_record: ContactRecord, seconds: float, seed: int
+    contacts: Contacts, joined_contact: Joined, contact_record: ContactRecord, search_s: float, seed: int
 ) -> FoundLaw:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
-    samples = _samples(contacts, place, contact_record)
-    record, resolution_n = samples.record, samples.error_resolution_n
-    formula_fit = _search_formula(samples, seconds, seed)
-    formula, low, high = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
-    knees = slope_jumps(formula, low, high)
-    pieces = _fit_straight_pieces(samples, formula_fit, knees)
+    samples = _contact_samples(contacts, joined_contact, contact_record)
+    force_samples, error_resolution_n = samples.record, samples.error_resolution_n
+    formula_fit = _search_formula(samples, search_s, seed)
+    formula, low_m, high_m = formula_fit.formula, float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    knees_m = slope_jumps(formula, low_m, high_m)
+    pieces = _fit_straight_pieces(samples, formula_fit, knees_m)
     candidate_laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {PIECEWISE: pieces}
     if samples.estimates:
-        candidate_laws[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.values, eta_m, np.zeros_like(eta_m))
-    candidate_laws[SLIDING] = sliding_friction(record, samples.training)
-    candidate_laws |= {CUBIC: polynomial(record, samples.training, 3), FORMULA: formula}
-    candidates = tuple(TriedLaw(name, record.error_n(law, samples.held_out)) for name, law in candidate_laws.items())
-    best = candidates[_simplest_equivalent([c.held_out_error_n for c in candidates], resolution_n)]
-    pieces = straight_pieces(record, samples.excited, pieces.knees_m)  # the final fit takes all excited rows
-    sliding = sliding_friction(record, samples.excited) if best.law == SLIDING else None
+        candidate_laws[DEAD_ZONE] = lambda eta_m: LawForm().force_n(samples.law_values, eta_m, np.zeros_like(eta_m))
+    candidate_laws[SLIDING] = sliding_friction(force_samples, samples.training_rows)
+    candidate_laws |= {CUBIC: polynomial(force_samples, samples.training_rows, 3), FORMULA: formula}
+    candidates = tuple(
+        TriedLaw(name, force_samples.error_n(law, samples.held_out_rows)) for name, law in candidate_laws.items()
+    )
+    best_law = candidates[_simplest_equivalent_index([c.held_out_error_n for c in candidates], error_resolution_n)]
+    # the final fit takes all excited rows
+    pieces = straight_pieces(force_samples, samples.excited_rows, pieces.knees_m)
+    sliding = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
     formula_text = f"f = {formula.scaled(1e3, 1.0).text('eta')} (N, eta in mm)"
-    result = ContactLawEstimate(
-        contact=place.contact.name,
-        verdict=verdict_sentence(pieces, formula_text, candidates, best, contact_record.sides_known, sliding),
-        best=best.law,
+    law_estimate = ContactLawEstimate(
+        contact=joined_contact.contact.name,
+        verdict=verdict_sentence(pieces, formula_text, candidates, best_law, contact_record.sides_known, sliding),
+        best=best_law.law,
         formula=formula_text,
-        knees_m=tuple(float(k) for k in knees),
-        slopes_n_per_m=mean_slopes(formula, knees, low, high),
+        knees_m=tuple(float(k) for k in knees_m),
+        slopes_n_per_m=mean_slopes(formula, knees_m, low_m, high_m),
         fitted_knees_m=_estimates(pieces.knees_m, pieces.knee_errors_m),
         fitted_slopes_n_per_m=_estimates(pieces.slopes_n_per_m, pieces.slope_errors_n_per_m),
         sliding=None if sliding is None else sliding_estimates(sliding),
         candidates=candidates,
-        force_rms_n=float(np.std(record.force_n[samples.excited])),
-        hysteresis_share=hysteresis_share(record, samples.velocity_m_per_s, pieces, samples.held_out),
+        force_rms_n=float(np.std(force_samples.force_n[samples.excited_rows])),
+        hysteresis_share=hysteresis_share(force_samples, samples.velocity_m_per_s, pieces, samples.held_out_rows),
         sides_known=contact_record.sides_known,
         points=formula_fit.eta_m.size,
         repeatable=not formula_fit.out_of_time,
     )
-    time_s = contacts.separation.motion.time_s(record.force_n.size, contact_record.factor)
-    return FoundLaw(result, formula_fit.eta_m, formula_fit.force_n, formula, pieces, sliding, record, time_s)
+    time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.factor)
+    return FoundLaw(
+        law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, sliding, force_samples, time_s
+    )
 
 
-def _samples(contacts: Contacts, place: Joined, contact_record: ContactRecord) -> _Samples:
+def _contact_samples(contacts: Contacts, joined_contact: Joined, contact_record: ContactRecord) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 
     Of several contacts between the same places the estimated damping is subtracted: it would hide the knee of a soft
@@ -234,70 +243,79 @@ def _samples(contacts: Contacts, place: Joined, contact_record: ContactRecord) -
     Raises RigError if too little of the record is excited.
     """
     separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
-    signed = zip(place.signs, (separation.rig.contacts[j].name for j in place.members), strict=True)
+    signs_and_names = zip(
+        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.members), strict=True
+    )
     estimates = tuple(
         estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed
-        for sign, name in signed
+        for sign, name in signs_and_names
         if name in estimates_by_name
     )
-    record, velocity = _drift_corrected(contact_record, estimates[:1])
+    force_samples, velocity_m_per_s = _add_drift(contact_record, estimates[:1])
     if len(estimates) > 1:
-        damping_n = record.low_passed(partial(_damping_force_n, estimates), velocity)
-        record = replace(record, force_n=record.force_n - damping_n)
-    first = separation.motion.excited_from // contact_record.factor + EDGE_SAMPLES
-    last = record.force_n.size - EDGE_SAMPLES
-    if last - first < LEAST_SAMPLES:
+        damping_n = force_samples.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
+        force_samples = replace(force_samples, force_n=force_samples.force_n - damping_n)
+    first_row = separation.motion.excited_from // contact_record.factor + EDGE_SAMPLE_COUNT
+    last_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
+    if last_row - first_row < LEAST_SAMPLE_COUNT:
         raise RigError(
-            f"the excited part of the record holds {max(last - first, 0)} samples of the contact force; record longer"
+            f"the excited part of the record holds {max(last_row - first_row, 0)} samples of the contact force; "
+            "record longer"
         )
-    middle = (first + last) // 2
-    return _Samples(record, velocity, estimates, slice(first, middle), slice(middle, last))
+    middle_row = (first_row + last_row) // 2
+    return _ContactSamples(
+        force_samples, velocity_m_per_s, estimates, slice(first_row, middle_row), slice(middle_row, last_row)
+    )
 
 
-def _search_formula(samples: _Samples, seconds: float, seed: int) -> _FormulaFit:
+def _search_formula(samples: _ContactSamples, search_s: float, seed: int) -> _FormulaFit:
     """Simplest formula whose error equals the least, searched on samples spread evenly over eta."""
-    record, training = samples.record, samples.training
-    eta, force = record.eta_at_force_m[training], force_without_low_pass(record, training)
-    chosen = _evenly_spread(eta, np.random.default_rng(seed))
-    eta, force = eta[chosen], force[chosen]
-    eta_unit, force_unit = float(np.abs(eta).max()), float(np.abs(force).max())
-    formula_search = search(eta / eta_unit, force / force_unit, seconds, seed)
+    force_samples, training_rows = samples.record, samples.training_rows
+    eta_m, force_n = force_samples.eta_at_force_m[training_rows], force_without_low_pass(force_samples, training_rows)
+    chosen_indices = _evenly_spread_indices(eta_m, np.random.default_rng(seed))
+    eta_m, force_n = eta_m[chosen_indices], force_n[chosen_indices]
+    eta_unit, force_unit = float(np.abs(eta_m).max()), float(np.abs(force_n).max())
+    formula_search = search(eta_m / eta_unit, force_n / force_unit, search_s, seed)
     formulas = [candidate.scaled(eta_unit, force_unit) for candidate in formula_search.formulas]
-    errors = [record.error_n(candidate, training) for candidate in formulas]
-    formula = formulas[_simplest_equivalent(errors, samples.error_resolution_n)]
-    return _FormulaFit(formula, min(errors), eta, force, formula_search.out_of_time)
+    errors_n = [force_samples.error_n(candidate, training_rows) for candidate in formulas]
+    formula = formulas[_simplest_equivalent_index(errors_n, samples.error_resolution_n)]
+    return _FormulaFit(formula, min(errors_n), eta_m, force_n, formula_search.out_of_time)
 
 
 def _fit_straight_pieces(
-    samples: _Samples, formula_fit: _FormulaFit, knees: Float[np.ndarray, " knees"]
+    samples: _ContactSamples, formula_fit: _FormulaFit, knees_m: Float[np.ndarray, " knees"]
 ) -> PiecewiseLinear:
     """Best straight pieces of several starts: the formula's knees; evenly spaced ones where those fit worse than the
     best formula; the stops of the joint estimates where these are several."""
-    record, training = samples.record, samples.training
-    low, high = float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
-    candidates = [straight_pieces(record, training, knees)]
+    force_samples, training_rows = samples.record, samples.training_rows
+    low_m, high_m = float(formula_fit.eta_m.min()), float(formula_fit.eta_m.max())
+    candidate_laws = [straight_pieces(force_samples, training_rows, knees_m)]
     if (
-        record.error_n(candidates[0], training)
+        force_samples.error_n(candidate_laws[0], training_rows)
         > EQUIVALENT_RATIO * formula_fit.least_error_n + samples.error_resolution_n
     ):
-        candidates.append(straight_pieces(record, training, np.linspace(low, high, FALLBACK_KNEES + 2)[1:-1]))
+        candidate_laws.append(
+            straight_pieces(force_samples, training_rows, np.linspace(low_m, high_m, FALLBACK_KNEE_COUNT + 2)[1:-1])
+        )
     if len(samples.estimates) > 1:  # soft stops before a hard one
-        stops = np.array(
+        stops_m = np.array(
             [side * estimate.values[k] for estimate in samples.estimates for k, side in enumerate((-1, 1))]
         )
-        candidates.append(straight_pieces(record, training, stops[(stops > low) & (stops < high)]))
-    return min(candidates, key=lambda law: record.error_n(law, training))
+        candidate_laws.append(
+            straight_pieces(force_samples, training_rows, stops_m[(stops_m > low_m) & (stops_m < high_m)])
+        )
+    return min(candidate_laws, key=lambda law: force_samples.error_n(law, training_rows))
 
 
-def _drift_corrected(
+def _add_drift(
     contact_record: ContactRecord, estimates: tuple[JointEstimate, ...]
 ) -> tuple[ForceSamples, Float[np.ndarray, " more"]]:
     """Force and relative displacement with the estimated drift added, and the relative velocity (m/s)."""
-    eta, force, velocity = contact_record.eta_m, contact_record.force_n, contact_record.velocity_m_per_s
+    eta_m, force_n, velocity_m_per_s = contact_record.eta_m, contact_record.force_n, contact_record.velocity_m_per_s
     for estimate in estimates if contact_record.drift is not None else ():
-        eta, velocity = eta + estimate.drift_m, velocity + estimate.drift_m_per_s
-        force = force - contact_record.spring_n_per_m * estimate.drift_m[:: contact_record.factor][: force.size]
-    return ForceSamples(eta, force, contact_record.sample_rate_hz, contact_record.factor), velocity
+        eta_m, velocity_m_per_s = eta_m + estimate.drift_m, velocity_m_per_s + estimate.drift_m_per_s
+        force_n = force_n - contact_record.spring_n_per_m * estimate.drift_m[:: contact_record.factor][: force_n.size]
+    return ForceSamples(eta_m, force_n, contact_record.sample_rate_hz, contact_record.factor), velocity_m_per_s
 
 
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
@@ -307,20 +325,22 @@ def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_p
     return np.asarray(np.sum(parts, axis=0))
 
 
-def _evenly_spread(eta: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
-    """Indices of at most `POINTS` samples, drawn evenly from the `CELLS` cells of the range of eta."""
-    cell = np.minimum((CELLS * (eta - eta.min()) / np.ptp(eta)).astype(int), CELLS - 1)
-    shuffled = rng.permutation(eta.size)
-    ordered = shuffled[np.argsort(cell[shuffled], kind="stable")]
-    starts = np.searchsorted(cell[ordered], np.arange(1, CELLS))
-    return np.sort(np.concatenate([indices[: POINTS // CELLS] for indices in np.split(ordered, starts)]))
+def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:
+    """Indices of at most `POINT_COUNT` samples, drawn evenly from the `CELL_COUNT` cells of the range of eta."""
+    cell_of_sample = np.minimum((CELL_COUNT * (eta_m - eta_m.min()) / np.ptp(eta_m)).astype(int), CELL_COUNT - 1)
+    shuffled_indices = rng.permutation(eta_m.size)
+    indices_by_cell = shuffled_indices[np.argsort(cell_of_sample[shuffled_indices], kind="stable")]
+    cell_starts = np.searchsorted(cell_of_sample[indices_by_cell], np.arange(1, CELL_COUNT))
+    return np.sort(
+        np.concatenate([indices[: POINT_COUNT // CELL_COUNT] for indices in np.split(indices_by_cell, cell_starts)])
+    )
 
 
-def _simplest_equivalent(errors: list[float], resolution: float) -> int:
+def _simplest_equivalent_index(errors_n: list[float], resolution_n: float) -> int:
     """Index of the first, and so the simplest, law whose error equals the least."""
-    least = min(errors)
-    return next(i for i, error in enumerate(errors) if error <= EQUIVALENT_RATIO * least + resolution)
+    least_error_n = min(errors_n)
+    return next(i for i, error_n in enumerate(errors_n) if error_n <= EQUIVALENT_RATIO * least_error_n + resolution_n)
 
 
-def _estimates(values: Float[np.ndarray, " n"], errors: Float[np.ndarray, " n"]) -> tuple[Estimate, ...]:
-    return tuple(Estimate(float(v), float(e)) for v, e in zip(values, errors, strict=True))
+def _estimates(values: Float[np.ndarray, " n"], standard_errors: Float[np.ndarray, " n"]) -> tuple[Estimate, ...]:
+    return tuple(Estimate(float(v), float(e)) for v, e in zip(values, standard_errors, strict=True))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from identify.laws.identification import EDGE_SAMPLES, FoundLaw, Laws
+from identify.laws.identification import EDGE_SAMPLE_COUNT, FoundLaw, Laws
 from identify.laws.results import PIECEWISE, ContactLawEstimate, LawReport
 from identify.pages import page
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
@@ -16,9 +16,9 @@ from identify.pages.tables import Table
 from identify.pages.wording import interval, number
 from rig.files import make_folder, write_json
 
-PLACES = 800
+TABULATED_POINT_COUNT = 800
 """Count of relative displacements at which the laws are tabulated."""
-SECTION_SAMPLES = 400
+SECTION_SAMPLE_COUNT = 400
 """Count of force samples in the figure over time."""
 _CAPTIONS = {
     "law": "The contact force over the relative displacement η, separated without assuming a law, and the laws found. "
@@ -32,8 +32,8 @@ def write_results(laws: Laws, out: Path, title: str, sources: Sequence[Path] = (
     """Write law.html, the figures as PNG and, last of all, law.json."""
     make_folder(out)
     figures = law_figures(laws.found)
-    for name, drawing in figures.items():
-        drawing.save(out / f"{name}.png")
+    for figure_name, law_figure in figures.items():
+        law_figure.save(out / f"{figure_name}.png")
     write_page(laws.report, figures, title, out / "law.html", sources)
     write_json(laws.report, out / "law.json")
 
@@ -58,7 +58,7 @@ def write_page(
         ),
         sections=[
             *(
-                [("What speaks against it", page.listed(f.sentence for f in report.findings))]
+                [("What speaks against it", page.list_html(f.sentence for f in report.findings))]
                 if report.findings
                 else []
             ),
@@ -69,19 +69,27 @@ def write_page(
                 else []
             ),
             *(
-                [("Figures", "".join(page.figure(name, drawing, _CAPTIONS[name]) for name, drawing in figures.items()))]
+                [
+                    (
+                        "Figures",
+                        "".join(
+                            page.figure(figure_name, law_figure, _CAPTIONS[figure_name])
+                            for figure_name, law_figure in figures.items()
+                        ),
+                    )
+                ]
                 if figures
                 else []
             ),
         ],
-        foot="Every number of this page stands in law.json, unrounded.",
+        foot_text="Every number of this page stands in law.json, unrounded.",
         sources=sources,
     )
 
 
 def _law_section(law: ContactLawEstimate) -> str:
     """Section on one contact: the laws tried, and the values of friction or of the straight pieces."""
-    rows = [
+    law_rows = [
         (
             candidate.law + (" (the best)" if candidate.law == law.best else ""),
             number(candidate.held_out_error_n, 3),
@@ -89,122 +97,143 @@ def _law_section(law: ContactLawEstimate) -> str:
         )
         for candidate in law.candidates
     ]
-    middle = "" if law.sides_known else " Knees count from the middle of the play, as no sensor tells its place."
-    repeat = "" if law.repeatable else " Time ended the search, so the same seed will not repeat it exactly."
+    knees_note = "" if law.sides_known else " Knees count from the middle of the play, as no sensor tells its place."
+    repeat_note = "" if law.repeatable else " Time ended the search, so the same seed will not repeat it exactly."
     return (
         f"<h3>{escape(law.contact)}</h3>"
-        + page.table(("law", "left of held-out data, N rms", "of the force"), rows)
-        + page.table(("", "value ± 95 %"), _values(law))
+        + page.table(("law", "left of held-out data, N rms", "of the force"), law_rows)
+        + page.table(("", "value ± 95 %"), _law_values(law))
         + f"<p>{escape(law.formula)}</p>"
         + f"<p>The laws were fitted to one half of the record and judged by the other. Damping in the closed contact "
-        f"explains {100 * law.hysteresis_share:.2g} % of the variance that is left.{middle}{repeat} The intervals hold "
-        "the scatter alone; contact.json, of identify contact, has those with the tolerances.</p>"
+        f"explains {100 * law.hysteresis_share:.2g} % of the variance that is left.{knees_note}{repeat_note} The "
+        "intervals hold the scatter alone; contact.json, of identify contact, has those with the tolerances.</p>"
     )
 
 
-def _values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
+def _law_values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
     """Names and values with 95 % intervals: of the friction where it is the best law, else of the straight pieces."""
     if law.sliding is not None:
-        for name, estimate, unit, scale in (
+        for quantity_words, estimate, unit, unit_factor in (
             ("slides one way at", law.sliding.upper_n, "N", 1.0),
             ("slides the other way at", law.sliding.lower_n, "N", 1.0),
             ("backlash", law.sliding.backlash_m, "mm", 1e3),
             ("stiffness", law.sliding.stiffness_n_per_m, "N/m", 1.0),
         ):
-            yield name, interval(scale * estimate.value, scale * estimate.standard_error, unit)
+            yield quantity_words, interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, unit)
         return
-    for count, knee in enumerate(law.fitted_knees_m, start=1):
-        yield f"{PIECEWISE}, knee {count}", interval(1e3 * knee.value, 1e3 * knee.standard_error, "mm")
-    for count, slope in enumerate(law.fitted_slopes_n_per_m, start=1):
-        yield f"{PIECEWISE}, slope {count}", interval(slope.value, slope.standard_error, "N/m")
+    for ordinal, knee in enumerate(law.fitted_knees_m, start=1):
+        yield f"{PIECEWISE}, knee {ordinal}", interval(1e3 * knee.value, 1e3 * knee.standard_error, "mm")
+    for ordinal, slope in enumerate(law.fitted_slopes_n_per_m, start=1):
+        yield f"{PIECEWISE}, slope {ordinal}", interval(slope.value, slope.standard_error, "N/m")
 
 
 def law_figures(laws: Sequence[FoundLaw]) -> dict[str, Picture]:
     """Figures of the laws by name; none without a law."""
-    draws = {"law": _law, "law_over_time": _time} if laws else {}
-    return {name: picture(partial(draw, laws=laws)) for name, draw in draws.items()}
+    draw_functions = {"law": _draw_law, "law_over_time": _draw_over_time} if laws else {}
+    return {figure_name: picture(partial(draw, laws=laws)) for figure_name, draw in draw_functions.items()}
 
 
-def _law(figure: Any, laws: Sequence[FoundLaw]) -> None:
+def _draw_law(figure: Any, laws: Sequence[FoundLaw]) -> None:
     """Draw each contact's force over eta: the points searched, formula and straight pieces, and their residual below.
 
     Where friction behind a backlash is the best law, draw that instead, along the course of eta.
     """
-    upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1))
-    for axes, below, law in zip(upper, lower, laws, strict=True):
+    force_panels, residual_panels = figure.subplots(
+        2, len(laws), squeeze=False, sharex="col", sharey="row", height_ratios=(3, 1)
+    )
+    for force_axes, residual_axes, law in zip(force_panels, residual_panels, laws, strict=True):
         if law.sliding is not None:
-            _draw_sliding(axes, below, law)
+            _draw_sliding(force_axes, residual_axes, law)
             continue
-        eta, knees = law.eta_m, law.pieces.knees_m
-        span = np.linspace(eta.min(), eta.max(), 800)
-        axes.plot(1e3 * eta, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
-        below.plot(1e3 * eta, law.force_n - law.pieces(eta), ".", ms=2, color=GREY, alpha=0.5)
-        for panel, baseline in ((axes, 0.0), (below, law.pieces(span))):
-            panel.plot(1e3 * span, law.formula(span) - baseline, color=BLUE, lw=1.4, label="formula found")
-            panel.plot(1e3 * span, law.pieces(span) - baseline, color=RED, lw=1.4, ls="--", label="straight pieces")
-        axes.plot(1e3 * knees, law.pieces(knees), "o", ms=8, mfc="none", mew=1.5, color=GREEN, label="knees")
-        axes.set(title=law.result.contact)
-        below.set(xlabel="η, mm")
-    upper[0].set_ylabel("contact force, N")
-    lower[0].set_ylabel("left over, N")
-    _legend(figure, upper)
+        eta_m, knees_m = law.eta_m, law.pieces.knees_m
+        eta_grid_m = np.linspace(eta_m.min(), eta_m.max(), 800)
+        force_axes.plot(1e3 * eta_m, law.force_n, "o", ms=4, color=GREY, alpha=0.4, label="force, no law assumed")
+        residual_axes.plot(1e3 * eta_m, law.force_n - law.pieces(eta_m), ".", ms=2, color=GREY, alpha=0.5)
+        for axes, subtracted_n in ((force_axes, 0.0), (residual_axes, law.pieces(eta_grid_m))):
+            axes.plot(
+                1e3 * eta_grid_m, law.formula(eta_grid_m) - subtracted_n, color=BLUE, lw=1.4, label="formula found"
+            )
+            axes.plot(
+                1e3 * eta_grid_m,
+                law.pieces(eta_grid_m) - subtracted_n,
+                color=RED,
+                lw=1.4,
+                ls="--",
+                label="straight pieces",
+            )
+        force_axes.plot(1e3 * knees_m, law.pieces(knees_m), "o", ms=8, mfc="none", mew=1.5, color=GREEN, label="knees")
+        force_axes.set(title=law.result.contact)
+        residual_axes.set(xlabel="η, mm")
+    force_panels[0].set_ylabel("contact force, N")
+    residual_panels[0].set_ylabel("left over, N")
+    _draw_legend(figure, force_panels)
 
 
-def _time(figure: Any, laws: Sequence[FoundLaw]) -> None:
+def _draw_over_time(figure: Any, laws: Sequence[FoundLaw]) -> None:
     """Draw force, law and relative displacement over time around the largest force."""
-    upper, lower = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
-    for axes, below, law in zip(upper, lower, laws, strict=True):
-        force = law.record.force_n
-        middle = int(np.argmax(np.abs(force[EDGE_SAMPLES:-EDGE_SAMPLES]))) + EDGE_SAMPLES
-        start = min(max(middle - SECTION_SAMPLES // 2, 0), max(force.size - SECTION_SAMPLES, 0))
-        section = slice(start, start + SECTION_SAMPLES)
-        axes.plot(law.time_s[section], force[section], color=GREY, lw=2.4, label="force, no law assumed")
-        axes.plot(law.time_s[section], law.plotted_force_n[section], color=RED, lw=1.0, label=law.plotted_law)
-        below.plot(law.time_s[section], 1e3 * law.record.eta_at_force_m[section], color=BLUE, lw=1.0)
-        axes.set(title=law.result.contact)
-        below.set(xlabel="time, s")
-    upper[0].set_ylabel("contact force, N")
-    lower[0].set_ylabel("η, mm")
-    _legend(figure, upper)
+    force_panels, motion_panels = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
+    for force_axes, motion_axes, law in zip(force_panels, motion_panels, laws, strict=True):
+        force_n = law.record.force_n
+        largest_sample = int(np.argmax(np.abs(force_n[EDGE_SAMPLE_COUNT:-EDGE_SAMPLE_COUNT]))) + EDGE_SAMPLE_COUNT
+        first_sample = min(
+            max(largest_sample - SECTION_SAMPLE_COUNT // 2, 0), max(force_n.size - SECTION_SAMPLE_COUNT, 0)
+        )
+        section_samples = slice(first_sample, first_sample + SECTION_SAMPLE_COUNT)
+        force_axes.plot(
+            law.time_s[section_samples], force_n[section_samples], color=GREY, lw=2.4, label="force, no law assumed"
+        )
+        force_axes.plot(
+            law.time_s[section_samples], law.plotted_force_n[section_samples], color=RED, lw=1.0, label=law.plotted_law
+        )
+        motion_axes.plot(
+            law.time_s[section_samples], 1e3 * law.record.eta_at_force_m[section_samples], color=BLUE, lw=1.0
+        )
+        force_axes.set(title=law.result.contact)
+        motion_axes.set(xlabel="time, s")
+    force_panels[0].set_ylabel("contact force, N")
+    motion_panels[0].set_ylabel("η, mm")
+    _draw_legend(figure, force_panels)
 
 
-def _legend(figure: Any, panels: Any) -> None:
+def _draw_legend(figure: Any, panels: Any) -> None:
     """Draw one legend for all panels, each label once."""
-    named = {text: handle for axes in panels for handle, text in zip(*axes.get_legend_handles_labels(), strict=True)}
-    figure.legend(named.values(), named.keys(), loc="outside upper center", ncols=4)
+    handle_by_label = {
+        label: handle for axes in panels for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(handle_by_label.values(), handle_by_label.keys(), loc="outside upper center", ncols=4)
 
 
-def _draw_sliding(axes: Any, below: Any, law: FoundLaw) -> None:
-    eta, force, law_force = 1e3 * law.record.eta_at_force_m, law.record.force_n, law.plotted_force_n
-    axes.plot(eta, force, color=GREY, lw=0.5, label="force, no law assumed")
-    axes.plot(eta, law_force, color=RED, lw=0.9, label=law.plotted_law)
-    below.plot(eta, force - law_force, color=GREY, lw=0.5)
-    axes.set(title=law.result.contact)
-    below.set(xlabel="η, mm")
+def _draw_sliding(force_axes: Any, residual_axes: Any, law: FoundLaw) -> None:
+    eta_mm, force_n, law_force_n = 1e3 * law.record.eta_at_force_m, law.record.force_n, law.plotted_force_n
+    force_axes.plot(eta_mm, force_n, color=GREY, lw=0.5, label="force, no law assumed")
+    force_axes.plot(eta_mm, law_force_n, color=RED, lw=0.9, label=law.plotted_law)
+    residual_axes.plot(eta_mm, force_n - law_force_n, color=GREY, lw=0.5)
+    force_axes.set(title=law.result.contact)
+    residual_axes.set(xlabel="η, mm")
 
 
 def curves(laws: Sequence[FoundLaw]) -> dict[str, Table]:
     """Tables by name: `law_over_time` (relative displacement, separated force and low-passed force of the law) and, for
     the N-th contact, `law_N` (formula and straight pieces over relative displacement); none without a law."""
-    tables = {f"law_{number}": _over_displacement(law) for number, law in enumerate(laws, start=1)}
+    tables = {f"law_{contact_number}": _over_displacement(law) for contact_number, law in enumerate(laws, start=1)}
     return tables | ({"law_over_time": _over_time(laws)} if laws else {})
 
 
 def _over_time(laws: Sequence[FoundLaw]) -> Table:
-    rows = min(law.record.force_n.size for law in laws)
-    table: Table = {"time_s": laws[0].time_s[:rows]}
+    row_count = min(law.record.force_n.size for law in laws)
+    table: Table = {"time_s": laws[0].time_s[:row_count]}
     for law in laws:
-        name = law.result.contact
-        table[f"{name} relative displacement m"] = law.record.eta_at_force_m[:rows]
-        table[f"{name} contact force N"] = law.record.force_n[:rows]
-        table[f"{name} {law.plotted_law} N"] = law.plotted_force_n[:rows]
+        contact_name = law.result.contact
+        table[f"{contact_name} relative displacement m"] = law.record.eta_at_force_m[:row_count]
+        table[f"{contact_name} contact force N"] = law.record.force_n[:row_count]
+        table[f"{contact_name} {law.plotted_law} N"] = law.plotted_force_n[:row_count]
     return table
 
 
 def _over_displacement(law: FoundLaw) -> Table:
-    name, eta = law.result.contact, np.linspace(law.eta_m.min(), law.eta_m.max(), PLACES)
+    contact_name, eta_m = law.result.contact, np.linspace(law.eta_m.min(), law.eta_m.max(), TABULATED_POINT_COUNT)
     return {
-        f"{name} relative displacement m": eta,
-        f"{name} formula N": law.formula(eta),
-        f"{name} straight pieces N": law.pieces(eta),
+        f"{contact_name} relative displacement m": eta_m,
+        f"{contact_name} formula N": law.formula(eta_m),
+        f"{contact_name} straight pieces N": law.pieces(eta_m),
     }

@@ -12,16 +12,16 @@ from jaxtyping import Float
 
 from rig.extras import needs_extra
 
-POPULATION = 400
-GENERATIONS = 120
-ITERATIONS = 5
+POPULATION_SIZE = 400
+GENERATION_COUNT = 120
+FIT_ITERATION_COUNT = 5
 """Iterations of the least-squares fit of the constants of each new formula."""
-LONGEST = 15
-THREADS = 2
-NEGLIGIBLE = 1e-5
+MOST_NODES = 15
+THREAD_COUNT = 2
+NEGLIGIBLE_CONSTANT = 1e-5
 """Constant term below which it is dropped; y is of order 1."""
 
-_REDUCED: dict[str, Callable[[Any, Any], Any]] = {
+_OPERATION_FUNCTIONS: dict[str, Callable[[Any, Any], Any]] = {
     "+": np.add,
     "-": np.subtract,
     "*": np.multiply,
@@ -43,10 +43,10 @@ class Formula:
             return np.full_like(x, self.value)
         if self.operation == "x":
             return self.value * x
-        values = [operand(x) for operand in self.operands]
+        operand_values = [operand(x) for operand in self.operands]
         if self.operation == "abs":
-            return np.abs(values[0])
-        return np.asarray(_REDUCED[self.operation](*values))
+            return np.abs(operand_values[0])
+        return np.asarray(_OPERATION_FUNCTIONS[self.operation](*operand_values))
 
     @property
     def length(self) -> int:
@@ -64,49 +64,59 @@ class Formula:
             return replace(self, operands=(first.scaled(x_unit, y_unit), second.scaled(x_unit, 1.0)))
         return replace(self, operands=tuple(operand.scaled(x_unit, y_unit) for operand in self.operands))
 
-    def text(self, name: str) -> str:
+    def text(self, variable_name: str) -> str:
         """Infix notation with a name for the variable."""
         if self.operation == "1":
             return f"{self.value:.6g}"
         if self.operation == "x":
-            return name if self.value == 1 else f"{self.value:.6g} {name}"
-        texts = [operand.text(name) for operand in self.operands]
+            return variable_name if self.value == 1 else f"{self.value:.6g} {variable_name}"
+        operand_texts = [operand.text(variable_name) for operand in self.operands]
         if self.operation in ("abs", "min", "max"):
-            return f"{self.operation}({', '.join(texts)})"
+            return f"{self.operation}({', '.join(operand_texts)})"
         if self.operation == "*":
-            return " * ".join(f"({s})" if p.operation in "+-" else s for s, p in zip(texts, self.operands, strict=True))
-        second = f"({texts[1]})" if self.operation == "-" and self.operands[1].operation in "+-" else texts[1]
-        return f"{texts[0]} {self.operation} {second}".replace("+ -", "- ").replace("- -", "+ ")
+            return " * ".join(
+                f"({s})" if p.operation in "+-" else s for s, p in zip(operand_texts, self.operands, strict=True)
+            )
+        second_text = (
+            f"({operand_texts[1]})"
+            if self.operation == "-" and self.operands[1].operation in "+-"
+            else operand_texts[1]
+        )
+        return f"{operand_texts[0]} {self.operation} {second_text}".replace("+ -", "- ").replace("- -", "+ ")
 
 
-def simplified(operation: str, operands: tuple[Formula, ...]) -> Formula:
+def simplify(operation: str, operands: tuple[Formula, ...]) -> Formula:
     """Operation on formulas with constants evaluated, gathered in front, and dropped where they have no effect."""
-    kinds = [operand.operation for operand in operands]
-    if all(kind == "1" for kind in kinds):
+    operand_kinds = [operand.operation for operand in operands]
+    if all(operand_kind == "1" for operand_kind in operand_kinds):
         return Formula("1", float(Formula(operation, operands=operands)(np.zeros(1))[0]))
-    if operation in "+-" and kinds == ["x", "x"]:
+    if operation in "+-" and operand_kinds == ["x", "x"]:
         sign = 1 if operation == "+" else -1
         return Formula("x", operands[0].value + sign * operands[1].value)
-    if operation in "+-" and "1" in kinds:
+    if operation in "+-" and "1" in operand_kinds:
         first, second = (operands[0], operands[1]) if operation == "+" else (operands[0], _times(operands[1], -1.0))
-        return _plus(second, first.value) if kinds[0] == "1" else _plus(first, second.value)
+        return _plus(second, first.value) if operand_kinds[0] == "1" else _plus(first, second.value)
     if operation == "*":
-        (a, first), (b, second) = _factored(operands[0]), _factored(operands[1])
-        product = (first if kinds[1] == "1" else second) if "1" in kinds else Formula("*", operands=(first, second))
-        return _times(product, a * b)
+        (first_factor, first), (second_factor, second) = _factor_and_rest(operands[0]), _factor_and_rest(operands[1])
+        product = (
+            (first if operand_kinds[1] == "1" else second)
+            if "1" in operand_kinds
+            else Formula("*", operands=(first, second))
+        )
+        return _times(product, first_factor * second_factor)
     return Formula(operation, operands=operands)
 
 
-def _plus(formula: Formula, number: float) -> Formula:
+def _plus(formula: Formula, constant: float) -> Formula:
     """Sum of a constant and a formula, merged with a constant that leads it."""
     if formula.operation in "+-" and formula.operands[0].operation == "1":
-        number += formula.operands[0].value
+        constant += formula.operands[0].value
         if formula.operation == "-":
-            return Formula("-", operands=(Formula("1", number), formula.operands[1]))
+            return Formula("-", operands=(Formula("1", constant), formula.operands[1]))
         formula = formula.operands[1]
-    if abs(number) < NEGLIGIBLE:
+    if abs(constant) < NEGLIGIBLE_CONSTANT:
         return formula
-    return Formula("+", operands=(Formula("1", number), formula))
+    return Formula("+", operands=(Formula("1", constant), formula))
 
 
 def _times(formula: Formula, factor: float) -> Formula:
@@ -125,14 +135,14 @@ def _times(formula: Formula, factor: float) -> Formula:
     return Formula(operation, operands=tuple(_times(operand, factor) for operand in formula.operands))
 
 
-def _factored(formula: Formula) -> tuple[float, Formula]:
+def _factor_and_rest(formula: Formula) -> tuple[float, Formula]:
     """Leading factor of a formula, and the formula without it."""
     if formula.operation in "1x":
         return formula.value, replace(formula, value=1.0)
     if formula.operation == "abs" and formula.operands[0].operation == "x":
         return abs(formula.operands[0].value), Formula("abs", operands=(Formula("x"),))
     if formula.operation == "*":
-        factor, first = _factored(formula.operands[0])
+        factor, first = _factor_and_rest(formula.operands[0])
         return factor, replace(formula, operands=(first, formula.operands[1]))
     return 1.0, formula
 
@@ -152,7 +162,11 @@ def pyoperon() -> Any:
 
 
 def search(
-    x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], seconds: float, seed: int, threads: int = THREADS
+    x: Float[np.ndarray, " points"],
+    y: Float[np.ndarray, " points"],
+    seconds: float,
+    seed: int,
+    thread_count: int = THREAD_COUNT,
 ) -> FormulaSearch:
     """Search formulas y = f(x) of + - * min max abs and constants, by error and length; x and y are of order 1.
 
@@ -162,44 +176,44 @@ def search(
     Raises RigError if pyoperon is not installed.
     """
     regression = pyoperon()
-    started = time.monotonic()
+    start_s = time.monotonic()
     regressor = regression.SymbolicRegressor(
         allowed_symbols="add,sub,mul,fmin,fmax,abs,constant,variable",
         objectives=["r2", "length"],
-        optimizer_iterations=ITERATIONS,
-        population_size=POPULATION,
-        generations=GENERATIONS,
+        optimizer_iterations=FIT_ITERATION_COUNT,
+        population_size=POPULATION_SIZE,
+        generations=GENERATION_COUNT,
         max_evaluations=10**9,
-        max_length=LONGEST,
+        max_length=MOST_NODES,
         max_time=max(1, int(seconds)),
         uncertainty=[0.01],
-        n_threads=min(threads, os.cpu_count() or 1),
+        n_threads=min(thread_count, os.cpu_count() or 1),
         random_state=seed,
     ).fit(x[:, None], y)
-    out_of_time = regressor.stats_["generations"] < GENERATIONS and time.monotonic() - started > 0.9 * int(seconds)
-    formulas = [_formula(individual["tree"]) for individual in regressor.pareto_front_]
+    out_of_time = regressor.stats_["generations"] < GENERATION_COUNT and time.monotonic() - start_s > 0.9 * int(seconds)
+    formulas = [_formula_of_tree(individual["tree"]) for individual in regressor.pareto_front_]
     pareto_front: list[tuple[float, Formula]] = []
     for formula in sorted(formulas, key=lambda f: f.length):
-        error = float(np.mean((formula(x) - y) ** 2))
-        if not pareto_front or error < pareto_front[-1][0]:
-            pareto_front.append((error, formula))
+        mean_square_error = float(np.mean((formula(x) - y) ** 2))
+        if not pareto_front or mean_square_error < pareto_front[-1][0]:
+            pareto_front.append((mean_square_error, formula))
     return FormulaSearch(tuple(formula for _, formula in pareto_front), out_of_time)
 
 
-def _formula(tree: Any) -> Formula:
+def _formula_of_tree(tree: Any) -> Formula:
     """Formula of a tree in pyoperon's postfix notation, where the first operand stands directly before its operator."""
-    names = {"fmin": "min", "fmax": "max"}  # the node's type has these two the wrong way round
-    stack: list[Formula] = []
+    operation_names = {"fmin": "min", "fmax": "max"}  # the node's type has these two the wrong way round
+    formula_stack: list[Formula] = []
     for node in tree.Nodes:
         if node.IsConstant or node.IsVariable:
-            stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
+            formula_stack.append(Formula("1" if node.IsConstant else "x", float(node.Value)))
             continue
-        operation = names.get(node.Name, node.Name)
-        operands = [stack.pop() for _ in range(node.Arity)]
+        operation = operation_names.get(node.Name, node.Name)
+        operands = [formula_stack.pop() for _ in range(node.Arity)]
         if len(operands) == 1 and operation == "-":
             operands.insert(0, Formula("1", 0.0))
-        formula = simplified(operation, tuple(operands[: 1 if operation == "abs" else 2]))
+        formula = simplify(operation, tuple(operands[: 1 if operation == "abs" else 2]))
         for operand in operands[2:]:
-            formula = simplified(operation, (formula, operand))
-        stack.append(formula)
-    return stack.pop()
+            formula = simplify(operation, (formula, operand))
+        formula_stack.append(formula)
+    return formula_stack.pop()

@@ -43,10 +43,10 @@ def is_drawable(axes: Any) -> bool:
         isinstance(axis.get_major_formatter(), FuncFormatter) and axis.get_scale() != "log" and not tick_names(axis)
         for axis in (axes.xaxis, axes.yaxis)
     )
-    known = (LineCollection, PathCollection, PolyCollection, QuadMesh)
-    collections_known = all(type(artist) in known for artist in axes.collections)
-    patches_known = all(isinstance(patch, Rectangle | StepPatch) for patch in axes.patches)
-    return collections_known and patches_known and not computes_ticks and all(map(_is_bar_label, axes.texts))
+    known_types = (LineCollection, PathCollection, PolyCollection, QuadMesh)
+    are_collections_known = all(type(artist) in known_types for artist in axes.collections)
+    are_patches_known = all(isinstance(patch, Rectangle | StepPatch) for patch in axes.patches)
+    return are_collections_known and are_patches_known and not computes_ticks and all(map(_is_bar_label, axes.texts))
 
 
 def _is_bar_label(text: Any) -> bool:
@@ -61,36 +61,43 @@ def tick_names(axis: Any) -> dict[float, str]:
     formatter, locator = axis.get_major_formatter(), axis.get_major_locator()
     if not (isinstance(locator, FixedLocator) and isinstance(formatter, FixedFormatter | FuncFormatter)):
         return {}
-    return {float(place): formatter(place, number) for number, place in enumerate(locator.locs)}
+    return {float(position): formatter(position, index) for index, position in enumerate(locator.locs)}
 
 
 def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
     """Renderers of all artists of the axes with their labels, from the bottom up."""
-    labels = {}
+    label_by_artist_id = {}
     for container in axes.containers:
-        for member in container:
-            members = member if isinstance(member, tuple | list) else [member]
-            labels.update({id(artist): container.get_label() for artist in members})
+        for bar_or_bars in container:
+            bar_artists = bar_or_bars if isinstance(bar_or_bars, tuple | list) else [bar_or_bars]
+            label_by_artist_id.update({id(artist): container.get_label() for artist in bar_artists})
 
     def label_of(artist: Any) -> str:
-        return str(labels.get(id(artist), artist.get_label()))
+        return str(label_by_artist_id.get(id(artist), artist.get_label()))
 
     artists = sorted([*axes.patches, *axes.collections, *axes.lines], key=lambda artist: artist.get_zorder())
-    draw = {"Line2D": _line, "StepPatch": _steps, "LineCollection": _segments, "QuadMesh": _mesh} | {
-        "PathCollection": _points
-    }
-    for bar_style, group in groupby(artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)):
+    draw_function_by_type = {
+        "Line2D": _draw_line,
+        "StepPatch": _draw_steps,
+        "LineCollection": _draw_segments,
+        "QuadMesh": _draw_mesh,
+    } | {"PathCollection": _draw_points}
+    for bar_style, same_style_artists in groupby(
+        artists, key=lambda artist: _bar_style(artist, label_of(artist), axes)
+    ):
         if bar_style is not None:
-            yield bar_style.label, _bars(list(group), bar_style, plot)
+            yield bar_style.label, _draw_bars(list(same_style_artists), bar_style, plot)
             continue
-        for artist in group:
-            for renderer in draw.get(type(artist).__name__, _hexagons)(artist, axes, plot, figure):
+        for artist in same_style_artists:
+            for renderer in draw_function_by_type.get(type(artist).__name__, _draw_hexagons)(
+                artist, axes, plot, figure
+            ):
                 yield label_of(artist), renderer
     for text in axes.texts:
-        _label(text, plot)
+        _draw_label(text, plot)
 
 
-def _label(text: Any, plot: Any) -> None:
+def _draw_label(text: Any, plot: Any) -> None:
     """Text beside a point."""
     from bokeh.models import Label, PlainText
 
@@ -111,158 +118,178 @@ def _label(text: Any, plot: Any) -> None:
     )
 
 
-def _line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
-    colour, alpha = _hex(line.get_color()), line.get_alpha() or 1.0
-    width = _PX_PER_POINT * line.get_linewidth()
-    x, y = (np.asarray(row, dtype=float) for row in line.get_data())
+def _draw_line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
+    colour, alpha = _hex_colour(line.get_color()), line.get_alpha() or 1.0
+    width_px = _PX_PER_POINT * line.get_linewidth()
+    x, y = (np.asarray(coordinates, dtype=float) for coordinates in line.get_data())
     dash = _DASHES.get(line.get_linestyle())
-    style = {"line_color": colour, "line_alpha": alpha, "line_width": width, "line_dash": dash or "solid"}
-    data_x, data_y = line.get_transform().contains_branch_seperately(axes.transData)
-    if not (data_x and data_y):
-        yield plot.vspan(x=x[:1], **style) if data_x else plot.hspan(y=y[:1], **style)
+    line_style = {"line_color": colour, "line_alpha": alpha, "line_width": width_px, "line_dash": dash or "solid"}
+    is_data_x, is_data_y = line.get_transform().contains_branch_seperately(axes.transData)
+    if not (is_data_x and is_data_y):
+        yield plot.vspan(x=x[:1], **line_style) if is_data_x else plot.hspan(y=y[:1], **line_style)
         return
-    joined = dash is not None and line.get_linewidth() > 0
-    x, y = _fewer(x, y, joined)
-    if joined and line.get_drawstyle() == "steps-mid":
-        yield plot.step(x, y, mode="center", **style)
-    elif joined:
-        yield plot.line(x, y, **style)
+    is_joined = dash is not None and line.get_linewidth() > 0
+    x, y = _thin_points(x, y, is_joined)
+    if is_joined and line.get_drawstyle() == "steps-mid":
+        yield plot.step(x, y, mode="center", **line_style)
+    elif is_joined:
+        yield plot.line(x, y, **line_style)
     marker = str(line.get_marker())
     if marker not in ("None", "", " "):
-        size = _PX_PER_POINT * line.get_markersize() * (0.6 if marker == "." else 1.0)
-        angle = np.pi / 2 if marker == "|" else 0.0
-        face, edge = _hex(line.get_markerfacecolor()), _hex(line.get_markeredgecolor())
-        colours = {"fill_color": face, "line_color": edge, "fill_alpha": alpha, "line_alpha": alpha}
-        yield plot.scatter(x, y, marker=_MARKERS.get(marker, "circle"), size=size, angle=angle, **colours)
+        marker_px = _PX_PER_POINT * line.get_markersize() * (0.6 if marker == "." else 1.0)
+        angle_rad = np.pi / 2 if marker == "|" else 0.0
+        face_colour, edge_colour = _hex_colour(line.get_markerfacecolor()), _hex_colour(line.get_markeredgecolor())
+        marker_colours = {
+            "fill_color": face_colour,
+            "line_color": edge_colour,
+            "fill_alpha": alpha,
+            "line_alpha": alpha,
+        }
+        yield plot.scatter(
+            x, y, marker=_MARKERS.get(marker, "circle"), size=marker_px, angle=angle_rad, **marker_colours
+        )
 
 
-def _steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
+def _draw_steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     values, edges, _ = patch.get_data()
-    colour, width = _hex(patch.get_edgecolor()), _PX_PER_POINT * patch.get_linewidth()
-    yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), line_color=colour, line_width=width)
+    colour, width_px = _hex_colour(patch.get_edgecolor()), _PX_PER_POINT * patch.get_linewidth()
+    yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), line_color=colour, line_width=width_px)
 
 
 @dataclass(frozen=True)
 class _BarStyle:
-    """Label and look of the bars of one renderer; data_x and data_y are false where the bars span the axes."""
+    """Label and look of the bars of one renderer; is_data_x and is_data_y are false where the bars span the axes."""
 
     label: str
     colour: str | None
     alpha: float
-    data_x: bool
-    data_y: bool
+    is_data_x: bool
+    is_data_y: bool
 
 
 def _bar_style(artist: Any, label: str, axes: Any) -> _BarStyle | None:
     """Style of a bar; None for any other artist."""
     if type(artist).__name__ != "Rectangle":
         return None
-    data_x, data_y = artist.get_transform().contains_branch_seperately(axes.transData)
-    return _BarStyle(label, _hex(artist.get_facecolor()), artist.get_alpha() or 1.0, data_x, data_y)
+    is_data_x, is_data_y = artist.get_transform().contains_branch_seperately(axes.transData)
+    return _BarStyle(label, _hex_colour(artist.get_facecolor()), artist.get_alpha() or 1.0, is_data_x, is_data_y)
 
 
-def _bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
+def _draw_bars(patches: Sequence[Any], style: _BarStyle, plot: Any) -> Any:
     """Bars of one style as one renderer: each would cost as much as a curve."""
     x_left, y_low, width, height = (
-        np.array([float(getattr(patch, f"get_{side}")()) for patch in patches])
-        for side in ("x", "y", "width", "height")
+        np.array([float(getattr(patch, f"get_{property_name}")()) for patch in patches])
+        for property_name in ("x", "y", "width", "height")
     )
-    look = {"fill_color": style.colour, "fill_alpha": style.alpha, "line_color": None}
-    if style.data_x and style.data_y:
-        return plot.quad(left=x_left, right=x_left + width, bottom=y_low, top=y_low + height, **look)
-    if style.data_x:
-        return plot.vstrip(x0=x_left, x1=x_left + width, **look)
-    return plot.hstrip(y0=y_low, y1=y_low + height, **look)
+    fill_style = {"fill_color": style.colour, "fill_alpha": style.alpha, "line_color": None}
+    if style.is_data_x and style.is_data_y:
+        return plot.quad(left=x_left, right=x_left + width, bottom=y_low, top=y_low + height, **fill_style)
+    if style.is_data_x:
+        return plot.vstrip(x0=x_left, x1=x_left + width, **fill_style)
+    return plot.hstrip(y0=y_low, y1=y_low + height, **fill_style)
 
 
-def _segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
+def _draw_segments(lines: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     """Error bars."""
     segments = [np.asarray(segment, dtype=np.float32) for segment in lines.get_segments()]
-    style = {"line_color": _hex(lines.get_colors()[0]), "line_width": _PX_PER_POINT * lines.get_linewidths()[0]}
-    x, y = ([segment[:, column].tolist() for segment in segments] for column in (0, 1))
-    yield plot.multi_line(x, y, **style)
+    line_style = {
+        "line_color": _hex_colour(lines.get_colors()[0]),
+        "line_width": _PX_PER_POINT * lines.get_linewidths()[0],
+    }
+    x, y = ([segment[:, coordinate_index].tolist() for segment in segments] for coordinate_index in (0, 1))
+    yield plot.multi_line(x, y, **line_style)
 
 
-def _hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
+def _draw_hexagons(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
     """Hexagons of matplotlib's hexbin: one shape at many centres, coloured by a value, with a colour bar."""
     from bokeh.transform import transform
 
     hexagon, centres = cells.get_paths()[0].vertices[:6], np.asarray(cells.get_offsets())
-    values, mapper = np.asarray(cells.get_array(), dtype=float), _colour_mapper(cells)
+    values, colour_mapper = np.asarray(cells.get_array(), dtype=float), _colour_mapper(cells)
     corners = (centres[:, None] + hexagon).reshape(-1, 2)
-    rounded = [[float(f"{value:.4g}") for value in row] for row in corners.T]
-    x, y = ([row[k : k + 6] for k in range(0, len(row), 6)] for row in rounded)
-    source = {"x": x, "y": y, "value": values.tolist()}
-    yield plot.patches("x", "y", source=source, fill_color=transform("value", mapper), line_color=None)
-    _add_colour_bar(plot, mapper, figure)
+    rounded_corners = [[float(f"{value:.4g}") for value in row] for row in corners.T]
+    x, y = ([row[k : k + 6] for k in range(0, len(row), 6)] for row in rounded_corners)
+    source_columns = {"x": x, "y": y, "value": values.tolist()}
+    yield plot.patches("x", "y", source=source_columns, fill_color=transform("value", colour_mapper), line_color=None)
+    _add_colour_bar(plot, colour_mapper, figure)
 
 
-def _mesh(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
+def _draw_mesh(cells: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
     """Cells of matplotlib's pcolormesh between straight edges, coloured by a value; those without one are left out."""
     from bokeh.transform import transform
 
     corners, values = cells.get_coordinates(), np.ma.filled(cells.get_array(), np.nan).astype(float)
     x, y = corners[0, :, 0], corners[:, 0, 1]
-    rows, columns = np.nonzero(np.isfinite(values))
-    mapper = _colour_mapper(cells)
-    source = {
-        "left": x[columns].tolist(),
-        "right": x[columns + 1].tolist(),
-        "bottom": y[rows].tolist(),
-        "top": y[rows + 1].tolist(),
-        "value": [float(f"{value:.4g}") for value in values[rows, columns]],
+    row_indices, column_indices = np.nonzero(np.isfinite(values))
+    colour_mapper = _colour_mapper(cells)
+    source_columns = {
+        "left": x[column_indices].tolist(),
+        "right": x[column_indices + 1].tolist(),
+        "bottom": y[row_indices].tolist(),
+        "top": y[row_indices + 1].tolist(),
+        "value": [float(f"{value:.4g}") for value in values[row_indices, column_indices]],
     }
     yield plot.quad(
-        "left", "right", "top", "bottom", source=source, fill_color=transform("value", mapper), line_color=None
+        "left",
+        "right",
+        "top",
+        "bottom",
+        source=source_columns,
+        fill_color=transform("value", colour_mapper),
+        line_color=None,
     )
-    _add_colour_bar(plot, mapper, figure)
+    _add_colour_bar(plot, colour_mapper, figure)
 
 
-def _points(points: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
+def _draw_points(points: Any, _axes: Any, plot: Any, figure: Any) -> Iterator[Any]:
     """Points of matplotlib's scatter, of one colour or coloured by a value."""
     from bokeh.transform import transform
 
     x, y = np.asarray(points.get_offsets(), dtype=float).T
-    size, values = _PX_PER_POINT * float(np.sqrt(points.get_sizes()[0])), points.get_array()
+    size_px, values = _PX_PER_POINT * float(np.sqrt(points.get_sizes()[0])), points.get_array()
     if values is None:
-        yield plot.scatter(x, y, size=size, color=_hex(points.get_facecolor()[0]))
+        yield plot.scatter(x, y, size=size_px, color=_hex_colour(points.get_facecolor()[0]))
         return
-    mapper = _colour_mapper(points)
-    source = {"x": x.tolist(), "y": y.tolist(), "value": np.asarray(values, dtype=float).tolist()}
-    yield plot.scatter("x", "y", source=source, size=size, color=transform("value", mapper))
-    _add_colour_bar(plot, mapper, figure)
+    colour_mapper = _colour_mapper(points)
+    source_columns = {"x": x.tolist(), "y": y.tolist(), "value": np.asarray(values, dtype=float).tolist()}
+    yield plot.scatter("x", "y", source=source_columns, size=size_px, color=transform("value", colour_mapper))
+    _add_colour_bar(plot, colour_mapper, figure)
 
 
 def _colour_mapper(artist: Any) -> Any:
     from bokeh.models import LinearColorMapper
     from matplotlib.colors import to_hex
 
-    low, high = artist.get_clim()
-    return LinearColorMapper([to_hex(artist.cmap(level)) for level in np.linspace(0, 1, 64)], low=low, high=high)
+    lowest_value, highest_value = artist.get_clim()
+    return LinearColorMapper(
+        [to_hex(artist.cmap(share)) for share in np.linspace(0, 1, 64)], low=lowest_value, high=highest_value
+    )
 
 
-def _add_colour_bar(plot: Any, mapper: Any, figure: Any) -> None:
+def _add_colour_bar(plot: Any, colour_mapper: Any, figure: Any) -> None:
     """Colour bar with the label of the figure's own, if it has one."""
     from bokeh.models import ColorBar
 
-    bars: Sequence[Any] = [axes for axes in figure.axes if axes.get_label() == COLOUR_BAR]
-    for bar in [axes for axes in bars if axes.get_position().y0 >= 0][:1]:
-        plot.add_layout(ColorBar(color_mapper=mapper, title=bar.get_ylabel(), width=10, padding=4), "right")
+    colour_bar_axes: Sequence[Any] = [axes for axes in figure.axes if axes.get_label() == COLOUR_BAR]
+    for bar_axes in [axes for axes in colour_bar_axes if axes.get_position().y0 >= 0][:1]:
+        plot.add_layout(ColorBar(color_mapper=colour_mapper, title=bar_axes.get_ylabel(), width=10, padding=4), "right")
 
 
-def _fewer(
-    x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], joined: bool
+def _thin_points(
+    x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], is_joined: bool
 ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
     """Points in single precision, at most MOST_POINTS: extremes of every bucket of a line, every n-th of dots."""
     indices = np.arange(0, x.size, -(-x.size // MOST_POINTS) or 1)
-    if x.size > MOST_POINTS and joined:
+    if x.size > MOST_POINTS and is_joined:
         buckets = np.array_split(np.arange(x.size), MOST_POINTS // 2)
-        extremes = [sorted((int(np.argmin(y[bucket])), int(np.argmax(y[bucket])))) for bucket in buckets]
-        indices = np.array([bucket[k] for bucket, pair in zip(buckets, extremes, strict=True) for k in pair])
+        extreme_positions = [sorted((int(np.argmin(y[bucket])), int(np.argmax(y[bucket])))) for bucket in buckets]
+        indices = np.array(
+            [bucket[position] for bucket, pair in zip(buckets, extreme_positions, strict=True) for position in pair]
+        )
     return x[indices].astype(np.float32), y[indices].astype(np.float32)
 
 
-def _hex(colour: Any) -> str | None:
+def _hex_colour(colour: Any) -> str | None:
     from matplotlib.colors import to_hex
 
     return None if isinstance(colour, str) and colour == "none" else str(to_hex(colour))

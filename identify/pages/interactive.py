@@ -9,13 +9,13 @@ from typing import Any
 from identify.pages.artists import COLOUR_BAR, draw_artists, is_drawable, tick_names
 
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
-_LEAST_PX, _NARROWEST_PX = 180, 290
+_LEAST_HEIGHT_PX, _LEAST_WIDTH_PX = 180, 290
 """Least height of a panel, and least width, below which panels stand one below the other."""
-_LONG_LABEL = 30
+_LONG_LABEL_LETTERS = 30
 """Characters from which labels of a legend stand one below the other, as a phone has no room for two."""
-_TICK_LINE, _SLANT = 28, 0.7
+_TICK_LINE_LETTERS, _SLANT_RAD = 28, 0.7
 """Characters in a line of a name on an axis, and the angle of names below it, rad."""
-_TITLE_LINE = 36
+_TITLE_LINE_LETTERS = 36
 """Characters in a line of a title, as many as a phone shows."""
 _LOG_TICKS = """const {start, end} = cb_data.range, decades = Math.log10(end / start), ticks = []
 if (decades < 1) {
@@ -35,7 +35,7 @@ _PLAIN_POWER = 7
 _plot_numbers = count(1)
 
 
-def interactive(figure: Any, height_px: int | None = None) -> str:
+def interactive_html(figure: Any, height_px: int | None = None) -> str:
     """HTML of a figure, which needs `library` on its page; empty if it has what `identify.pages.artists` cannot draw.
 
     With a height, its panels have that height together, one below the other, and only the first has a legend.
@@ -47,28 +47,32 @@ def interactive(figure: Any, height_px: int | None = None) -> str:
     from bokeh.embed import json_item
     from bokeh.models import Column, Row
 
-    ranges: dict[Any, Any] = {}
-    rows = []
-    for _, row in groupby(sorted(panels, key=_row_of), key=_row_of):
-        plots = [_plot(axes, figure, ranges) for axes in row]
-        rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
+    range_by_axes: dict[Any, Any] = {}
+    plot_rows = []
+    for _, row_panels in groupby(sorted(panels, key=_subplot_row), key=_subplot_row):
+        plots = [_plot(axes, figure, range_by_axes) for axes in row_panels]
+        plot_rows.append(Row(children=plots, sizing_mode="stretch_width", styles={"flex-wrap": "wrap"}))
     if height_px is not None:
-        _limit_height([plot for row in rows for plot in row.children], height_px)
-    name = f"plot_{next(_plot_numbers)}"
-    item = json.dumps(json_item(Column(children=rows, sizing_mode="stretch_width"), name)).replace("<", "\\u003c")
-    heading = f"<h3>{escape(title)}</h3>" if title else ""
-    return f'{heading}<div id="{name}" class="plot"></div><script>Bokeh.embed.embed_item({item})</script>'
+        _limit_height([plot for row_panels in plot_rows for plot in row_panels.children], height_px)
+    element_id = f"plot_{next(_plot_numbers)}"
+    item_json = json.dumps(json_item(Column(children=plot_rows, sizing_mode="stretch_width"), element_id)).replace(
+        "<", "\\u003c"
+    )
+    heading_html = f"<h3>{escape(title)}</h3>" if title else ""
+    return (
+        f'{heading_html}<div id="{element_id}" class="plot"></div><script>Bokeh.embed.embed_item({item_json})</script>'
+    )
 
 
 def _limit_height(plots: list[Any], height_px: int) -> None:
     for plot in plots:
-        plot.height = max(_LEAST_PX, height_px // len(plots))
+        plot.height = max(_LEAST_HEIGHT_PX, height_px // len(plots))
     for plot in plots[1:]:
         for legend in plot.legend:
             legend.visible = False
 
 
-def library() -> str:
+def bokeh_script() -> str:
     """Script that draws the plots, for a page that needs no other file."""
     from bokeh.resources import Resources
 
@@ -76,11 +80,11 @@ def library() -> str:
     return f"<script>{script}</script>"
 
 
-def _row_of(axes: Any) -> int:
+def _subplot_row(axes: Any) -> int:
     return int(axes.get_subplotspec().rowspan.start)
 
 
-def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
+def _plot(axes: Any, figure: Any, range_by_axes: dict[Any, Any]) -> Any:
     from bokeh.models import (
         CustomJSTicker,
         CustomJSTickFormatter,
@@ -94,17 +98,17 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
     )
     from bokeh.plotting import figure as new_plot
 
-    def shared(direction: str, siblings: Any, limits: tuple[float, float]) -> Any:
-        key = direction, frozenset(map(id, siblings.get_siblings(axes)))
-        return ranges.setdefault(key, Range1d(*map(float, limits)))
+    def shared_range(direction: str, siblings: Any, limits: tuple[float, float]) -> Any:
+        range_key = direction, frozenset(map(id, siblings.get_siblings(axes)))
+        return range_by_axes.setdefault(range_key, Range1d(*map(float, limits)))
 
     plot = new_plot(
-        x_range=shared("x", axes.get_shared_x_axes(), axes.get_xlim()),
-        y_range=shared("y", axes.get_shared_y_axes(), axes.get_ylim()),
+        x_range=shared_range("x", axes.get_shared_x_axes(), axes.get_xlim()),
+        y_range=shared_range("y", axes.get_shared_y_axes(), axes.get_ylim()),
         x_axis_type=axes.get_xscale(),
         y_axis_type=axes.get_yscale(),
-        height=max(_LEAST_PX, round(_PX_PER_IN * figure.get_figheight() * axes.get_position().height)) + 80,
-        min_width=_NARROWEST_PX,
+        height=max(_LEAST_HEIGHT_PX, round(_PX_PER_IN * figure.get_figheight() * axes.get_position().height)) + 80,
+        min_width=_LEAST_WIDTH_PX,
         min_border_left=84,
         sizing_mode="stretch_width",
         tools="box_zoom,pan,wheel_zoom,reset,save",
@@ -112,13 +116,13 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
     )
     plot.toolbar.logo = None
     for bokeh_axis, axis in ((plot.xaxis, axes.xaxis), (plot.yaxis, axes.yaxis)):
-        bokeh_axis.axis_label = PlainText(text=_label(axes, axis))
+        bokeh_axis.axis_label = PlainText(text=_axis_label(axes, axis))
         bokeh_axis.axis_label_text_font_style = "normal"
-        if names := tick_names(axis):
-            bokeh_axis.ticker = FixedTicker(ticks=list(names))
-            bokeh_axis.major_label_orientation = _SLANT if axis is axes.xaxis else "horizontal"
+        if name_by_position := tick_names(axis):
+            bokeh_axis.ticker = FixedTicker(ticks=list(name_by_position))
+            bokeh_axis.major_label_orientation = _SLANT_RAD if axis is axes.xaxis else "horizontal"
             bokeh_axis.major_label_overrides = {
-                place: PlainText(text=fill(name, _TICK_LINE)) for place, name in names.items()
+                position: PlainText(text=fill(name, _TICK_LINE_LETTERS)) for position, name in name_by_position.items()
             }
         elif axis.get_scale() == "log":
             bokeh_axis.formatter = CustomJSTickFormatter(code=_LOG_NUMBER)
@@ -126,16 +130,20 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
         else:
             bokeh_axis.formatter.power_limit_high = _PLAIN_POWER
     if title := axes.get_title() or axes.get_title("left"):
-        plot.title = Title(text=PlainText(text=fill(title, _TITLE_LINE)))
-    by_label: dict[str, list[Any]] = {}
+        plot.title = Title(text=PlainText(text=fill(title, _TITLE_LINE_LETTERS)))
+    renderers_by_label: dict[str, list[Any]] = {}
     for label, renderer in draw_artists(axes, plot, figure):
-        by_label.setdefault(label, []).append(renderer)
-    labelled = {label: renderers for label, renderers in by_label.items() if label[:1] not in ("", "_")}
-    if labelled:
-        columns = 1 if max(map(len, labelled)) > _LONG_LABEL else 2
-        items = [LegendItem(label={"value": label}, renderers=renderers) for label, renderers in labelled.items()]
+        renderers_by_label.setdefault(label, []).append(renderer)
+    shown_renderers = {
+        label: renderers for label, renderers in renderers_by_label.items() if label[:1] not in ("", "_")
+    }
+    if shown_renderers:
+        legend_column_count = 1 if max(map(len, shown_renderers)) > _LONG_LABEL_LETTERS else 2
+        legend_items = [
+            LegendItem(label={"value": label}, renderers=renderers) for label, renderers in shown_renderers.items()
+        ]
         plot.add_layout(
-            Legend(items=items, click_policy="hide", ncols=columns, label_text_font_size="11px"),
+            Legend(items=legend_items, click_policy="hide", ncols=legend_column_count, label_text_font_size="11px"),
             "above",
         )
         plot.legend.update(location="top_left", border_line_color=None, padding=0, spacing=6, margin=0, glyph_height=14)
@@ -143,9 +151,9 @@ def _plot(axes: Any, figure: Any, ranges: dict[Any, Any]) -> Any:
     return plot
 
 
-def _label(axes: Any, axis: Any) -> str:
+def _axis_label(axes: Any, axis: Any) -> str:
     """Label of an axis, or of one that shares its scale, which stands at the figure's edge."""
     siblings = axes.get_shared_x_axes() if axis is axes.xaxis else axes.get_shared_y_axes()
     sibling_axes = (panel.xaxis if axis is axes.xaxis else panel.yaxis for panel in siblings.get_siblings(axes))
-    labels = (candidate.get_label().get_text() for candidate in (axis, *sibling_axes))
-    return next(filter(None, labels), "")
+    label_texts = (labelled_axis.get_label().get_text() for labelled_axis in (axis, *sibling_axes))
+    return next(filter(None, label_texts), "")

@@ -11,13 +11,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
 
-from identify.pages.interactive import interactive, library
+from identify.pages.interactive import bokeh_script, interactive_html
 from identify.pages.style import Picture
 from rig.files import sha256_of, write_bytes
 
 Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]
-FIRST_PX = 440
+FIRST_PLOT_PX = 440
 """Height of the plot on the first screen, of 800 pixels with title, verdict and what to do next. Display."""
 SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
@@ -95,41 +95,45 @@ def write(
     title: str,
     answer: Answer,
     sections: Iterable[tuple[str, str]],
-    foot: str,
+    foot_text: str,
     sources: Sequence[Path] = (),
-    first: Iterable[str] = (),
-    folded: Iterable[tuple[str, str]] = (),
+    top_blocks: Iterable[str] = (),
+    folded_sections: Iterable[tuple[str, str]] = (),
 ) -> None:
     """Write a page that needs no other file: to a temporary file, which is then renamed.
 
-    `first` stands side by side below the verdict, as far as there is room. A section is its heading and its HTML, and
-    folded ones open by a click, or for the printer; everything else is plain text. Below the foot stand date, version,
-    command, and the source recordings with the first digits of their SHA-256.
+    `top_blocks` stand side by side below the verdict, as far as there is room. A section is its heading and its HTML,
+    and folded ones open by a click, or for the printer; everything else is plain text. Below the foot stand date,
+    version, command, and the source recordings with the first digits of their SHA-256.
     """
-    content = "".join(f"<div>{html}</div>" for html in first if html)
-    content = f'<div class="first">{content}</div>\n' if content else ""
-    content += "\n".join(f"<section><h2>{escape(heading)}</h2>\n{html}</section>" for heading, html in sections)
-    for heading, html in folded:
-        content += f'\n<details class="folded"><summary><h2>{escape(heading)}</h2></summary>\n{html}</details>'
-    page = _PAGE.format(
-        script=library() if "Bokeh.embed" in content else "",
+    content_html = "".join(f"<div>{block_html}</div>" for block_html in top_blocks if block_html)
+    content_html = f'<div class="first">{content_html}</div>\n' if content_html else ""
+    content_html += "\n".join(
+        f"<section><h2>{escape(heading)}</h2>\n{block_html}</section>" for heading, block_html in sections
+    )
+    for heading, block_html in folded_sections:
+        content_html += (
+            f'\n<details class="folded"><summary><h2>{escape(heading)}</h2></summary>\n{block_html}</details>'
+        )
+    page_html = _PAGE.format(
+        script=bokeh_script() if "Bokeh.embed" in content_html else "",
         title=escape(title),
         style=_STYLE,
         colour=answer.colour,
         verdict=escape(answer.verdict),
-        sentences="".join(f"<p>{unbroken(escape(sentence))}</p>" for sentence in answer.sentences),
-        content=content,
-        foot=f"{escape(foot)}<br>{escape(_provenance(sources))}",
+        sentences="".join(f"<p>{unbroken_html(escape(sentence))}</p>" for sentence in answer.sentences),
+        content=content_html,
+        foot=f"{escape(foot_text)}<br>{escape(_provenance(sources))}",
     )
-    write_bytes(page.encode(), path)
+    write_bytes(page_html.encode(), path)
 
 
 def _provenance(sources: Sequence[Path]) -> str:
     """Sentence on date, version, command and source recordings."""
-    hashes = (f"{path.name} {sha256_of(path)[:SHOWN_DIGITS]}" for path in sources)
+    source_hashes = (f"{path.name} {sha256_of(path)[:SHOWN_DIGITS]}" for path in sources)
     command = " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
-    fields = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
-    return "Made " + ", ".join([*fields, *hashes]) + "."
+    provenance_parts = (f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC", f"rig-identify {version('rig-identify')}", command)
+    return "Made " + ", ".join([*provenance_parts, *source_hashes]) + "."
 
 
 def picture(name: str, png: bytes) -> str:
@@ -139,28 +143,28 @@ def picture(name: str, png: bytes) -> str:
 
 def figure(name: str, image: Picture, caption: str = "", height_px: int | None = None) -> str:
     """HTML of an interactive plot, of this height in a column, or else of a picture, with its caption below."""
-    plot = interactive(image.figure, height_px) or f"<div>{picture(name, image.png)}</div>"
-    figcaption = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
-    return f"<figure>{plot}{figcaption}</figure>\n"
+    plot_html = interactive_html(image.figure, height_px) or f"<div>{picture(name, image.png)}</div>"
+    caption_html = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
+    return f"<figure>{plot_html}{caption_html}</figure>\n"
 
 
-def listed(items: Iterable[str]) -> str:
+def list_html(texts: Iterable[str]) -> str:
     """HTML of a list."""
-    return "<ul>" + "".join(f"<li>{unbroken(escape(item))}</li>" for item in items) + "</ul>"
+    return "<ul>" + "".join(f"<li>{unbroken_html(escape(text))}</li>" for text in texts) + "</ul>"
 
 
-def unbroken(html: str) -> str:
+def unbroken_html(html: str) -> str:
     """Text whose numbers stay on a line with their unit, and with "p =" and "<" before them."""
     return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html))
 
 
-def table(head: Sequence[str], rows: Rows) -> str:
+def table(headings: Sequence[str], rows: Rows) -> str:
     """HTML of a table. The first column and cells of words may break, a cell that begins with a number does not."""
-    header = "".join(f"<th>{escape(cell)}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table></div>'
+    header_html = "".join(f"<th>{escape(cell)}</th>" for cell in headings)
+    body_html = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{header_html}</tr></thead><tbody>{body_html}</tbody></table></div>'
 
 
 def _cell(text: str) -> str:
-    kind = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
-    return f"<td{kind}>{escape(text)}</td>"
+    class_attribute = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
+    return f"<td{class_attribute}>{escape(text)}</td>"

@@ -53,14 +53,14 @@ def picture(draw: Callable[[Any], object], width_in: float = 7.2, height_in: flo
             for axis in (axes.xaxis, axes.yaxis):
                 if axis.get_scale() == "log":
                     _plain_decades(axis)
-        file = BytesIO()
-        figure.savefig(file, format="png", bbox_inches="tight")
-    return Picture(file.getvalue(), figure)
+        png_buffer = BytesIO()
+        figure.savefig(png_buffer, format="png", bbox_inches="tight")
+    return Picture(png_buffer.getvalue(), figure)
 
 
 def _plain_decades(axis: Any) -> None:
     """Label a logarithmic axis with plain numbers, between the powers of ten only where it spans few."""
-    low, high = sorted(axis.get_view_interval())
-    narrow = high < 20 * low
+    lowest_value, highest_value = sorted(axis.get_view_interval())
+    is_narrow = highest_value < 20 * lowest_value
     axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter(lambda value, _: f"{value:g}" if narrow and f"{value:e}"[0] in "25" else "")
+    axis.set_minor_formatter(lambda value, _: f"{value:g}" if is_narrow and f"{value:e}"[0] in "25" else "")

@@ -19,13 +19,13 @@ class Summary:
     @property
     def text(self) -> str:
         """Lines of text with the columns aligned."""
-        return "\n".join([*self.above, *_aligned(self.rows), *self.below])
+        return "\n".join([*self.above, *_aligned_lines(self.rows), *self.below])
 
     @property
     def html(self) -> str:
         """HTML without a style of its own."""
-        tables = [table(tuple(self.rows[0]), [tuple(row.values()) for row in self.rows])] if self.rows else []
-        return "\n".join([*map(_paragraph, self.above), *tables, *map(_paragraph, self.below)])
+        html_tables = [table(tuple(self.rows[0]), [tuple(row.values()) for row in self.rows])] if self.rows else []
+        return "\n".join([*map(_paragraph, self.above), *html_tables, *map(_paragraph, self.below)])
 
 
 class Summarized(ABC):
@@ -42,12 +42,12 @@ class Summarized(ABC):
         return self.summary().html
 
 
-def _aligned(rows: tuple[Mapping[str, str], ...]) -> list[str]:
+def _aligned_lines(rows: tuple[Mapping[str, str], ...]) -> list[str]:
     if not rows:
         return []
-    lines = [tuple(rows[0]), *(tuple(row.values()) for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+    cell_rows = [tuple(rows[0]), *(tuple(row.values()) for row in rows)]
+    column_widths = [max(map(len, column)) for column in zip(*cell_rows, strict=True)]
+    return ["  ".join(map(str.ljust, cell_row, column_widths)).rstrip() for cell_row in cell_rows]
 
 
 def _paragraph(sentence: str) -> str:

@@ -19,11 +19,11 @@ Row = Mapping[str, str | float | None]
 """Cells by their columns."""
 
 
-def save_tables(tables: Mapping[str, Table], folder: Path, form: str) -> None:
+def save_tables(tables: Mapping[str, Table], folder: Path, suffix: str) -> None:
     """Write each table to a file of its name in an existing folder; raises RigError if one cannot be written."""
-    for name, table in tables.items():
-        with atomic_write(folder / f"{name}.{form}") as partial_path:
-            WRITERS[form](table, partial_path)
+    for table_name, table in tables.items():
+        with atomic_write(folder / f"{table_name}.{suffix}") as partial_path:
+            WRITERS[suffix](table, partial_path)
 
 
 def _write_csv(table: Table, path: Path) -> None:
@@ -53,28 +53,28 @@ def _pyarrow(path: Path) -> tuple[Any, Any]:
     return pyarrow, parquet
 
 
-def save_rows(rows: Sequence[Row], columns: Sequence[str], folder: Path, name: str) -> str:
+def save_rows(rows: Sequence[Row], column_names: Sequence[str], folder: Path, table_name: str) -> str:
     """Write rows to NAME.csv and NAME.parquet; the note is empty, or says why there is no parquet file.
 
     An empty cell of the CSV, a null of the parquet file, is a number that is not there; words are never null.
     """
-    text = StringIO()
-    writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+    csv_text = StringIO()
+    writer = csv.DictWriter(csv_text, column_names, restval="", lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_bytes(text.getvalue().encode(), folder / f"{name}.csv")
-    path = folder / f"{name}.parquet"
+    write_bytes(csv_text.getvalue().encode(), folder / f"{table_name}.csv")
+    parquet_path = folder / f"{table_name}.parquet"
     try:
-        pyarrow, parquet = _pyarrow(path)
+        pyarrow, parquet = _pyarrow(parquet_path)
     except RigError as error:
         return str(error)
-    arrays = {}
-    for column in columns:
-        cells = [row.get(column) for row in rows]
-        kind = pyarrow.string() if any(isinstance(cell, str) for cell in cells) else pyarrow.float64()
-        arrays[column] = pyarrow.array(cells, kind)
-    with atomic_write(path) as partial_path:
-        parquet.write_table(pyarrow.table(arrays), partial_path)
+    array_by_column = {}
+    for column_name in column_names:
+        cells = [row.get(column_name) for row in rows]
+        arrow_type = pyarrow.string() if any(isinstance(cell, str) for cell in cells) else pyarrow.float64()
+        array_by_column[column_name] = pyarrow.array(cells, arrow_type)
+    with atomic_write(parquet_path) as partial_path:
+        parquet.write_table(pyarrow.table(array_by_column), partial_path)
     return ""
 
 

@@ -8,15 +8,19 @@ COVERED = 1.96
 """Half-width of the 95 % interval of a normal distribution in standard errors."""
 
 
-def number(value: float, digits: int = 4) -> str:
+def number(value: float, significant_digits: int = 4) -> str:
     """Value to some significant digits, with a power of ten where it is very large or very small."""
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
-    rounded = float(f"{value:.{digits - 1}e}")
-    power = _power(rounded)
-    if not -4 <= power < 7:
-        return f"{rounded:.{digits - 1}e}"
-    return f"{round(rounded):d}" if power >= digits else f"{rounded:.{digits - 1 - power}f}"
+    rounded_value = float(f"{value:.{significant_digits - 1}e}")
+    power_of_ten = _power_of_ten(rounded_value)
+    if not -4 <= power_of_ten < 7:
+        return f"{rounded_value:.{significant_digits - 1}e}"
+    return (
+        f"{round(rounded_value):d}"
+        if power_of_ten >= significant_digits
+        else f"{rounded_value:.{significant_digits - 1 - power_of_ten}f}"
+    )
 
 
 def percent(share: float) -> str:
@@ -30,18 +34,20 @@ def percent(share: float) -> str:
 
 def interval(value: float, standard_error: float, unit: str) -> str:
     """Value ± 1.96 standard errors, to two digits of these; the unit "1" is not written."""
-    half = COVERED * standard_error
-    named = "" if unit == "1" else f" {printed_unit(unit)}"
-    if not math.isfinite(half) or half <= 0:
-        return f"{number(value)}{named} (no interval)"
-    half = float(f"{half:.1e}")
-    last, first = _power(half) - 1, _power(max(abs(value), half))
-    if not -4 < first < 7:
-        digits, scale = first - last, 10.0**first
-        return f"({value / scale:.{digits}f} ± {half / scale:.{digits}f})e{first}{named}"
-    digits = max(0, -last)
-    return f"{round(value, -last) + 0.0:.{digits}f} ± {half:.{digits}f}{named}"
+    half_width = COVERED * standard_error
+    unit_text = "" if unit == "1" else f" {printed_unit(unit)}"
+    if not math.isfinite(half_width) or half_width <= 0:
+        return f"{number(value)}{unit_text} (no interval)"
+    half_width = float(f"{half_width:.1e}")
+    last_power, first_power = _power_of_ten(half_width) - 1, _power_of_ten(max(abs(value), half_width))
+    if not -4 < first_power < 7:
+        decimals, power_factor = first_power - last_power, 10.0**first_power
+        return (
+            f"({value / power_factor:.{decimals}f} ± {half_width / power_factor:.{decimals}f})e{first_power}{unit_text}"
+        )
+    decimals = max(0, -last_power)
+    return f"{round(value, -last_power) + 0.0:.{decimals}f} ± {half_width:.{decimals}f}{unit_text}"
 
 
-def _power(value: float) -> int:
+def _power_of_ten(value: float) -> int:
     return math.floor(math.log10(abs(value)))

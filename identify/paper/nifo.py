@@ -67,63 +67,76 @@ def nifo(
     Contacts that are not visible in the equation, or that never close, take no part. Raises RigError if there are not
     more blocks than unknowns.
     """
-    active = tuple(j for j, visible in enumerate(equation.visible) if visible and np.any(penetration_m[j]))
-    unknowns = 1 + len(active) + (form == "weak")
-    if len(blocks.starts) <= unknowns:
+    active_contacts = tuple(
+        j for j, is_visible in enumerate(equation.visible) if is_visible and np.any(penetration_m[j])
+    )
+    unknown_count = 1 + len(active_contacts) + (form == "weak")
+    if len(blocks.starts) <= unknown_count:
         raise RigError(
-            f"{len(blocks.starts)} blocks for {unknowns} unknowns a line; use shorter blocks or record longer"
+            f"{len(blocks.starts)} blocks for {unknown_count} unknowns a line; use shorter blocks or record longer"
         )
-    response = equation.displacement
-    inputs = [[Term(force_n, factor=equation.shape_at_force)]]
-    inputs += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active]
+    displacement = equation.displacement
+    input_terms = [[Term(force_n, factor=equation.shape_at_force)]]
+    input_terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active_contacts]
     if form == "weak":
-        inputs[0].append(Term(response, derivative=2, factor=-1.0))
-        inputs.append([Term(response, derivative=1)])
-    rate = 2j * 2 * np.pi * blocks.frequency_hz
+        input_terms[0].append(Term(displacement, derivative=2, factor=-1.0))
+        input_terms.append([Term(displacement, derivative=1)])
+    derivative_factor = 2j * 2 * np.pi * blocks.frequency_hz
 
-    def channel_spectra(chosen: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
-        spectra = blocks.spectra_of_sums([*inputs, [Term(response)]], [blocks.starts[k] for k in chosen])
+    def channel_spectra(block_indices: Sequence[int]) -> Complex[np.ndarray, "channels blocks lines"]:
+        spectra = blocks.spectra_of_sums(
+            [*input_terms, [Term(displacement)]], [blocks.starts[k] for k in block_indices]
+        )
         if form == "weak":
-            spectra[0] += rate * spectra[-2]
+            spectra[0] += derivative_factor * spectra[-2]
         return spectra
 
     weights, inverse_normal = line_by_line(channel_spectra, len(blocks.starts))
     frf = weights[:, 0]
-    stiffness = -weights[:, 1 : 1 + len(active)] / frf[:, None]
+    stiffness_n_per_m = -weights[:, 1 : 1 + len(active_contacts)] / frf[:, None]
 
     def mean_stiffness_influence(
-        changes: Complex[np.ndarray, "chunk blocks unknowns"], chunk: slice
+        changes: Complex[np.ndarray, "chunk blocks unknowns"], line_chunk: slice
     ) -> Float[np.ndarray, "blocks contacts"]:
         """Changes of the spectral means of the stiffness k = -w / H by those of the weights w and of the FRF H."""
-        weight_changes, frf_changes = changes[:, :, 1 : 1 + len(active)], changes[:, :, :1]
-        stiffness_changes = -((weight_changes + stiffness[chunk, None] * frf_changes) / frf[chunk, None, None])
+        weight_changes, frf_changes = changes[:, :, 1 : 1 + len(active_contacts)], changes[:, :, :1]
+        stiffness_changes = -(
+            (weight_changes + stiffness_n_per_m[line_chunk, None] * frf_changes) / frf[line_chunk, None, None]
+        )
         return stiffness_changes.real.sum(axis=0) / frf.size
 
-    variance = variance_of_sum(
-        lambda chosen: influences(channel_spectra, chosen, weights, inverse_normal, mean_stiffness_influence),
+    mean_variances = variance_of_sum(
+        lambda block_indices: influences(
+            channel_spectra, block_indices, weights, inverse_normal, mean_stiffness_influence
+        ),
         len(blocks.starts),
     )
     return Nifo(
         equation=equation,
-        contacts=active,
+        contacts=active_contacts,
         frequency_hz=blocks.frequency_hz,
         frf=frf,
-        stiffness_n_per_m=stiffness.T,
-        stiffness_error_n_per_m=np.sqrt(variance),
+        stiffness_n_per_m=stiffness_n_per_m.T,
+        stiffness_error_n_per_m=np.sqrt(mean_variances),
         averages=len(blocks.starts),
         resolution_hz=blocks.resolution_hz,
     )
 
 
-def fitted_mode(result: Nifo) -> tuple[float, float]:
+def fit_mode(nifo_result: Nifo) -> tuple[float, float]:
     """Natural frequency (Hz) and damping ratio fitted to the FRF: 1/H = omega_0^2 - omega^2 + 2 i zeta omega_0 omega.
 
     Linear least squares of H (omega_0^2 + i omega g) = 1 + omega^2 H, so that resonance and noise weigh as in H.
     """
-    omega = 2 * np.pi * result.frequency_hz
-    columns = np.stack([result.frf, 1j * omega * result.frf], axis=1)
-    target = 1 + omega**2 * result.frf
-    both = np.concatenate([columns.real, columns.imag]), np.concatenate([target.real, target.imag])
-    (square, rate), *_ = np.linalg.lstsq(*both, rcond=None)
-    natural = float(np.sqrt(max(float(square), 0.0)))
-    return natural / (2 * np.pi), float(rate) / (2 * natural) if natural > 0 else 0.0
+    omega = 2 * np.pi * nifo_result.frequency_hz
+    regression_columns = np.stack([nifo_result.frf, 1j * omega * nifo_result.frf], axis=1)
+    regression_target = 1 + omega**2 * nifo_result.frf
+    real_equations = (
+        np.concatenate([regression_columns.real, regression_columns.imag]),
+        np.concatenate([regression_target.real, regression_target.imag]),
+    )
+    (natural_squared, damping_rate), *_ = np.linalg.lstsq(*real_equations, rcond=None)
+    natural_rad_per_s = float(np.sqrt(max(float(natural_squared), 0.0)))
+    return natural_rad_per_s / (2 * np.pi), float(damping_rate) / (
+        2 * natural_rad_per_s
+    ) if natural_rad_per_s > 0 else 0.0

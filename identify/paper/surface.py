@@ -33,29 +33,30 @@ class Stops:
 
     @property
     def clearance_m(self) -> float:
-        return self._of_touched(self.lower_m, self.upper_m, (self.lower_m + self.upper_m) / 2)
+        return self._of_touched_stops(self.lower_m, self.upper_m, (self.lower_m + self.upper_m) / 2)
 
     @property
     def clearance_error_m(self) -> float:
-        return self._of_touched(self.lower_error_m, self.upper_error_m, self.half_error_m)
+        return self._of_touched_stops(self.lower_error_m, self.upper_error_m, self.half_error_m)
 
-    def _of_touched(self, lower: float, upper: float, both: float) -> float:
-        return both if all(self.touched) else lower if self.touched[0] else upper
+    def _of_touched_stops(self, lower: float, upper: float, mean: float) -> float:
+        return mean if all(self.touched) else lower if self.touched[0] else upper
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Restoring force of a modal equation, measured and fitted, at every `factor`-th sample of the record.
+    """Restoring force of a modal equation, measured and fitted, at every `decimation`-th sample of the record.
 
-    measured = shape_at_force F - q'' (N / sqrt(kg)); fitted = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
-    contact_share is the part of each contact in the fitted force.
+    measured_force = shape_at_force F - q'' (N / sqrt(kg));
+    fitted_force = damping q' + stiffness q + sum_j shape_j k_j dz_j(eta_j).
+    contact_forces are the parts of each contact in the fitted force.
     """
 
     equation: ModalEquation
-    factor: int
-    measured: Float[np.ndarray, " samples"]
-    fitted: Float[np.ndarray, " samples"]
-    contact_share: Float[np.ndarray, "contacts samples"]
+    decimation: int
+    measured_force: Float[np.ndarray, " samples"]
+    fitted_force: Float[np.ndarray, " samples"]
+    contact_forces: Float[np.ndarray, "contacts samples"]
     stops: tuple[Stops | None, ...]
     stiffness_n_per_m: Float[np.ndarray, " contacts"]
 
@@ -69,56 +70,67 @@ def fit_surface(
     equation: ModalEquation,
     force_n: Float[np.ndarray, " samples"],
     eta_m: Float[np.ndarray, "contacts samples"],
-    factor: int,
-    start: tuple[Stops | None, ...],
+    decimation: int,
+    start_stops: tuple[Stops | None, ...],
 ) -> Surface:
     """Least squares of the restoring force on q', q and a dead zone for each visible contact with starting stops.
 
     The stops are nonlinear parameters, found by nonlinear least squares around the linear regression; their standard
     errors are sandwich estimates, which allow for residuals correlated within a sixteenth of the record. Both sides are
-    low-passed alike and decimated by `factor`, as the modal transformation fails at high frequencies.
+    low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
-    started = [(j, s) for j, (s, visible) in enumerate(zip(start, equation.visible, strict=True)) if visible and s]
-    indices = [j for j, _ in started]
-    measured = decimated(restoring_force(equation, force_n), factor)
-    linear = decimated(np.stack([equation.velocity, equation.displacement]), factor)
+    fitted_contacts = [
+        (j, s) for j, (s, is_visible) in enumerate(zip(start_stops, equation.visible, strict=True)) if is_visible and s
+    ]
+    contact_indices = [j for j, _ in fitted_contacts]
+    measured_force = decimated(restoring_force(equation, force_n), decimation)
+    linear_columns = decimated(np.stack([equation.velocity, equation.displacement]), decimation)
 
-    def columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
-        zones = [
-            equation.shape_at_contacts[j] * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), factor)
-            for i, j in enumerate(indices)
+    def regression_columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
+        zone_columns = [
+            equation.shape_at_contacts[j]
+            * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), decimation)
+            for i, j in enumerate(contact_indices)
         ]
-        return np.stack([*linear, *zones], axis=1)
+        return np.stack([*linear_columns, *zone_columns], axis=1)
 
-    def remainder(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
-        return measured - _projection(columns(stops), measured)[0]
+    def residual_force(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
+        return measured_force - _projection(regression_columns(stops), measured_force)[0]
 
-    largest = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in indices]).ravel()
-    scale = np.maximum(largest, 1e-12)
-    start_m = np.array([x for _, s in started for x in (s.lower_m, s.upper_m)])
+    largest_m = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in contact_indices]).ravel()
+    scale_m = np.maximum(largest_m, 1e-12)
+    start_m = np.array([x for _, s in fitted_contacts for x in (s.lower_m, s.upper_m)])
     solution = least_squares(
-        lambda s: remainder(s * scale), np.clip(start_m / scale, 0.0, 0.98), bounds=(0, 1), xtol=1e-9, ftol=1e-12
+        lambda s: residual_force(s * scale_m),
+        np.clip(start_m / scale_m, 0.0, 0.98),
+        bounds=(0, 1),
+        xtol=1e-9,
+        ftol=1e-12,
     )
-    stops = solution.x * scale
-    fitted, weights = _projection(columns(stops), measured)
-    covariance = _sandwich(np.concatenate([columns(stops), solution.jac / scale], axis=1), measured - fitted)
+    stops = solution.x * scale_m
+    fitted_force, weights = _projection(regression_columns(stops), measured_force)
+    covariance = _sandwich(
+        np.concatenate([regression_columns(stops), solution.jac / scale_m], axis=1), measured_force - fitted_force
+    )
     fitted_stops: list[Stops | None] = [None] * len(eta_m)
-    share = np.zeros((len(eta_m), measured.size))
-    stiffness = np.full(len(eta_m), np.nan)
-    first_stop = len(linear) + len(indices)
-    for i, j in enumerate(indices):
-        of_stops = slice(first_stop + 2 * i, first_stop + 2 * i + 2)
-        stop_covariance = covariance[of_stops, of_stops]
-        stiffness[j] = weights[2 + i]
-        share[j] = weights[2 + i] * columns(stops)[:, 2 + i]
-        closed = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
-        if closed >= LEAST_CONTACT_SHARE:
+    contact_forces = np.zeros((len(eta_m), measured_force.size))
+    stiffness_n_per_m = np.full(len(eta_m), np.nan)
+    first_stop = len(linear_columns) + len(contact_indices)
+    for i, j in enumerate(contact_indices):
+        stop_rows = slice(first_stop + 2 * i, first_stop + 2 * i + 2)
+        stop_covariance = covariance[stop_rows, stop_rows]
+        stiffness_n_per_m[j] = weights[2 + i]
+        contact_forces[j] = weights[2 + i] * regression_columns(stops)[:, 2 + i]
+        closed_share = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
+        if closed_share >= LEAST_CONTACT_SHARE:
             variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
             lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
             lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
-            touched = started[i][1].touched
-            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, touched)
-    return Surface(equation, factor, measured, fitted, share, tuple(fitted_stops), stiffness)
+            is_touched = fitted_contacts[i][1].touched
+            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, is_touched)
+    return Surface(
+        equation, decimation, measured_force, fitted_force, contact_forces, tuple(fitted_stops), stiffness_n_per_m
+    )
 
 
 def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
@@ -129,51 +141,53 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     a Gaussian within the gap and a narrower one beyond each stop. Standard errors from sixteen parts of the record;
     NaN for a stop that is not reached in each of them.
     """
-    edges = np.linspace(eta_m.min(), eta_m.max(), 401)
-    scale = float(np.std(eta_m))
-    x = (edges[:-1] + edges[1:]) / 2 / scale
+    edges_m = np.linspace(eta_m.min(), eta_m.max(), 401)
+    deviation_m = float(np.std(eta_m))
+    x = (edges_m[:-1] + edges_m[1:]) / 2 / deviation_m
 
-    def fit(
-        sample: Float[np.ndarray, " samples"], starts: list[Float[np.ndarray, " parameters"]]
+    def fit_density(
+        sample_m: Float[np.ndarray, " samples"], start_parameters: list[Float[np.ndarray, " parameters"]]
     ) -> Float[np.ndarray, " parameters"]:
-        counts = np.histogram(sample, edges)[0] / sample.size
+        bin_shares = np.histogram(sample_m, edges_m)[0] / sample_m.size
 
-        def cost(p: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
+        def cost(parameters: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
             """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
-            depth, kappa = penetration_m(x, *np.abs(p[3:])), np.exp(min(p[2], LARGEST_LOG_KAPPA))
-            exponent = -p[0] * x - p[1] * x**2 / 2 - kappa * depth**2 / 2
-            top = exponent.max()
-            density = np.exp(exponent - top)
-            total = density.sum()
-            by_log_kappa = -kappa * depth**2 / 2 * (p[2] < LARGEST_LOG_KAPPA)
-            by_stops = kappa * np.sign(p[3:, None]) * np.maximum([-depth, depth], 0)
-            gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / total - counts)
-            return float(-(counts @ exponent) + top + np.log(total)), gradient
+            depth, kappa = penetration_m(x, *np.abs(parameters[3:])), np.exp(min(parameters[2], LARGEST_LOG_KAPPA))
+            exponent = -parameters[0] * x - parameters[1] * x**2 / 2 - kappa * depth**2 / 2
+            largest_exponent = exponent.max()
+            density = np.exp(exponent - largest_exponent)
+            density_sum = density.sum()
+            by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < LARGEST_LOG_KAPPA)
+            by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
+            gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / density_sum - bin_shares)
+            return float(-(bin_shares @ exponent) + largest_exponent + np.log(density_sum)), gradient
 
-        attempts = [minimize(cost, s, jac=True, method="BFGS", options={"gtol": 1e-8}) for s in starts]
+        attempts = [minimize(cost, s, jac=True, method="BFGS", options={"gtol": 1e-8}) for s in start_parameters]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
-    quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / scale
-    best = fit(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
+    quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m
+    best_parameters = fit_density(eta_m, [np.array([0.0, 0.5, 3.0, q, q]) for q in quantiles])
     parts_m = np.array_split(eta_m, PARTS)
-    part_stops_m = np.array([np.abs(fit(part_m, [best])[3:]) for part_m in parts_m]) * scale
+    part_stops_m = np.array([np.abs(fit_density(part_m, [best_parameters])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
-    lower, upper = np.abs(best[3:]) * scale
+    lower_m, upper_m = np.abs(best_parameters[3:]) * deviation_m
     lower_error_m, upper_error_m, half_error_m = (
         float(np.std(x, ddof=1) / np.sqrt(PARTS))
         for x in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
-    return Stops(float(lower), float(upper), lower_error_m, upper_error_m, half_error_m)
+    return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, half_error_m)
 
 
 def _projection(
     columns: Float[np.ndarray, "samples columns"], target: Float[np.ndarray, " samples"]
 ) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " columns"]]:
     """Projection of the target on the columns, and their weights, by normal equations of scaled columns."""
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns))
-    scale[scale == 0] = 1.0
-    normal = (columns.T @ columns) / np.outer(scale, scale)
-    weights = np.linalg.pinv(normal, rcond=1e-14, hermitian=True) @ (columns.T @ target / scale) / scale
+    column_norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
+    column_norms[column_norms == 0] = 1.0
+    normal_matrix = (columns.T @ columns) / np.outer(column_norms, column_norms)
+    weights = (
+        np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / column_norms) / column_norms
+    )
     return columns @ weights, weights
 
 
@@ -181,9 +195,9 @@ def _sandwich(
     jacobian: Float[np.ndarray, "samples parameters"], residual: Float[np.ndarray, " samples"]
 ) -> Float[np.ndarray, "parameters parameters"]:
     """Sandwich covariance of a least-squares estimate whose residuals are correlated within parts of the record."""
-    scale = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
-    scale[scale == 0] = 1.0
-    scaled = jacobian / scale
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    scores = part_scores(scaled @ inverse, residual) / scale
+    column_norms = np.sqrt(np.einsum("ij,ij->j", jacobian, jacobian))
+    column_norms[column_norms == 0] = 1.0
+    unit_columns = jacobian / column_norms
+    inverse_normal = np.linalg.pinv(unit_columns.T @ unit_columns, rcond=1e-12, hermitian=True)
+    scores = part_scores(unit_columns @ inverse_normal, residual) / column_norms
     return np.asarray(scores.T @ scores * PARTS / (PARTS - 1))

@@ -5,7 +5,7 @@ from html import escape
 from pathlib import Path
 
 from identify.pages import page
-from identify.pages.machine import machine
+from identify.pages.machine import rig_drawing
 from identify.pages.wording import COVERED, interval, number, percent
 from identify.planning.detectable import DetectableEffect
 from identify.planning.expectation import ExpectedQuantity
@@ -162,16 +162,18 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
     best = [f"{change_sentence(change)[:1].upper()}{change_sentence(change)[1:]}." for change in plan.advice[:ADVISED]]
     best += [f"{c.name}: {c.remedy}." for c in plan.undetermined]
-    advice = page.listed(best) if best else "<p>No change that was tried shortens the widest interval by a tenth.</p>"
+    advice = (
+        page.list_html(best) if best else "<p>No change that was tried shortens the widest interval by a tenth.</p>"
+    )
     verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
     page.write(
         path,
         title=f"{plan.rig}: plan of a test",
         answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
-        first=[f"<figure>{machine(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
+        top_blocks=[f"<figure>{rig_drawing(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
         sections=_sections(plan),
-        folded=_folded(plan),
-        foot="Made by identify plan; the numbers are in plan.json.",
+        folded_sections=_folded(plan),
+        foot_text="Made by identify plan; the numbers are in plan.json.",
         sources=sources,
     )
 
@@ -192,7 +194,7 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         )
         sections.append(("Which effects would be named", text + page.table(KIND_HEAD, kind_rows(plan.effects))))
     if plan.notes:
-        sections.append(("To note", page.listed(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
+        sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
         text = (
             "<p>Each change was simulated and identified under the same forces. Widest interval: the widest of all "

@@ -51,24 +51,26 @@ def _group(version: Version = False) -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
-def _settings_text(title: str, kinds: Mapping[str, type[msgspec.Struct]]) -> str:
+def _settings_text(title_words: str, type_by_name: Mapping[str, type[msgspec.Struct]]) -> str:
     """Help text: every setting with its default."""
-    return "\n\n".join(f"{title} {name}: {_defaults(kind)}" for name, kind in kinds.items())
+    return "\n\n".join(
+        f"{title_words} {name}: {_defaults_text(settings_type)}" for name, settings_type in type_by_name.items()
+    )
 
 
-def _defaults(kind: type[msgspec.Struct]) -> str:
-    return ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(kind))
+def _defaults_text(struct_type: type[msgspec.Struct]) -> str:
+    return ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(struct_type))
 
 
-def _sentence(kind: type) -> str:
+def _first_paragraph(documented_class: type) -> str:
     """First paragraph of a class's docstring."""
-    return " ".join((getdoc(kind) or "").partition("\n\n")[0].split())
+    return " ".join((getdoc(documented_class) or "").partition("\n\n")[0].split())
 
 
 _EPILOG = (
     _settings_text("Settings of", {**REFERENCES, "FILE.json": Drive}),
     "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
-    *(f"Effect {name}: {_defaults(kind)}. {_sentence(kind)}" for name, kind in effects().items()),
+    *(f"Effect {name}: {_defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
 )
 
 
@@ -106,20 +108,20 @@ def record(
 
     Example: rig record rig.json --duration 60 --set rms_n=20 --out own.mcap
     """
-    words = [s.partition("=") for s in settings or []]
-    for key, equals, _ in words:
+    setting_parts = [s.partition("=") for s in settings or []]
+    for key, equals, _ in setting_parts:
         if not equals:
             raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
     if plant not in {None, *PLANTS}:
         raise typer.BadParameter(f"{plant!r} is none of {', '.join(PLANTS)}", param_hint="--plant")
-    values = {key: value for key, _, value in words}
-    values |= {} if duration is None else {"duration_s": str(duration)}
-    values |= {} if seed is None else {"seed": str(seed)}
-    machine = _machine(scenario, values)
+    setting_texts = {key: value for key, _, value in setting_parts}
+    setting_texts |= {} if duration is None else {"duration_s": str(duration)}
+    setting_texts |= {} if seed is None else {"seed": str(seed)}
+    machine = _machine(scenario, setting_texts)
     rig, force_n = machine.rig(), machine.force()
     plant = plant or plant_for(rig)
     try:
-        actual = reduce(lambda modified, text: effect_named(text).applied_to(modified), effect or [], rig)
+        actual_rig = reduce(lambda modified, text: effect_named(text).applied_to(modified), effect or [], rig)
     except RigError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     refuse_existing(out, force)
@@ -135,17 +137,17 @@ def record(
                 step_s=machine.step_s,
                 path=out,
                 progress=progress,
-                actual=actual,
+                actual=actual_rig,
             )
     except KeyboardInterrupt:
         if not out.exists():
             raise
         raise StoppedError(f"interrupted; {out} holds what was recorded until then") from None
     if as_json:
-        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level(machine)}))
+        print(json.dumps({"recording": str(out), "truth": str(truth_path(out)), **_level_json(machine)}))
     else:
-        forces = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
-        force_text = f"{forces} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
+        forces_phrase = "force" if len(rig.forces) == 1 else f"{len(rig.forces)} forces, each"
+        force_text = f"{forces_phrase} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         if rig.is_on_ground(rig.forces[0]):
             force_text = "no force, the base shakes"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
@@ -156,7 +158,7 @@ def record(
         print(f"{truth_path(out)}: what only a simulator knows")
 
 
-def _level(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+def _level_json(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
     if not isinstance(machine, OwnRig):
         return {}
@@ -191,23 +193,27 @@ def info(file: File, as_json: Json = False) -> None:
     with working(f"reading {file.name}"):
         recording = read(file)
     if as_json:
-        print(json.dumps(_summary(recording)))
+        print(json.dumps(_summary_json(recording)))
         return
     console, rig = literal_console(), recording.rig
     say(f"{file}: rig {rig.name}, {recording.duration_s:g} s at {rig.sample_rate_hz:g} Hz")
-    bodies = _table("Bodies", "body", "kind", "first frequencies, Hz")
+    body_table = _empty_table("Bodies", "body", "kind", "first frequencies, Hz")
     for body in rig.bodies:
-        modes = min(4 + body.rigid_modes, body.max_modes)
-        bodies.add_row(
-            body.name, body.kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(modes)[body.rigid_modes :])
+        mode_count = min(4 + body.rigid_modes, body.max_modes)
+        body_table.add_row(
+            body.name, body.kind, ", ".join(f"{f:.2f}" for f in body.frequencies_hz(mode_count)[body.rigid_modes :])
         )
-    contacts = _table("Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m")
+    contact_table = _empty_table(
+        "Contacts, as rig.json believes", "contact", "at", "against", "clearance, mm", "stiffness, N/m"
+    )
     for contact in rig.contacts:
-        law, against = contact.law, "ground" if contact.against is None else _place(contact.against)
-        sides = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
-        contacts.add_row(contact.name, _place(contact.at), against, sides, f"{law.stiffness_n_per_m:g}")
-    channels = [_channel_table(group, signals) for group, signals in recording.signals.items()]
-    for table in (bodies, contacts, *channels):
+        law, against_text = contact.law, "ground" if contact.against is None else _station_text(contact.against)
+        clearances_text = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
+        contact_table.add_row(
+            contact.name, _station_text(contact.at), against_text, clearances_text, f"{law.stiffness_n_per_m:g}"
+        )
+    channel_tables = [_channel_table(group_name, signals) for group_name, signals in recording.signals.items()]
+    for table in (body_table, contact_table, *channel_tables):
         console.print(table, "")
     for key, value in recording.provenance.items():
         say(f"{key}: {value}")
@@ -224,8 +230,8 @@ def check(file: File, as_json: Json = False) -> None:
     if as_json:
         print(json.dumps({"file": str(file), "sound": True, "samples": recording.samples}))
     else:
-        channels = sum(len(s.channels.names) for s in recording.signals.values())
-        say(f"{file}: sound, {channels} channels of {recording.samples} samples")
+        channel_count = sum(len(s.channels.names) for s in recording.signals.values())
+        say(f"{file}: sound, {channel_count} channels of {recording.samples} samples")
 
 
 app.command()(view)
@@ -245,21 +251,21 @@ def doctor() -> None:
     raise typer.Exit(installation())
 
 
-def _summary(recording: Recording) -> dict[str, Any]:
+def _summary_json(recording: Recording) -> dict[str, Any]:
     return {
         "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
         "sample_rate_hz": recording.rig.sample_rate_hz,
         "channels": [
             {
-                "group": group,
-                "name": name,
+                "group": group_name,
+                "name": channel_name,
                 "station": msgspec.to_builtins(station),
                 "unit": signals.channels.unit,
-                "rms": _rms(row),
+                "rms": _rms(samples),
             }
-            for group, signals in recording.signals.items()
-            for name, station, row in zip(
+            for group_name, signals in recording.signals.items()
+            for channel_name, station, samples in zip(
                 signals.channels.names, signals.channels.stations, signals.values, strict=True
             )
         ],
@@ -267,15 +273,15 @@ def _summary(recording: Recording) -> dict[str, Any]:
     }
 
 
-def _channel_table(group: str, signals: Signals) -> Table:
+def _channel_table(group_name: str, signals: Signals) -> Table:
     channels = signals.channels
-    table = _table(f"Channels: {group}", "channel", "at", f"rms, {channels.unit}")
-    for name, station, row in zip(channels.names, channels.stations, signals.values, strict=True):
-        table.add_row(name, "" if station is None else _place(station), f"{_rms(row):.4g}")
+    table = _empty_table(f"Channels: {group_name}", "channel", "at", f"rms, {channels.unit}")
+    for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
+        table.add_row(channel_name, "" if station is None else _station_text(station), f"{_rms(samples):.4g}")
     return table
 
 
-def _table(title: str, *headings: str) -> Table:
+def _empty_table(title: str, *headings: str) -> Table:
     """Empty table; the column of a heading with a comma, which names a unit, is aligned right."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, show_edge=False)
     for heading in headings:
@@ -283,12 +289,12 @@ def _table(title: str, *headings: str) -> Table:
     return table
 
 
-def _place(station: Station) -> str:
+def _station_text(station: Station) -> str:
     return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m"
 
 
-def _rms(row: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(row**2)))
+def _rms(samples: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(samples**2)))
 
 
 def main() -> None:

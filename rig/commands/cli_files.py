@@ -11,7 +11,7 @@ import typer
 
 from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
 from rig.files import check_source, write_bytes
-from rig.lab.exporting import ENDINGS, WRITERS, export
+from rig.lab.exporting import FILE_ENDINGS, WRITERS, export
 from rig.lab.import_map import Map
 from rig.lab.importing import import_file
 from rig.lab.looking import look_at
@@ -75,13 +75,13 @@ def import_(
     refuse_existing(out, force, source, map_)
     check_ending(out, (".mcap",), "a recording")
     with working(f"importing {source.name}"):
-        steps = import_file(source, map_, out)
+        history_steps = import_file(source, map_, out)
     if as_json:
-        print(json.dumps({"recording": str(out), "history": steps}))
+        print(json.dumps({"recording": str(out), "history": history_steps}))
         return
     print(f"{out}: imported from {source}; next: identify check {out}")
-    for step in steps:
-        say(f"  {step}")
+    for history_step in history_steps:
+        say(f"  {history_step}")
 
 
 def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
@@ -89,9 +89,9 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
     if write_map is not None:
         refuse_existing(write_map, force, source)
         check_ending(write_map, (".toml",), "a map")
-    folder = (write_map or source).parent
-    rig_path = rig_path or next((p for p in (folder / RIG_NAME, source.parent / RIG_NAME) if p.exists()), None)
-    rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, folder)).as_posix()
+    map_folder = (write_map or source).parent
+    rig_path = rig_path or next((p for p in (map_folder / RIG_NAME, source.parent / RIG_NAME) if p.exists()), None)
+    rig_name = RIG_NAME if rig_path is None else Path(os.path.relpath(rig_path, map_folder)).as_posix()
     with working(f"looking at {source.name}"):
         proposal = look_at(source, None if rig_path is None else read_rig(rig_path), rig_name)
     if write_map is not None:
@@ -100,15 +100,17 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
         print(json.dumps({"map": proposal.text, "seen": proposal.facts, "left": proposal.placeholder_count}))
         return
     map_name = write_map or source.with_suffix(".toml")
-    fill = f"fill in its {proposal.placeholder_count} values marked ?, then " if proposal.placeholder_count else ""
-    command = f"{fill}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
+    fill_phrase = (
+        f"fill in its {proposal.placeholder_count} values marked ?, then " if proposal.placeholder_count else ""
+    )
+    next_command = f"{fill_phrase}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
     if write_map is None:
         print(proposal.text, end="")
-        say(f"# next: save this as {map_name}, {command}")
+        say(f"# next: save this as {map_name}, {next_command}")
         return
     for fact in proposal.facts:
         say(fact)
-    say(f"{write_map}: written; next: {command}")
+    say(f"{write_map}: written; next: {next_command}")
 
 
 def export_(
@@ -127,16 +129,16 @@ def export_(
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     refuse_existing(out, force, file)
-    check_ending(out, ENDINGS[format_], f"a file of the format {format_}")
-    written = [out]
+    check_ending(out, FILE_ENDINGS[format_], f"a file of the format {format_}")
+    written_paths = [out]
     if map_ is not None:
         check_ending(map_, (".toml",), "a map")
         refuse_existing(map_, force, file, out)
-        written += [map_, map_.with_name(RIG_NAME)]
-        refuse_existing(written[-1], force, file, out, map_)
+        written_paths += [map_, map_.with_name(RIG_NAME)]
+        refuse_existing(written_paths[-1], force, file, out, map_)
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
-    print(f"{', '.join(map(str, written))}: written")
+    print(f"{', '.join(map(str, written_paths))}: written")
 
 
 def draw(
@@ -151,11 +153,11 @@ def draw(
     from rig.viewer.schematic import draw as draw_rig
 
     check_source(file)
-    target = out or file.with_suffix(".svg")
-    refuse_existing(target, force, file)
-    check_ending(target, (".svg",), "a drawing")
-    draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, target)
-    print(f"{target}: written; a browser shows it")
+    svg_path = out or file.with_suffix(".svg")
+    refuse_existing(svg_path, force, file)
+    check_ending(svg_path, (".svg",), "a drawing")
+    draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, svg_path)
+    print(f"{svg_path}: written; a browser shows it")
 
 
 def fmu(
@@ -189,5 +191,5 @@ def schema(
 
     Example: rig schema > rig.schema.json
     """
-    chosen = schema_of(Map, "import map") if of_map else rig_schema()
-    print(json.dumps(chosen, indent=2))
+    chosen_schema = schema_of(Map, "import map") if of_map else rig_schema()
+    print(json.dumps(chosen_schema, indent=2))

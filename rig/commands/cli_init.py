@@ -42,31 +42,33 @@ def _group() -> None:
     """
 
 
-def _command(name: str, kind: Kind) -> Callable[..., None]:
+def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
     """Command that starts one kind of rig, with an option for each field of the kind."""
-    helps = _helps(kind)
+    help_by_field = _help_by_field(kind)
 
     def command(out: Path, force: bool, as_json: bool, **texts: str | None) -> None:
         for path in (out / RIG_NAME, out / MAP_NAME):
             refuse_existing(path, force, new_folder=True)
-        start = _started(kind, helps, {k: v for k, v in texts.items() if v is not None})
-        with working(f"describing a rig of the kind {name}"):
-            rig, rig_notes = start.described()
-        written = write_start(rig, start.map_text(rig), out)
+        rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in texts.items() if v is not None})
+        with working(f"describing a rig of the kind {kind_name}"):
+            rig, rig_notes = rig_start.described()
+        written_paths = write_start(rig, rig_start.map_text(rig), out)
         if as_json:
-            print(json.dumps({"rig": str(written[0]), "map": str(written[1]), "notes": rig_notes}))
+            print(json.dumps({"rig": str(written_paths[0]), "map": str(written_paths[1]), "notes": rig_notes}))
             return
         for note in rig_notes:
             print(note)
         print(
-            f"{', '.join(map(str, written))}: written; next: rig draw {written[0]}; name your file's columns in "
-            f"{written[1].name}, then rig import FILE --map {written[1]} --out FILE.mcap"
+            f"{', '.join(map(str, written_paths))}: written; next: rig draw {written_paths[0]}; name your file's "
+            f"columns in {written_paths[1].name}, then rig import FILE --map {written_paths[1]} --out FILE.mcap"
         )
 
-    command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {name} {_EXAMPLES[name]}"
+    command.__doc__ = f"{kind.__doc__}\n\nExample: rig init {kind_name} {_EXAMPLES[kind_name]}"
     options = [
-        Parameter(field.name, Parameter.KEYWORD_ONLY, default=None, annotation=_option(field, helps[field.name]))
-        for field in _in_order(kind)
+        Parameter(
+            field.name, Parameter.KEYWORD_ONLY, default=None, annotation=_option(field, help_by_field[field.name])
+        )
+        for field in _fields_in_order(kind)
     ]
     shared_options = [
         Parameter("out", Parameter.KEYWORD_ONLY, default=Path(), annotation=Out),
@@ -78,27 +80,27 @@ def _command(name: str, kind: Kind) -> Callable[..., None]:
     return command
 
 
-def _in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
+def _fields_in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
     """Fields of a kind in the order of the help: its own first, those of every rig last."""
-    shared = [f.name for f in msgspec.structs.fields(StartWithStops)]
-    return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared)
+    shared_names = [f.name for f in msgspec.structs.fields(StartWithStops)]
+    return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared_names)
 
 
-def _helps(kind: Kind) -> dict[str, str]:
+def _help_by_field(kind: Kind) -> dict[str, str]:
     help_texts = {}
-    for name, hint in get_type_hints(kind, include_extras=True).items():
-        help_texts[name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
+    for field_name, hint in get_type_hints(kind, include_extras=True).items():
+        help_texts[field_name] = next(m.description or "" for m in get_args(hint)[1:] if isinstance(m, msgspec.Meta))
     return help_texts
 
 
-def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
+def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
     default = field.default
     if field.required:
-        text = f"{text} Needed."
+        help_text = f"{help_text} Needed."
     elif default not in (None, ()):
         default_text = ",".join(default) if isinstance(default, tuple) else default
-        text = f"{text} Default: {default_text}."
-    metavars = {
+        help_text = f"{help_text} Default: {default_text}."
+    metavar_by_type = {
         "Path": "FILE",
         "both": "both|upper|lower",
         "tuple[float": "NUMBER,...",
@@ -107,37 +109,37 @@ def _option(field: msgspec.structs.FieldInfo, text: str) -> Any:
         "int": "NUMBER",
         "": "TEXT",
     }
-    metavar = next(name for type_text, name in metavars.items() if type_text in str(field.type))
-    name = f"--{field.name.replace('_', '-')}"
-    return Annotated[str | None, typer.Option(name, help=text, metavar=metavar, show_default=False)]
+    metavar = next(metavar_text for type_text, metavar_text in metavar_by_type.items() if type_text in str(field.type))
+    option_name = f"--{field.name.replace('_', '-')}"
+    return Annotated[str | None, typer.Option(option_name, help=help_text, metavar=metavar, show_default=False)]
 
 
-def _started(kind: Kind, helps: Mapping[str, str], texts: Mapping[str, str]) -> Start:
+def _start_from_texts(kind: Kind, help_by_field: Mapping[str, str], text_by_field: Mapping[str, str]) -> Start:
     """Start from option texts; missing required fields are prompted for on a terminal.
 
     Raises typer.BadParameter without a terminal.
     """
-    values = {name: _value(kind, name, text) for name, text in texts.items()}
-    missing = [f.name for f in _in_order(kind) if f.required and f.name not in values]
-    if missing and not sys.stdin.isatty():
-        options = ", ".join(f"--{name.replace('_', '-')}" for name in missing)
-        raise typer.BadParameter(f"missing: {options}")
-    for name in missing:
-        question = f"{name}: {helps[name].rstrip('.')}"
-        values[name] = typer.prompt(question, value_proc=partial(_value, kind, name))
-    return kind(**values)
+    value_by_field = {field_name: _field_value(kind, field_name, text) for field_name, text in text_by_field.items()}
+    missing_names = [f.name for f in _fields_in_order(kind) if f.required and f.name not in value_by_field]
+    if missing_names and not sys.stdin.isatty():
+        options_text = ", ".join(f"--{field_name.replace('_', '-')}" for field_name in missing_names)
+        raise typer.BadParameter(f"missing: {options_text}")
+    for field_name in missing_names:
+        question = f"{field_name}: {help_by_field[field_name].rstrip('.')}"
+        value_by_field[field_name] = typer.prompt(question, value_proc=partial(_field_value, kind, field_name))
+    return kind(**value_by_field)
 
 
-def _value(kind: Kind, name: str, text: str) -> Any:
+def _field_value(kind: Kind, field_name: str, text: str) -> Any:
     """Value of a field from its text (a list: separated by commas); raises typer.BadParameter if it does not fit."""
-    hint = get_type_hints(kind)[name]
-    raw = text.split(",") if "tuple" in str(hint) else text
+    hint = get_type_hints(kind)[field_name]
+    raw_value = text.split(",") if "tuple" in str(hint) else text
     try:
-        return msgspec.convert(raw, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
+        return msgspec.convert(raw_value, hint, strict=False, dec_hook=lambda kind_, value: kind_(value))
     except msgspec.ValidationError as error:
-        reason = explained(error, raw, hint)
+        reason = explained(error, raw_value, hint)
         raise typer.BadParameter(
-            f"{text!r} does not fit: {reason}", param_hint=f"--{name.replace('_', '-')}"
+            f"{text!r} does not fit: {reason}", param_hint=f"--{field_name.replace('_', '-')}"
         ) from error
 
 

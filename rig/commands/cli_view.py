@@ -59,35 +59,35 @@ def view(
     if magnification is not None and not 0 < magnification < np.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
     check_source(file)
-    target = out or file.with_suffix(".rrd")
-    truth_file = truth or truth_path(file)
-    refuse_existing(target, force, file, truth_file, *(path for path in (contact, gap) if path is not None))
-    check_ending(target, (".rrd",), "a view")
+    rrd_path = out or file.with_suffix(".rrd")
+    truth_file_path = truth or truth_path(file)
+    refuse_existing(rrd_path, force, file, truth_file_path, *(path for path in (contact, gap) if path is not None))
+    check_ending(rrd_path, (".rrd",), "a view")
     recording = read(file)
-    truth_recording = read_truth(truth_file) if truth or truth_file.exists() else None
-    identified = NOTHING_IDENTIFIED
+    truth_recording = read_truth(truth_file_path) if truth or truth_file_path.exists() else None
+    identified_contacts = NOTHING_IDENTIFIED
     if contact is not None:
-        identified = read_identified(contact, recording.rig, recording.duration_s)
-    diagnosed, predicted = None, None
+        identified_contacts = read_identified(contact, recording.rig, recording.duration_s)
+    shown_gap, prediction = None, None
     if gap is not None:
-        diagnosed = read_gap(gap, recording.rig, recording.duration_s)
-        if (corrected := read_corrected(gap, recording.rig)) is not None:
-            motion, window_s = deflection(recording, truth_recording), diagnosed.horizon_s or WINDOW_S
+        shown_gap = read_gap(gap, recording.rig, recording.duration_s)
+        if (corrected_rig := read_corrected(gap, recording.rig)) is not None:
+            motion, window_s = deflection(recording, truth_recording), shown_gap.horizon_s or WINDOW_S
             with working("predicting the believed and the corrected rig"):
-                predicted = predicted_motion(recording, motion, corrected, modal, window_s, station)
-    with progress_bar(f"writing {target.name}") as progress:
+                prediction = predicted_motion(recording, motion, corrected_rig, modal, window_s, station)
+    with progress_bar(f"writing {rrd_path.name}") as progress:
         write_rrd(
             recording,
             truth_recording,
-            target,
+            rrd_path,
             magnification,
-            identified=identified,
-            gap=diagnosed,
-            predicted=predicted,
+            identified_contacts=identified_contacts,
+            gap=shown_gap,
+            prediction=prediction,
             progress=progress,
         )
-    print(f"{target}: written", flush=True)
+    print(f"{rrd_path}: written", flush=True)
     if web:
-        serve(target, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
+        serve(rrd_path, lambda address: print(f"open {address}; Ctrl-C ends it", flush=True))
     elif out is None and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        open_viewer(target)
+        open_viewer(rrd_path)

@@ -19,7 +19,7 @@ from rich.text import Text
 from rig.errors import RigError, is_plain, one_line
 from rig.files import check_target, part_of
 
-INTERRUPTED = 130
+INTERRUPTED_STATUS = 130
 SPEED_PERIOD_S = 3600.0
 """Time over which the speed is averaged that tells the time left: steps may last minutes."""
 
@@ -43,41 +43,44 @@ class StoppedError(Exception):
     """Interruption by Ctrl-C with a message that says what was kept."""
 
 
-def run(app: typer.Typer, name: str) -> None:
+def run(app: typer.Typer, command_name: str) -> None:
     """Run a command and exit: 0 done, 1 unusable input (one line on standard error), 2 wrong usage, 130 interrupted.
 
     Ctrl-C, a termination request and a closed terminal are interruptions.
     """
-    _prepare(name)
+    _prepare(command_name)
     try:
         try:
-            app(prog_name=name)
+            app(prog_name=command_name)
         finally:
             sys.stdout.flush()
     except RigError as error:
-        status, sentence = 1, str(error)
+        exit_status, sentence = 1, str(error)
     except MemoryError as error:
-        status, sentence = 1, f"there is not enough memory for this ({error}); ask for a shorter record"
+        exit_status, sentence = 1, f"there is not enough memory for this ({error}); ask for a shorter record"
     except StoppedError as error:
-        status, sentence = INTERRUPTED, str(error)
-    except SystemExit as stop:
-        if stop.code != INTERRUPTED:
+        exit_status, sentence = INTERRUPTED_STATUS, str(error)
+    except SystemExit as exit_error:
+        if exit_error.code != INTERRUPTED_STATUS:
             raise
-        status, sentence = INTERRUPTED, "interrupted"  # typer has taken the KeyboardInterrupt
+        exit_status, sentence = INTERRUPTED_STATUS, "interrupted"  # typer has taken the KeyboardInterrupt
     except KeyboardInterrupt:
-        status, sentence = INTERRUPTED, "interrupted"
+        exit_status, sentence = INTERRUPTED_STATUS, "interrupted"
     except BrokenPipeError:  # whoever reads has enough, as `head` has
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         sys.exit(1)
     except OSError as error:
-        place = "standard output" if error.filename is None else error.filename
-        status, sentence = 1, one_line(f"{place}: cannot be read or written ({error.strerror}); choose another place")
+        file_name = "standard output" if error.filename is None else error.filename
+        exit_status, sentence = (
+            1,
+            one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place"),
+        )
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
-    print(f"{name}: {sentence}", file=sys.stderr)
-    sys.exit(status)
+    print(f"{command_name}: {sentence}", file=sys.stderr)
+    sys.exit(exit_status)
 
 
-def _prepare(name: str) -> None:
+def _prepare(command_name: str) -> None:
     """Prepare the process: escape unencodable output, turn SIGTERM and SIGHUP into interruptions, silence warnings.
 
     Exits if standard output is closed.
@@ -85,13 +88,13 @@ def _prepare(name: str) -> None:
     if sys.stderr is None:
         sys.stderr = open(os.devnull, "w", encoding="utf-8")  # noqa: PTH123, SIM115
     if sys.stdout is None:
-        sys.exit(f"{name}: standard output is closed; direct it into a file or to {os.devnull}")
+        sys.exit(f"{command_name}: standard output is closed; direct it into a file or to {os.devnull}")
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    for ending in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) == signal.SIG_DFL:
-            signal.signal(getattr(signal, ending), _interrupt)
+    for signal_name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, signal_name) and signal.getsignal(getattr(signal, signal_name)) == signal.SIG_DFL:
+            signal.signal(getattr(signal, signal_name), _interrupt)
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
 
@@ -117,16 +120,21 @@ def literal_console() -> Console:
 def progress_bar(description: str) -> Iterator[Callable[[float], None]]:
     """Progress bar on standard error; yields a function to call with the fraction done. Silent when piped."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}", markup=False), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    progress_columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+    )
     with Progress(
-        *columns,
+        *progress_columns,
         console=console,
         disable=not console.is_terminal,
         transient=True,
         speed_estimate_period=SPEED_PERIOD_S,
-    ) as bar:
-        task = bar.add_task(one_line(description), total=1.0)
-        yield lambda fraction: bar.update(task, completed=fraction)
+    ) as progress:
+        task_id = progress.add_task(one_line(description), total=1.0)
+        yield lambda done_share: progress.update(task_id, completed=done_share)
 
 
 @contextmanager
@@ -137,12 +145,13 @@ def working(description: str) -> Iterator[None]:
         yield
 
 
-def check_ending(path: Path, endings: Sequence[str], content: str) -> None:
+def check_ending(path: Path, endings: Sequence[str], content_words: str) -> None:
     """Raise RigError unless the name of a file to be written ends as files of its content do."""
     if path.suffix.lower() not in endings:
-        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        ending_text = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
         raise RigError(
-            f"{path}: {ending}, and {content} in {' or '.join(endings)}; name it {path.with_suffix(endings[0]).name}"
+            f"{path}: {ending_text}, and {content_words} in {' or '.join(endings)}; name it "
+            f"{path.with_suffix(endings[0]).name}"
         )
 
 

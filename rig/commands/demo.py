@@ -35,10 +35,10 @@ MASS_KG, POSITION_M = 0.15, 0.8
 SETTINGS = {"sensors": "acceleration", "noise_density": 1e-3, "stations": 4, "sample_rate_hz": 2048, "high_hz": 60}
 NOMINAL_S, CHANGED_S = 10.0, 32.0
 """Lengths of the two records: of the shortest that bound the contacts to 1 %, and that leave 4 s for validation."""
-COVERED = 1.96
+HALF_WIDTH_95 = 1.96
 """Half-width of a 95 % interval over its standard error."""
 
-Show = Callable[[str], None]
+ShowText = Callable[[str], None]
 
 
 def demo(
@@ -52,54 +52,67 @@ def demo(
     """
     started_s = time.monotonic()
     plant = "ancf" if find_spec("exudyn") else "modal"
-    settings = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
-    nominal, changed = out / "nominal.mcap", out / "changed.mcap"
-    pages = out / "contact" / "contact.html", out / "gap" / "gap.html"
-    for path in (nominal, changed, *pages):
+    setting_options = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
+    nominal_path, changed_path = out / "nominal.mcap", out / "changed.mcap"
+    page_paths = out / "contact" / "contact.html", out / "gap" / "gap.html"
+    for path in (nominal_path, changed_path, *page_paths):
         refuse_existing(path, force, new_folder=True)
     out.mkdir(parents=True, exist_ok=True)
-    mass = f"added_mass:mass_kg={MASS_KG},relative_position={POSITION_M / BarrelCradle().length_m}"
-    record = ("rig", "record", "barrel_cradle", *settings)
-    again = ("--force",) if force else ()
-    identification = (
-        (*record, "--plant", plant, "--duration", NOMINAL_S, "--out", nominal, *again),
-        ("identify", "contact", nominal, "--out", out / "contact", *again),
+    mass_effect = f"added_mass:mass_kg={MASS_KG},relative_position={POSITION_M / BarrelCradle().length_m}"
+    record_command = ("rig", "record", "barrel_cradle", *setting_options)
+    force_option = ("--force",) if force else ()
+    identification_commands = (
+        (*record_command, "--plant", plant, "--duration", NOMINAL_S, "--out", nominal_path, *force_option),
+        ("identify", "contact", nominal_path, "--out", out / "contact", *force_option),
     )
-    diagnosis = (
-        (*record, "--plant", "modal", "--duration", CHANGED_S, "--seed", 2, "--effect", mass, "--out", changed, *again),
-        ("identify", "gap", changed, "--out", out / "gap", *again),
+    diagnosis_commands = (
+        (
+            *record_command,
+            "--plant",
+            "modal",
+            "--duration",
+            CHANGED_S,
+            "--seed",
+            2,
+            "--effect",
+            mass_effect,
+            "--out",
+            changed_path,
+            *force_option,
+        ),
+        ("identify", "gap", changed_path, "--out", out / "gap", *force_option),
     )
     console = Console(stderr=True)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    progress_columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*progress_columns, console=console, disable=not console.is_terminal, transient=True) as progress:
 
-        def task_description(task: Any) -> Show:
+        def task_description(task: Any) -> ShowText:
             return lambda text: progress.update(task, description=text)
 
         with ThreadPoolExecutor(2) as pool:
-            chains = [
+            chain_futures = [
                 pool.submit(_run_all, commands, task_description(progress.add_task("")))
-                for commands in (identification, diagnosis)
+                for commands in (identification_commands, diagnosis_commands)
             ]
-            chains[0].result()
-            _print_contacts(identification, out / "contact")
-            chains[1].result()
-            _print_diagnosis(diagnosis, out / "gap")
+            chain_futures[0].result()
+            _print_contacts(identification_commands, out / "contact")
+            chain_futures[1].result()
+            _print_diagnosis(diagnosis_commands, out / "gap")
     print()
-    say(f"{time.monotonic() - started_s:.0f} s. Pages: {pages[0]}, {pages[1]}")
+    say(f"{time.monotonic() - started_s:.0f} s. Pages: {page_paths[0]}, {page_paths[1]}")
     if show and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY") or sys.platform in ("darwin", "win32")):
         with suppress(webbrowser.Error):
-            webbrowser.open(pages[1].resolve().as_uri())
+            webbrowser.open(page_paths[1].resolve().as_uri())
 
 
-def _run_all(commands: tuple[tuple[object, ...], ...], show: Show) -> None:
+def _run_all(commands: tuple[tuple[object, ...], ...], show_text: ShowText) -> None:
     """Run commands one after another; raise RigError with the last line of one that fails."""
     for command in commands:
-        show(" ".join(map(str, command[:3])))
-        words = [sys.executable, "-m", "rig.commands.start", *map(str, command)]
-        done = subprocess.run(words, capture_output=True, text=True, check=False)
-        if done.returncode:
-            reason = done.stderr.strip().splitlines()[-1:] or ["no reason was given"]
+        show_text(" ".join(map(str, command[:3])))
+        arguments = [sys.executable, "-m", "rig.commands.start", *map(str, command)]
+        finished_process = subprocess.run(arguments, capture_output=True, text=True, check=False)
+        if finished_process.returncode:
+            reason = finished_process.stderr.strip().splitlines()[-1:] or ["no reason was given"]
             raise RigError(f"{' '.join(map(str, command[:2]))} failed: {reason[0]}")
 
 
@@ -113,24 +126,33 @@ def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> N
     """Clearance and stiffness of each contact with 95 % intervals, beside the settings of the rig."""
     _print_commands(commands)
     settings = BarrelCradle()
-    answer = json.loads((folder / "contact.json").read_text(encoding="utf-8"))
+    contact_json = json.loads((folder / "contact.json").read_text(encoding="utf-8"))
     clearances_m = settings.clearance_1_m, settings.clearance_2_m
     stiffnesses_n_per_m = settings.stiffness_1_n_per_m, settings.stiffness_2_n_per_m
-    for contact, clearance_m, stiffness in zip(answer["contacts"], clearances_m, stiffnesses_n_per_m, strict=True):
+    for contact, clearance_m, stiffness_n_per_m in zip(
+        contact_json["contacts"], clearances_m, stiffnesses_n_per_m, strict=True
+    ):
         _print_value(f"clearance of {contact['name']}", contact["clearance_m"], clearance_m, 1e3, "mm", 3)
-        _print_value(f"stiffness of {contact['name']}", contact["stiffness_n_per_m"], stiffness, 1e-3, "N/mm", 2)
+        _print_value(
+            f"stiffness of {contact['name']}", contact["stiffness_n_per_m"], stiffness_n_per_m, 1e-3, "N/mm", 2
+        )
 
 
-def _print_value(name: str, estimate: dict[str, float], true: float, scale: float, unit: str, decimals: int) -> None:
-    value, half_width = scale * estimate["value"], COVERED * scale * estimate["standard_error"]
-    say(f"  {name}: {value:.{decimals}f} ± {half_width:.{decimals}f} {unit}   (true: {scale * true:g} {unit})")
+def _print_value(
+    quantity: str, estimate: dict[str, float], true_value: float, unit_factor: float, unit: str, decimals: int
+) -> None:
+    value, half_width = unit_factor * estimate["value"], HALF_WIDTH_95 * unit_factor * estimate["standard_error"]
+    say(
+        f"  {quantity}: {value:.{decimals}f} ± {half_width:.{decimals}f} {unit}   "
+        f"(true: {unit_factor * true_value:g} {unit})"
+    )
 
 
 def _print_diagnosis(commands: tuple[tuple[object, ...], ...], folder: Path) -> None:
     """Verdict and its first sentence, beside the effect that the changed machine has."""
     _print_commands(commands)
-    answer = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
-    answer_text = f"{answer['verdict'].replace('_', ' ')}: {answer['sentence']}"
+    gap_json = json.loads((folder / "gap.json").read_text(encoding="utf-8"))
+    answer_text = f"{gap_json['verdict'].replace('_', ' ')}: {gap_json['sentence']}"
     for line in wrap(answer_text, get_terminal_size().columns - 2):
         say(f"  {line}")
     say(f"  (true: a mass of {MASS_KG:g} kg on the barrel at {POSITION_M:g} m)")

@@ -14,7 +14,7 @@ from pathlib import Path
 
 NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
-PURPOSES = {
+PURPOSE_BY_EXTRA = {
     "simulate": "the plant ancf (Exudyn)",
     "view": "rig view (rerun)",
     "lab": "UFF, TDMS and MATLAB 7.3 files",
@@ -28,10 +28,12 @@ PURPOSES = {
 def doctor() -> int:
     """Print the report; return 1 if there is a name conflict to resolve, else 0."""
     print(f"{NAME} {version(NAME)}, Python {sys.version.split()[0]}")
-    for extra, purpose in PURPOSES.items():
-        missing = [package for package in packages_of(extra) if installed(package) is None]
-        state = f"{', '.join(missing)} missing: pip install '{NAME}[{extra}]'" if missing else "installed"
-        print(f"  {extra:9} {purpose}: {state}")
+    for extra, purpose in PURPOSE_BY_EXTRA.items():
+        missing_packages = [package for package in packages_of(extra) if installed_version(package) is None]
+        state_words = (
+            f"{', '.join(missing_packages)} missing: pip install '{NAME}[{extra}]'" if missing_packages else "installed"
+        )
+        print(f"  {extra:9} {purpose}: {state_words}")
     complaints = [*taken_packages(), *taken_commands()]
     for sentence in complaints:
         print(sentence)
@@ -40,11 +42,11 @@ def doctor() -> int:
 
 def packages_of(extra: str) -> list[str]:
     """Packages that an extra installs, from the metadata of the installation."""
-    ending = re.compile(rf"extra == ['\"]{extra}['\"]")
-    return [re.split(r"[\s<>=!~;\[(]", line)[0] for line in requires(NAME) or () if ending.search(line)]
+    extra_marker = re.compile(rf"extra == ['\"]{extra}['\"]")
+    return [re.split(r"[\s<>=!~;\[(]", line)[0] for line in requires(NAME) or () if extra_marker.search(line)]
 
 
-def installed(package: str) -> str | None:
+def installed_version(package: str) -> str | None:
     try:
         return version(package)
     except PackageNotFoundError:
@@ -53,30 +55,33 @@ def installed(package: str) -> str | None:
 
 def taken_packages() -> Iterator[str]:
     """Sentence for each of the project's packages that another distribution provides too."""
-    packages = packages_distributions()
-    for name in COMMANDS:
-        owners = sorted(set(packages.get(name, ())) - {NAME})
-        spec = find_spec(name)
-        place = Path((spec and spec.origin) or ".").parent
+    owners_by_package = packages_distributions()
+    for package_name in COMMANDS:
+        owners = sorted(set(owners_by_package.get(package_name, ())) - {NAME})
+        module_spec = find_spec(package_name)
+        package_folder = Path((module_spec and module_spec.origin) or ".").parent
         if owners:
             yield (
-                f"the Python package {name} is also that of {', '.join(owners)} (pre-commit needs one called "
+                f"the Python package {package_name} is also that of {', '.join(owners)} (pre-commit needs one called "
                 f"identify): keep what needs it in an environment of its own; here pip uninstall {' '.join(owners)}, "
                 f"then pip install --force-reinstall --no-deps {NAME}"
             )
-        elif not (place / "commands" / "cli.py").is_file():
-            yield f"the Python package {name} in {place} is not that of {NAME}: start in another folder, or remove it"
+        elif not (package_folder / "commands" / "cli.py").is_file():
+            yield (
+                f"the Python package {package_name} in {package_folder} is not that of {NAME}: "
+                "start in another folder, or remove it"
+            )
 
 
 def taken_commands() -> Iterator[str]:
     """Sentence for each command that the shell finds elsewhere, or not at all."""
-    scripts = Path(sysconfig.get_path("scripts")).resolve()
-    for name in COMMANDS:
-        command_path = shutil.which(name)
+    scripts_folder = Path(sysconfig.get_path("scripts")).resolve()
+    for command_name in COMMANDS:
+        command_path = shutil.which(command_name)
         if command_path is None:
-            yield f"the command {name} is not on the PATH: activate the environment, or add {scripts}"
-        elif Path(command_path).parent.resolve() != scripts:
+            yield f"the command {command_name} is not on the PATH: activate the environment, or add {scripts_folder}"
+        elif Path(command_path).parent.resolve() != scripts_folder:
             yield (
-                f"the command {name} is {command_path}, another program (ImageMagick has one called identify): put "
-                f"{scripts} first on the PATH, or say {NAME} {name}"
+                f"the command {command_name} is {command_path}, another program (ImageMagick has one called identify): "
+                f"put {scripts_folder} first on the PATH, or say {NAME} {command_name}"
             )

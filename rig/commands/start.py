@@ -10,8 +10,8 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
-INTERRUPTED = 130
-ENDINGS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+INTERRUPTED_STATUS = 130
+ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
 LAST_DATE_S = 253_402_300_800
@@ -41,33 +41,35 @@ def both() -> None:
         sys.exit(0 if command == "--help" else 2)
 
 
-def _start(name: str) -> None:
+def _start(command_name: str) -> None:
     if sys.argv[1:] == ["doctor"]:
         _doctor()
-    _check_date(name)
+    _check_date(command_name)
 
-    def stop(*_: Any) -> None:
-        os.write(2, f"{name}: interrupted\n".encode())
-        os._exit(INTERRUPTED)  # nothing is open yet, and an exception might be lost in what is being imported
+    def exit_interrupted(*_: Any) -> None:
+        os.write(2, f"{command_name}: interrupted\n".encode())
+        os._exit(INTERRUPTED_STATUS)  # nothing is open yet, and an exception might be lost in what is being imported
 
-    before = {ending: signal.getsignal(ending) for ending in ENDINGS}
-    for ending, handler in before.items():
+    earlier_handlers = {ending_signal: signal.getsignal(ending_signal) for ending_signal in ENDING_SIGNALS}
+    for ending_signal, handler in earlier_handlers.items():
         if handler != signal.SIG_IGN:
-            signal.signal(ending, stop)
+            signal.signal(ending_signal, exit_interrupted)
     try:
-        main = import_module(f"{name}.commands.cli").main
+        main = import_module(f"{command_name}.commands.cli").main
     except ImportError as error:
-        sys.exit(f"{name}: cannot start ({error}); ask for the reason: {NAME} doctor")
-    for ending, handler in before.items():
-        signal.signal(ending, handler)
+        sys.exit(f"{command_name}: cannot start ({error}); ask for the reason: {NAME} doctor")
+    for ending_signal, handler in earlier_handlers.items():
+        signal.signal(ending_signal, handler)
     main()
 
 
-def _check_date(name: str) -> None:
+def _check_date(command_name: str) -> None:
     """Exit with a sentence if SOURCE_DATE_EPOCH, which numpy parses when scipy is imported, is no valid date."""
-    date = os.environ.get("SOURCE_DATE_EPOCH", "0")
-    if not (date.isascii() and date.isdigit() and int(date[:20]) < LAST_DATE_S):
-        sys.exit(f"{name}: SOURCE_DATE_EPOCH is {date[:100]!r}; set it to whole seconds since 1970, or unset it")
+    date_text = os.environ.get("SOURCE_DATE_EPOCH", "0")
+    if not (date_text.isascii() and date_text.isdigit() and int(date_text[:20]) < LAST_DATE_S):
+        sys.exit(
+            f"{command_name}: SOURCE_DATE_EPOCH is {date_text[:100]!r}; set it to whole seconds since 1970, or unset it"
+        )
 
 
 def _doctor() -> None:

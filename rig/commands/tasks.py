@@ -25,17 +25,17 @@ from rig.files import make_folder, write_bytes
 
 Parameters = TypeVar("Parameters", bound=msgspec.Struct)
 TaskResult = TypeVar("TaskResult", bound=msgspec.Struct)
-Completed = Generator[tuple[int, Future[Any]], None, None]
+Completions = Generator[tuple[int, Future[Any]], None, None]
 Dask = Annotated[
     str | None, typer.Option("--dask", help="Address of a dask scheduler, or local; by default a process a core.")
 ]
-LOSSES = 3
+MOST_LOSSES = 3
 """So many times the process of a task may be lost before the task is given up."""
 
 
 def run_tasks(
     function: Callable[[Parameters], TaskResult],
-    parameters: Sequence[Parameters],
+    parameter_sets: Sequence[Parameters],
     result_type: type[TaskResult],
     folder: Path,
     dask: str | None = None,
@@ -45,7 +45,7 @@ def run_tasks(
     A task that fails does not stop the others; the first failure is raised at the end.
     """
     results: list[TaskResult] = []
-    for outcome in outcomes_of_tasks(function, parameters, result_type, folder, dask):
+    for outcome in outcomes_of_tasks(function, parameter_sets, result_type, folder, dask):
         if isinstance(outcome, BaseException):
             raise outcome
         results.append(outcome)
@@ -54,7 +54,7 @@ def run_tasks(
 
 def outcomes_of_tasks(
     function: Callable[[Parameters], TaskResult],
-    parameters: Sequence[Parameters],
+    parameter_sets: Sequence[Parameters],
     result_type: type[TaskResult],
     folder: Path,
     dask: str | None = None,
@@ -63,105 +63,113 @@ def outcomes_of_tasks(
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
     not computed again; an error is not kept. Processes of one thread each run the tasks: one a core, or those of
-    `dask`. A task whose process is lost is tried again by itself, at most LOSSES times; the others go on. Raises
+    `dask`. A task whose process is lost is tried again by itself, at most MOST_LOSSES times; the others go on. Raises
     RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
     """
     make_folder(folder)
-    paths = [kept_path(function, p, folder) for p in parameters]
-    missing = [number for number, path in enumerate(paths) if not path.exists()]
-    tasks = [parameters[number] for number in missing]
-    completed = _on_dask(function, tasks, dask) if dask else _on_processes(function, tasks)
-    errors: dict[int, BaseException] = {}
+    result_paths = [kept_path(function, p, folder) for p in parameter_sets]
+    missing_numbers = [task_number for task_number, result_path in enumerate(result_paths) if not result_path.exists()]
+    tasks = [parameter_sets[task_number] for task_number in missing_numbers]
+    completions = _on_dask(function, tasks, dask) if dask else _on_processes(function, tasks)
+    error_by_number: dict[int, BaseException] = {}
     finished_count = 0
     try:
-        with closing(completed), progress_bar(f"{len(missing)} of {len(parameters)} tasks") as progress:
-            for index, future in completed if tasks else ():
+        with closing(completions), progress_bar(f"{len(missing_numbers)} of {len(parameter_sets)} tasks") as progress:
+            for index, future in completions if tasks else ():
                 if error := future.exception():
-                    errors[missing[index]] = error
+                    error_by_number[missing_numbers[index]] = error
                 else:
-                    write_bytes(msgspec.json.encode(future.result()), paths[missing[index]])
+                    write_bytes(msgspec.json.encode(future.result()), result_paths[missing_numbers[index]])
                 finished_count += 1
-                progress(finished_count / len(missing))
+                progress(finished_count / len(missing_numbers))
     except KeyboardInterrupt:
-        kept_count = sum(path.exists() for path in paths)
+        kept_count = sum(result_path.exists() for result_path in result_paths)
         raise StoppedError(
-            f"interrupted; {kept_count} of {len(paths)} results are kept in {folder}; run the command again to go on"
+            f"interrupted; {kept_count} of {len(result_paths)} results are kept in {folder}; run the command again "
+            "to go on"
         ) from None
     return [
-        errors[number] if number in errors else msgspec.json.decode(path.read_bytes(), type=result_type)
-        for number, path in enumerate(paths)
+        error_by_number[task_number]
+        if task_number in error_by_number
+        else msgspec.json.decode(result_path.read_bytes(), type=result_type)
+        for task_number, result_path in enumerate(result_paths)
     ]
 
 
 def kept_path(function: Callable[[Parameters], TaskResult], parameters: Parameters, folder: Path) -> Path:
     """File in which the result of a task is kept."""
-    name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
-    return folder / f"{hashlib.sha256(name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
+    hashed_name = f"{function.__module__}.{function.__qualname__} {importlib.metadata.version('rig-identify')}"
+    return folder / f"{hashlib.sha256(hashed_name.encode() + msgspec.json.encode(parameters)).hexdigest()[:24]}.json"
 
 
-def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], dask: str) -> Completed:
+def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], dask: str) -> Completions:
     """Yield index and future of each task as it completes; dask itself repeats a task whose worker is lost."""
     with needs_extra("cluster", "--dask"):
         from distributed import Client
-    local = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "dashboard_address": None}
+    local_options = {"n_workers": os.cpu_count(), "threads_per_worker": 1, "dashboard_address": None}
     try:
-        client = Client(**local) if dask == "local" else Client(dask, timeout=10)
+        client = Client(**local_options) if dask == "local" else Client(dask, timeout=10)
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
-    with client, client.get_executor(retries=LOSSES) as executor:
-        indices = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
-        for future in as_completed(indices):
-            yield indices[future], future
+    with client, client.get_executor(retries=MOST_LOSSES) as executor:
+        index_by_future = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
+        for future in as_completed(index_by_future):
+            yield index_by_future[future], future
 
 
-def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters]) -> Completed:
+def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters]) -> Completions:
     """Yield index and future of each task as it completes, on a process a core.
 
     A process that is lost breaks its pool, and which of the running tasks it had is unknown: each of these runs again
     when the others are done, in a pool of its own.
     """
-    suspects: list[int] = []
-    waiting = deque(range(len(tasks)))
-    while waiting:
-        for index, future in _in_a_pool(function, tasks, waiting, os.cpu_count() or 1):
+    suspect_indices: list[int] = []
+    waiting_indices = deque(range(len(tasks)))
+    while waiting_indices:
+        for index, future in _in_a_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
             if _is_lost(future):
-                suspects.append(index)
+                suspect_indices.append(index)
             else:
                 yield index, future
-    for index in suspects:
-        for _ in range(LOSSES - 1):
+    for index in suspect_indices:
+        for _ in range(MOST_LOSSES - 1):
             ((_, future),) = _in_a_pool(function, tasks, deque([index]), 1)
             if not _is_lost(future):
                 break
         else:
             future = Future()
             future.set_exception(
-                RigError(f"its process was lost {LOSSES} times (out of memory?); run the command again to go on")
+                RigError(f"its process was lost {MOST_LOSSES} times (out of memory?); run the command again to go on")
             )
         yield index, future
 
 
 def _in_a_pool(
-    function: Callable[[Parameters], TaskResult], tasks: Sequence[Parameters], waiting: deque[int], processes: int
-) -> Completed:
+    function: Callable[[Parameters], TaskResult],
+    tasks: Sequence[Parameters],
+    waiting_indices: deque[int],
+    process_count: int,
+) -> Completions:
     """Yield index and future of waiting tasks, of which as many run as there are processes, until the pool breaks."""
     earlier_processes = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(processes, initializer=_prepare_process)
-    running: dict[Future[Any], int] = {}
-    broken = False
+    pool = ProcessPoolExecutor(process_count, initializer=_prepare_process)
+    index_by_future: dict[Future[Any], int] = {}
+    is_broken = False
     try:
         while True:
             try:
-                while waiting and not broken and len(running) < processes:
-                    running[pool.submit(_on_one_thread, function, tasks[waiting[0]])] = waiting[0]
-                    waiting.popleft()
+                while waiting_indices and not is_broken and len(index_by_future) < process_count:
+                    index_by_future[pool.submit(_on_one_thread, function, tasks[waiting_indices[0]])] = waiting_indices[
+                        0
+                    ]
+                    waiting_indices.popleft()
             except BrokenProcessPool:
-                broken = True
-            if not running:
+                is_broken = True
+            if not index_by_future:
                 return
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                broken = broken or _is_lost(future)
-                yield running.pop(future), future
+            for future in wait(index_by_future, return_when=FIRST_COMPLETED).done:
+                is_broken = is_broken or _is_lost(future)
+                yield index_by_future.pop(future), future
     except BaseException:
         for process in set(multiprocessing.active_children()) - earlier_processes:
             process.terminate()
@@ -177,9 +185,9 @@ def _is_lost(future: Future[Any]) -> bool:
 def _prepare_process() -> None:
     """Let signals end the process at once, without a traceback, and let it end with the one that started it."""
     os.environ["LOKY_MAX_CPU_COUNT"] = "1"  # as the tasks run on every core
-    for ending in ("SIGINT", "SIGTERM", "SIGHUP"):
-        if hasattr(signal, ending) and signal.getsignal(getattr(signal, ending)) != signal.SIG_IGN:
-            signal.signal(getattr(signal, ending), signal.SIG_DFL)
+    for signal_name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        if hasattr(signal, signal_name) and signal.getsignal(getattr(signal, signal_name)) != signal.SIG_IGN:
+            signal.signal(getattr(signal, signal_name), signal.SIG_DFL)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

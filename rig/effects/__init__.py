@@ -10,7 +10,10 @@ from rig.registry import subclasses
 
 def effects() -> dict[str, type[Effect]]:
     """Every effect by its name, in alphabetical order."""
-    return {kind.name: kind for kind in sorted(subclasses(__path__, __name__, Effect), key=lambda kind: kind.name)}
+    return {
+        effect_type.name: effect_type
+        for effect_type in sorted(subclasses(__path__, __name__, Effect), key=lambda effect_type: effect_type.name)
+    }
 
 
 def effect_named(text: str) -> Effect:
@@ -18,22 +21,25 @@ def effect_named(text: str) -> Effect:
 
     Raises RigError for an unknown name or parameter and for a value that does not fit.
     """
-    name, _, assignments = text.partition(":")
-    kinds = effects()
-    if name not in kinds:
-        raise RigError(f"no effect {name!r}{meant(name, kinds)}; there are {', '.join(kinds)}")
-    kind, values = kinds[name], {}
+    effect_name, _, assignments = text.partition(":")
+    effect_types = effects()
+    if effect_name not in effect_types:
+        raise RigError(
+            f"no effect {effect_name!r}{meant(effect_name, effect_types)}; there are {', '.join(effect_types)}"
+        )
+    effect_type, value_texts = effect_types[effect_name], {}
     for assignment in assignments.split(",") if assignments else []:
-        parameter, equals, value = assignment.partition("=")
+        parameter_name, equals, value_text = assignment.partition("=")
         if not equals:
-            raise RigError(f"effect {name}: {assignment!r} is not PARAMETER=VALUE")
-        if parameter not in kind.__struct_fields__:
-            names = kind.__struct_fields__
+            raise RigError(f"effect {effect_name}: {assignment!r} is not PARAMETER=VALUE")
+        if parameter_name not in effect_type.__struct_fields__:
+            parameter_names = effect_type.__struct_fields__
             raise RigError(
-                f"effect {name} has no parameter {parameter!r}{meant(parameter, names)}; it has {', '.join(names)}"
+                f"effect {effect_name} has no parameter {parameter_name!r}{meant(parameter_name, parameter_names)}; it "
+                f"has {', '.join(parameter_names)}"
             )
-        values[parameter] = value
+        value_texts[parameter_name] = value_text
     try:
-        return msgspec.convert(values, kind, strict=False)
+        return msgspec.convert(value_texts, effect_type, strict=False)
     except msgspec.ValidationError as error:
-        raise RigError(f"effect {name}: {explained(error, values, kind)}") from error
+        raise RigError(f"effect {effect_name}: {explained(error, value_texts, effect_type)}") from error

@@ -18,11 +18,11 @@ from rig.model.description import Body, Rig, Sensor, Station, contact_stations
 from rig.model.modes import Modes, modes_of
 from rig.model.parameters import Parameter, ParameterSet
 
-PLACES = 11
+PLACE_COUNT = 11
 """Number of places along a beam among which its softest is sought."""
 
 Law = TypeVar("Law", bound=ContactLaw)
-Compliance = Callable[[Float[np.ndarray, " places"]], Any]
+ComplianceStatistic = Callable[[Float[np.ndarray, " places"]], Any]
 """Statistic of the compliances along a body: np.max for its softest point, np.median for a typical one."""
 Place = Mapping[str, str | None]
 """Place of an effect, by the names of its fields (contact, body, beam, sensor, ...); None: all of them together."""
@@ -41,10 +41,12 @@ class Scale:
     place: Place = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("force_rms_n", "duration_s"):
-            value = getattr(self, name)
+        for field_name in ("force_rms_n", "duration_s"):
+            value = getattr(self, field_name)
             if not 0 < value < np.inf:
-                raise RigError(f"scale of rig {self.rig.name!r}: {name} is {value}; give a finite value above zero")
+                raise RigError(
+                    f"scale of rig {self.rig.name!r}: {field_name} is {value}; give a finite value above zero"
+                )
 
     def with_place(self, place: Place) -> "Scale":
         """Scale for an effect at another place."""
@@ -52,11 +54,11 @@ class Scale:
 
     def contact_stiffness_n_per_m(self) -> float:
         """Stiffness of the stiffest contact at the place."""
-        return max((law.stiffness_n_per_m for law in self._laws()), default=0.0)
+        return max((law.stiffness_n_per_m for law in self._contact_laws()), default=0.0)
 
     def clearance_m(self) -> float:
         """Smallest clearance of the stops at the place, m; zero if there are none."""
-        clearances_m = [min(law.lower_clearance_m, law.upper_clearance_m) for law in self._laws()]
+        clearances_m = [min(law.lower_clearance_m, law.upper_clearance_m) for law in self._contact_laws()]
         return min((c for c in clearances_m if np.isfinite(c)), default=0.0)
 
     def contact_mass_kg(self) -> float:
@@ -70,16 +72,16 @@ class Scale:
         """Mass of the body."""
         return self._body().mass_kg
 
-    def stiffness_n_per_m(self, of: Compliance = np.max) -> float:
+    def stiffness_n_per_m(self, statistic: ComplianceStatistic = np.max) -> float:
         """Static stiffness of the body at its softest point, 1 / sum phi^2 / omega^2 over its elastic modes, N/m.
 
-        With `of` np.median, at a typical point. A free mass has the stiffness of the stiffest contact.
+        With the statistic np.median, at a typical point. A free mass has the stiffness of the stiffest contact.
         """
-        shapes, omega = self._shapes()
-        elastic = omega > 0
-        if not np.any(elastic):
+        shapes, omega = self._shapes_and_frequencies()
+        is_elastic = omega > 0
+        if not np.any(is_elastic):
             return max((c.law.stiffness_n_per_m for c in self.rig.contacts), default=self._body().mass_kg)
-        return float(1 / of((shapes[:, elastic] ** 2) @ (1 / omega[elastic] ** 2)))
+        return float(1 / statistic((shapes[:, is_elastic] ** 2) @ (1 / omega[is_elastic] ** 2)))
 
     def length_m(self) -> float:
         """Length of the body, m; zero for a single mass."""
@@ -87,34 +89,34 @@ class Scale:
 
     def is_supported(self) -> bool:
         """True if the body, without its contacts, has no rigid-body mode."""
-        return bool(np.all(self._shapes()[1] > 0))
+        return bool(np.all(self._shapes_and_frequencies()[1] > 0))
 
-    def displacement_m(self, of: Compliance = np.max) -> float:
+    def displacement_m(self, statistic: ComplianceStatistic = np.max) -> float:
         """Displacement scale of the body, m: the larger of F_rms / stiffness and the clearances of its contacts.
 
-        `of` as in `stiffness_n_per_m`.
+        The statistic as in `stiffness_n_per_m`.
         """
         body = self._body()
-        touching = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
-        clearances_m = [c.law.clearance_m for c in touching if c.law.sides]
-        return max(self.force_rms_n / self.stiffness_n_per_m(of), *clearances_m, 0.0)
+        touching_contacts = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
+        clearances_m = [c.law.clearance_m for c in touching_contacts if c.law.sides]
+        return max(self.force_rms_n / self.stiffness_n_per_m(statistic), *clearances_m, 0.0)
 
     @property
     def band_hz(self) -> tuple[float, float]:
         """Band that a record resolves, Hz: from two periods per record to the passband of the sensors."""
         return 2 / self.duration_s, 0.4 * self.rig.sample_rate_hz
 
-    def _laws(self) -> list[ContactLaw]:
+    def _contact_laws(self) -> list[ContactLaw]:
         return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
 
     def _body(self) -> Body:
         return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
 
-    def _shapes(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
+    def _shapes_and_frequencies(self) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
         body = self._body()
         modes: Modes = modes_of(self.rig, body)
-        count = body.max_modes
-        return modes.shapes(body.places(PLACES), count), 2 * np.pi * modes.frequencies_hz(count)
+        mode_count = body.max_modes
+        return modes.shapes(body.places(PLACE_COUNT), mode_count), 2 * np.pi * modes.frequencies_hz(mode_count)
 
 
 class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -155,15 +157,18 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Places to try: every contact, body, beam or sensor; with several contacts also all of them, tied."""
-        contacts: list[str | None] = [c.name for c in rig.contacts]
-        targets: dict[str, list[str | None]] = {
-            "contact": [*contacts, None] if len(contacts) > 1 else contacts,
+        contact_names: list[str | None] = [c.name for c in rig.contacts]
+        targets_by_field: dict[str, list[str | None]] = {
+            "contact": [*contact_names, None] if len(contact_names) > 1 else contact_names,
             "body": [b.name for b in rig.bodies],
             "beam": [b.name for b in rig.beams],
             "sensor": list(sensors),
         }
-        place_fields = [t for t in targets if t in cls.__struct_fields__]
-        return [dict(zip(place_fields, chosen, strict=True)) for chosen in product(*(targets[t] for t in place_fields))]
+        place_fields = [t for t in targets_by_field if t in cls.__struct_fields__]
+        return [
+            dict(zip(place_fields, field_values, strict=True))
+            for field_values in product(*(targets_by_field[t] for t in place_fields))
+        ]
 
     @classmethod
     def ranged(cls, **ranges: tuple[float, float]) -> ParameterSet:
@@ -173,8 +178,8 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     @classmethod
     def ranged_along_body(cls, scale: Scale, **ranges: tuple[float, float]) -> ParameterSet:
         """Parameters as `ranged`, without the position along the body if that is a single mass."""
-        ranged = cls.ranged(**ranges)
-        return ranged if scale.length_m() else ranged.excluding("relative_position")
+        parameter_set = cls.ranged(**ranges)
+        return parameter_set if scale.length_m() else parameter_set.excluding("relative_position")
 
     @classmethod
     def placed(cls, scale: Scale, **numbers: float) -> "Effect":
@@ -182,21 +187,21 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         return msgspec.convert({**numbers, **scale.place}, cls)
 
     def __post_init__(self) -> None:
-        for field in self.__struct_fields__:
-            value = getattr(self, field)
+        for field_name in self.__struct_fields__:
+            value = getattr(self, field_name)
             if isinstance(value, float) and not np.isfinite(value):
-                raise RigError(f"effect {self.name}: {field} is {value}; give a finite value")
+                raise RigError(f"effect {self.name}: {field_name} is {value}; give a finite value")
 
     def applied_to(self, rig: Rig) -> Rig:
         """Rig with the effect; raises RigError where the effect does not apply."""
         raise NotImplementedError
 
-    def missing_place(self, rig: Rig, missing: str) -> RigError:
+    def missing_place(self, rig: Rig, missing_part: str) -> RigError:
         return RigError(
-            f"effect {self.name}: rig {rig.name!r} has no {missing}; choose another place or another effect"
+            f"effect {self.name}: rig {rig.name!r} has no {missing_part}; choose another place or another effect"
         )
 
-    def with_laws(self, rig: Rig, contact: str | None, kind: type[Law], change: Callable[[Law], Law]) -> Rig:
+    def with_laws(self, rig: Rig, contact: str | None, law_type: type[Law], change_law: Callable[[Law], Law]) -> Rig:
         """Rig with the law of one contact changed, of every contact if none is named.
 
         Raises RigError if there is no such contact or its law is of another kind.
@@ -205,10 +210,10 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         if not current_laws:
             raise self.missing_place(rig, "contact" if contact is None else f"contact {contact!r}")
         changed_laws = {}
-        for name, law in current_laws.items():
-            if not isinstance(law, kind):
-                raise self.missing_place(rig, f"{kind.__struct_config__.tag} at {name!r}")
-            changed_laws[name] = change(law)
+        for contact_name, law in current_laws.items():
+            if not isinstance(law, law_type):
+                raise self.missing_place(rig, f"{law_type.__struct_config__.tag} at {contact_name!r}")
+            changed_laws[contact_name] = change_law(law)
         return replace(rig, contacts=tuple(replace(c, law=changed_laws.get(c.name, c.law)) for c in rig.contacts))
 
     def body_of(self, rig: Rig, name: str | None) -> Body:
@@ -219,35 +224,37 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
                 return body
         raise self.missing_place(rig, f"body {body_name!r}")
 
-    def station(self, rig: Rig, body: str | None, relative_position: float) -> Station:
+    def station(self, rig: Rig, body_name: str | None, relative_position: float) -> Station:
         """Station at a relative position (0 to 1) along a body."""
-        target = self.body_of(rig, body)
+        target_body = self.body_of(rig, body_name)
         if not 0 <= relative_position <= 1:
             raise RigError(f"effect {self.name}: relative_position is {relative_position}; give 0 to 1")
-        return Station(target.name, relative_position * target.length_m)
+        return Station(target_body.name, relative_position * target_body.length_m)
 
-    def beams_of(self, rig: Rig, name: str | None, end_condition: str | None = None) -> tuple[Beam, ...]:
+    def beams_of(self, rig: Rig, beam_name: str | None, end_condition: str | None = None) -> tuple[Beam, ...]:
         """Beams with these end conditions and this name, where given; raises RigError if there is none."""
-        beams = tuple(b for b in rig.beams if end_condition in (None, b.ends) and name in (None, b.name))
+        beams = tuple(b for b in rig.beams if end_condition in (None, b.ends) and beam_name in (None, b.name))
         if not beams:
-            raise self.missing_place(rig, f"{end_condition or ''} beam {'' if name is None else repr(name)}".strip())
+            raise self.missing_place(
+                rig, f"{end_condition or ''} beam {'' if beam_name is None else repr(beam_name)}".strip()
+            )
         return beams
 
-    def with_sensor(self, rig: Rig, name: str | None, change: Callable[[Sensor], Sensor]) -> Rig:
+    def with_sensor(self, rig: Rig, sensor_name: str | None, change_sensor: Callable[[Sensor], Sensor]) -> Rig:
         """Rig with one sensor changed, the last if none is named."""
-        chosen = [s for s in rig.sensors if name in (None, s.name)][-1:]
-        if not chosen:
-            raise self.missing_place(rig, "sensor" if name is None else f"sensor {name!r}")
-        return replace(rig, sensors=tuple(change(s) if s in chosen else s for s in rig.sensors))
+        chosen_sensors = [s for s in rig.sensors if sensor_name in (None, s.name)][-1:]
+        if not chosen_sensors:
+            raise self.missing_place(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
+        return replace(rig, sensors=tuple(change_sensor(s) if s in chosen_sensors else s for s in rig.sensors))
 
 
-def parameters_of(kind: type[Effect]) -> ParameterSet:
+def parameters_of(effect_type: type[Effect]) -> ParameterSet:
     """Declared parameters of an effect, in the order of its fields."""
-    hints = get_type_hints(kind, include_extras=True)
+    hints = get_type_hints(effect_type, include_extras=True)
     return ParameterSet(
         tuple(
-            dataclasses.replace(annotation, name=name)
-            for name, hint in hints.items()
+            dataclasses.replace(annotation, name=field_name)
+            for field_name, hint in hints.items()
             for annotation in get_args(hint)
             if isinstance(annotation, Parameter)
         )

@@ -25,8 +25,12 @@ class ShakingBase(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice what the exciting force gives the lightest body, at the frequencies that a record tells."""
-        highest = 2 * scale.force_rms_n / min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
-        return cls.ranged(acceleration_rms_m_per_s2=(0.0, highest), low_hz=scale.band_hz, high_hz=scale.band_hz)
+        highest_m_per_s2 = (
+            2 * scale.force_rms_n / min(scale.with_place({"body": b.name}).mass_kg() for b in scale.rig.bodies)
+        )
+        return cls.ranged(
+            acceleration_rms_m_per_s2=(0.0, highest_m_per_s2), low_hz=scale.band_hz, high_hz=scale.band_hz
+        )
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

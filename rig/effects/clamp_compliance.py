@@ -25,9 +25,9 @@ class ClampCompliance(Effect, frozen=True):
         if self.compliance <= 0:
             raise RigError(f"effect {self.name}: compliance is {self.compliance}; give a value above zero")
         beams = self.beams_of(rig, self.beam, "clamped-free")
-        clamps = tuple(
+        compliant_clamps = tuple(
             Clamp(body=b.name, rotational_n_m_per_rad=b.bending_stiffness_n_m2 / b.length_m / self.compliance)
             for b in beams
         )
         other_clamps = tuple(c for c in rig.clamps if c.body not in {b.name for b in beams})
-        return replace(rig, clamps=other_clamps + clamps)
+        return replace(rig, clamps=other_clamps + compliant_clamps)

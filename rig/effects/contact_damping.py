@@ -22,13 +22,13 @@ class ContactDamping(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to critical: twice the root of the contact's stiffness and the lighter body's mass."""
-        critical = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
-        return cls.ranged(damping_n_s_per_m=(0.0, critical))
+        critical_n_s_per_m = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
+        return cls.ranged(damping_n_s_per_m=(0.0, critical_n_s_per_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
-        critical = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
-        return cls.placed(scale, damping_n_s_per_m=0.02 * critical)
+        critical_n_s_per_m = 2 * (scale.contact_stiffness_n_per_m() * scale.contact_mass_kg()) ** 0.5
+        return cls.placed(scale, damping_n_s_per_m=0.02 * critical_n_s_per_m)
 
     def applied_to(self, rig: Rig) -> Rig:
         return self.with_laws(

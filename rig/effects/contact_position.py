@@ -39,10 +39,10 @@ class ContactPosition(Effect, frozen=True):
         """A contact at one beam's end stays there and moves along the other; between the ends it stays on `at`."""
         if contact.against is None:
             return contact
-        station, against = contact.at, contact.against
-        if against.position_m in (0.0, rig.body(against.body).length_m):
+        station, against_station = contact.at, contact.against
+        if against_station.position_m in (0.0, rig.body(against_station.body).length_m):
             return replace(contact, at=self._shifted_station(rig, station, -self.shift_m))
-        return replace(contact, against=self._shifted_station(rig, against, self.shift_m))
+        return replace(contact, against=self._shifted_station(rig, against_station, self.shift_m))
 
     def _shifted_station(self, rig: Rig, station: Station, shift_m: float) -> Station:
         if station.body not in [beam.name for beam in rig.beams]:

@@ -27,13 +27,13 @@ class HardeningSpring(Effect, frozen=True):
         Downwards, of a body that is held, only as far as its stiffness there at such a displacement stays positive.
         """
         displacement_m = scale.displacement_m(np.median)
-        highest = scale.force_rms_n / displacement_m**3
-        lowest = (
-            min(highest, scale.stiffness_n_per_m(np.median) / (3 * displacement_m**2))
+        highest_n_per_m3 = scale.force_rms_n / displacement_m**3
+        softest_n_per_m3 = (
+            min(highest_n_per_m3, scale.stiffness_n_per_m(np.median) / (3 * displacement_m**2))
             if scale.is_supported()
-            else highest
+            else highest_n_per_m3
         )
-        return cls.ranged_along_body(scale, cubic_n_per_m3=(-lowest, highest))
+        return cls.ranged_along_body(scale, cubic_n_per_m3=(-softest_n_per_m3, highest_n_per_m3))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

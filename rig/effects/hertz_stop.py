@@ -41,9 +41,9 @@ class HertzStop(Effect, frozen=True):
                 f"effect {self.name}: reference_force_n is {self.reference_force_n}; give a value above zero, at most "
                 f"{MAX_FORCE_N:g}"
             )
-        return self.with_laws(rig, self.contact, DeadZone, self._changed)
+        return self.with_laws(rig, self.contact, DeadZone, self._changed_law)
 
-    def _changed(self, law: DeadZone) -> DeadZone:
+    def _changed_law(self, law: DeadZone) -> DeadZone:
         if not law.stiffness_n_per_m > 0:
             raise RigError(f"effect {self.name}: a stop without stiffness has no shape; choose another contact")
         depth_m = self.reference_force_n / law.stiffness_n_per_m

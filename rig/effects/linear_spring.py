@@ -32,9 +32,9 @@ class LinearSpring(Effect, frozen=True):
         force over how far it moves.
         """
         scale_n_per_m = _stiffness_scale_n_per_m(scale)
-        lowest = -MAX_MISSING_SHARE * scale.stiffness_n_per_m(np.median) if scale.is_supported() else 0.0
+        lowest_n_per_m = -MAX_MISSING_SHARE * scale.stiffness_n_per_m(np.median) if scale.is_supported() else 0.0
         return cls.ranged_along_body(
-            scale, stiffness_n_per_m=(lowest, 5 * scale_n_per_m if scale.is_supported() else scale_n_per_m)
+            scale, stiffness_n_per_m=(lowest_n_per_m, 5 * scale_n_per_m if scale.is_supported() else scale_n_per_m)
         )
 
     @classmethod
@@ -44,10 +44,10 @@ class LinearSpring(Effect, frozen=True):
     def applied_to(self, rig: Rig) -> Rig:
         station = self.station(rig, self.body, self.relative_position)
         spring = PointSpring(station=station, stiffness_n_per_m=self.stiffness_n_per_m)
-        sprung = replace(rig, springs=(*rig.springs, spring))
+        rig_with_spring = replace(rig, springs=(*rig.springs, spring))
         if self.stiffness_n_per_m < 0:
-            modes_of(sprung, sprung.body(station.body))  # refuses what is more than holds the body
-        return sprung
+            modes_of(rig_with_spring, rig_with_spring.body(station.body))  # refuses what is more than holds the body
+        return rig_with_spring
 
 
 def _stiffness_scale_n_per_m(scale: Scale) -> float:

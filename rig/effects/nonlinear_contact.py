@@ -39,5 +39,5 @@ class NonlinearContact(Effect, frozen=True):
 
 def _doubling_n_per_m3(scale: Scale) -> float:
     """k / depth^2, at the depth to which three times the exciting force's root mean square presses the stop."""
-    stiffness = scale.contact_stiffness_n_per_m()
-    return stiffness**3 / (3 * scale.force_rms_n) ** 2
+    stiffness_n_per_m = scale.contact_stiffness_n_per_m()
+    return stiffness_n_per_m**3 / (3 * scale.force_rms_n) ** 2

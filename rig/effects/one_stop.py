@@ -25,18 +25,18 @@ class OneStop(Effect, frozen=True):
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Either side that has a stop, of every contact and of all."""
         places = super().placements(rig, sensors)
-        sides = {place["contact"]: _sides(rig, place["contact"]) for place in places}
+        sides_by_contact = {place["contact"]: _stop_sides(rig, place["contact"]) for place in places}
         return [
-            {**place, "side": name}
+            {**place, "side": side_name}
             for place in places
-            for name, side in (("upper", 1), ("lower", -1))
-            if side in sides[place["contact"]]
+            for side_name, side in (("upper", 1), ("lower", -1))
+            if side in sides_by_contact[place["contact"]]
         ]
 
     def applied_to(self, rig: Rig) -> Rig:
-        return self.with_laws(rig, self.contact, DeadZone, self._changed)
+        return self.with_laws(rig, self.contact, DeadZone, self._changed_law)
 
-    def _changed(self, law: DeadZone) -> DeadZone:
+    def _changed_law(self, law: DeadZone) -> DeadZone:
         if self.side == "lower":
             return replace(law, lower_stiffness_ratio=law.lower_stiffness_ratio * self.factor)
         return replace(
@@ -46,6 +46,6 @@ class OneStop(Effect, frozen=True):
         )
 
 
-def _sides(rig: Rig, contact: str | None) -> set[int]:
+def _stop_sides(rig: Rig, contact_name: str | None) -> set[int]:
     """Sides on which the contact of that name, or any contact, has a stop."""
-    return {side for c in rig.contacts if contact in (None, c.name) for side in c.law.sides}
+    return {side for c in rig.contacts if contact_name in (None, c.name) for side in c.law.sides}

@@ -26,5 +26,5 @@ class StructuralDamping(Effect, frozen=True):
         return super().placements(rig, sensors) + everywhere
 
     def applied_to(self, rig: Rig) -> Rig:
-        chosen = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
-        return replace(rig, bodies=tuple(b.scale_damping(self.factor) if b in chosen else b for b in rig.bodies))
+        damped_bodies = rig.bodies if self.body is None else (self.body_of(rig, self.body),)
+        return replace(rig, bodies=tuple(b.scale_damping(self.factor) if b in damped_bodies else b for b in rig.bodies))

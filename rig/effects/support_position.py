@@ -9,8 +9,8 @@ from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig, Station, Support
 from rig.model.parameters import Parameter, ParameterSet
 
-Hold = TypeVar("Hold", Support, PointSpring)
-REACH = 0.1
+Holding = TypeVar("Holding", Support, PointSpring)
+LARGEST_SHIFT_SHARE = 0.1
 """Largest shift, as a share of the body's length."""
 
 
@@ -29,17 +29,17 @@ class SupportPosition(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the body, either way, as far as every support stays on it."""
-        body = cls(body=scale.place.get("body")).supported_body(scale.rig)
-        length_m = scale.rig.body(body).length_m
-        positions_m = [support.station.position_m for support in _supports(scale.rig, body)]
-        most_m = REACH * length_m
+        body_name = cls(body=scale.place.get("body")).supported_body(scale.rig)
+        length_m = scale.rig.body(body_name).length_m
+        positions_m = [support.station.position_m for support in _supports(scale.rig, body_name)]
+        most_m = LARGEST_SHIFT_SHARE * length_m
         return cls.ranged(shift_m=(max(-most_m, -min(positions_m)), min(most_m, length_m - max(positions_m))))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         """A hundredth of the body, towards the side with more room."""
         shift = cls.parameters(scale)["shift_m"]
-        return cls.placed(scale, shift_m=REACH * (shift.high if shift.high >= -shift.low else shift.low))
+        return cls.placed(scale, shift_m=LARGEST_SHIFT_SHARE * (shift.high if shift.high >= -shift.low else shift.low))
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
@@ -64,12 +64,12 @@ class SupportPosition(Effect, frozen=True):
             springs=tuple(self._shifted(s) if s in moved else s for s in rig.springs),
         )
 
-    def _shifted(self, support: Hold) -> Hold:
+    def _shifted(self, support: Holding) -> Holding:
         station = support.station
         return replace(support, station=Station(station.body, station.position_m + self.shift_m))
 
 
-def _supports(rig: Rig, body: str) -> Sequence[Support | PointSpring]:
+def _supports(rig: Rig, body_name: str) -> Sequence[Support | PointSpring]:
     """Supports of a body; its springs where it has none."""
-    supports = [support for support in rig.supports if support.station.body == body]
-    return supports or [spring for spring in rig.springs if spring.station.body == body]
+    supports = [support for support in rig.supports if support.station.body == body_name]
+    return supports or [spring for spring in rig.springs if spring.station.body == body_name]

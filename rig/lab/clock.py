@@ -10,16 +10,16 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 
-MAX_JITTER = 0.01
+MAX_JITTER_INTERVALS = 0.01
 """Largest deviation of a time stamp from an even grid, in sampling intervals."""
-MIN_GAP = 1.5
+MIN_GAP_INTERVALS = 1.5
 """Least gap between two time stamps, in intervals."""
-MAX_BRIDGED = 4.5
+MAX_BRIDGED_INTERVALS = 4.5
 """Longest gap that is interpolated, in intervals."""
 RATE_TOLERANCE = 1e-4
 MAX_DECIMATION = 1000
 """Largest ratio of the record's rate to the rig's; beyond, its time is probably in another unit."""
-PIECE, OVERLAP = 2**18, 64
+PIECE_SAMPLES, OVERLAP_SAMPLES = 2**18, 64
 """Samples of all channels per spline, and extra knots at its ends, whose influence decays as 0.27^64."""
 
 
@@ -30,33 +30,33 @@ class SampleTimes:
     fault describes an irregularity of the stamps in words; empty if there is none.
     """
 
-    samples: int
+    sample_count: int
     rate_hz: float
     stamps_s: Float[np.ndarray, " samples"] | None = None
     fault: str = ""
 
     @classmethod
-    def of_rate(cls, rate_hz: float, samples: int) -> "SampleTimes":
-        if samples < 2:
+    def of_rate(cls, rate_hz: float, sample_count: int) -> "SampleTimes":
+        if sample_count < 2:
             raise RigError("it holds fewer than two samples; export more")
-        return cls(samples, rate_hz)
+        return cls(sample_count, rate_hz)
 
     @classmethod
     def of_stamps(cls, stamps_s: Float[np.ndarray, " samples"]) -> "SampleTimes":
         """Times by stamps; raises RigError if they do not increase or have a long gap."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            rate_hz, fault = _rate_and_fault(stamps_s)
-        return cls(stamps_s.size, rate_hz, stamps_s, fault)
+            rate_hz, stamp_fault = _rate_and_fault(stamps_s)
+        return cls(stamps_s.size, rate_hz, stamps_s, stamp_fault)
 
-    def stamps(self, first: int, last: int) -> Float[np.ndarray, " some"]:
+    def stamps(self, first_sample: int, end_sample: int) -> Float[np.ndarray, " some"]:
         """Time stamps of the samples first to last - 1, s."""
         if self.stamps_s is None:
-            return np.arange(first, last) / self.rate_hz
-        return self.stamps_s[first:last]
+            return np.arange(first_sample, end_sample) / self.rate_hz
+        return self.stamps_s[first_sample:end_sample]
 
 
-def even(
-    values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float, resample: bool
+def evenly_sampled(
+    values: Float[np.ndarray, "channels samples"], sample_times: SampleTimes, rate_hz: float, resample: bool
 ) -> tuple[Float[np.ndarray, "channels evenly"], tuple[str, ...]]:
     """Samples at the times k / rate_hz after the first, and the processing steps in words.
 
@@ -66,11 +66,11 @@ def even(
     Raises RigError, without the name of the file, if the stamps are uneven or at another rate and it is not, and
     always for a rate below rate_hz or over MAX_DECIMATION times as high.
     """
-    measured_hz, fault = clock.rate_hz, clock.fault
-    if fault and not resample:
-        raise RigError(f"{fault}; mend the record, or set resample = true in the map")
-    differs = abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE
-    if differs and measured_hz < rate_hz:
+    measured_hz, stamp_fault = sample_times.rate_hz, sample_times.fault
+    if stamp_fault and not resample:
+        raise RigError(f"{stamp_fault}; mend the record, or set resample = true in the map")
+    is_other_rate = abs(measured_hz / rate_hz - 1) > RATE_TOLERANCE
+    if is_other_rate and measured_hz < rate_hz:
         raise RigError(
             f"it is sampled at {measured_hz:.6g} Hz, below sample_rate_hz {rate_hz:g} of the rig; correct rig.json"
         )
@@ -79,46 +79,60 @@ def even(
             f"it is sampled at {measured_hz:.6g} Hz, over {MAX_DECIMATION} times sample_rate_hz {rate_hz:g} of the "
             "rig; correct the unit or scale of its time, or rig.json"
         )
-    if differs and not resample:
+    if is_other_rate and not resample:
         raise RigError(
             f"it is sampled at {measured_hz:.6g} Hz, sample_rate_hz of the rig is {rate_hz:g}; correct rig.json, or "
             "set resample = true in the map"
         )
-    ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if differs else Fraction(1)
-    grid_hz = rate_hz / float(ratio)
-    steps: tuple[str, ...] = ()
-    if fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
-        values = _on_grid(values, clock, grid_hz)
-        steps = (f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {fault or 'the rate is uneven'}",)
-    if ratio != 1:
-        values = np.stack([_filtered(row, ratio) for row in values])
-        steps = (*steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
-    return values, steps
+    rate_ratio = Fraction(rate_hz / measured_hz).limit_denominator(MAX_DECIMATION) if is_other_rate else Fraction(1)
+    grid_hz = rate_hz / float(rate_ratio)
+    history_steps: tuple[str, ...] = ()
+    if stamp_fault or abs(grid_hz / measured_hz - 1) > RATE_TOLERANCE:
+        values = _resample_to_grid(values, sample_times, grid_hz)
+        history_steps = (
+            f"resampled to an even {grid_hz:.9g} Hz by a cubic spline, since {stamp_fault or 'the rate is uneven'}",
+        )
+    if rate_ratio != 1:
+        values = np.stack([_filter_to_rate(samples, rate_ratio) for samples in values])
+        history_steps = (*history_steps, f"resampled from {grid_hz:.9g} to {rate_hz:.9g} Hz by a linear-phase filter")
+    return values, history_steps
 
 
-def _on_grid(
-    values: Float[np.ndarray, "channels samples"], clock: SampleTimes, rate_hz: float
+def _resample_to_grid(
+    values: Float[np.ndarray, "channels samples"], sample_times: SampleTimes, grid_hz: float
 ) -> Float[np.ndarray, "channels evenly"]:
     """Resample to an even grid by cubic splines, piece by piece with overlapping knots."""
-    (start_s,), (end_s,) = clock.stamps(0, 1), clock.stamps(clock.samples - 1, clock.samples)
-    grid = np.empty((len(values), int((end_s - start_s) * rate_hz * (1 + 1e-12)) + 1))
-    length = max(PIECE // len(values), OVERLAP)
-    start = 0
-    for first in range(0, clock.samples - 1, length):
-        last = min(first + length, clock.samples - 1)
-        low, high = max(first - OVERLAP, 0), min(last + OVERLAP, clock.samples)
-        knots_s = clock.stamps(low, high)
-        final = last == clock.samples - 1
-        stop = grid.shape[1] if final else math.ceil((knots_s[last - low] - start_s) * rate_hz)
-        times_s = start_s + np.arange(start, stop) / rate_hz
-        grid[:, start:stop] = scipy.interpolate.CubicSpline(knots_s, values[:, low:high], axis=1)(times_s)
-        start = stop
-    return grid
+    (start_s,), (end_s,) = (
+        sample_times.stamps(0, 1),
+        sample_times.stamps(sample_times.sample_count - 1, sample_times.sample_count),
+    )
+    grid_values = np.empty((len(values), int((end_s - start_s) * grid_hz * (1 + 1e-12)) + 1))
+    piece_length = max(PIECE_SAMPLES // len(values), OVERLAP_SAMPLES)
+    grid_start = 0
+    for first_sample in range(0, sample_times.sample_count - 1, piece_length):
+        last_sample = min(first_sample + piece_length, sample_times.sample_count - 1)
+        first_knot, last_knot = (
+            max(first_sample - OVERLAP_SAMPLES, 0),
+            min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count),
+        )
+        knots_s = sample_times.stamps(first_knot, last_knot)
+        is_final = last_sample == sample_times.sample_count - 1
+        grid_stop = (
+            grid_values.shape[1] if is_final else math.ceil((knots_s[last_sample - first_knot] - start_s) * grid_hz)
+        )
+        times_s = start_s + np.arange(grid_start, grid_stop) / grid_hz
+        grid_values[:, grid_start:grid_stop] = scipy.interpolate.CubicSpline(
+            knots_s, values[:, first_knot:last_knot], axis=1
+        )(times_s)
+        grid_start = grid_stop
+    return grid_values
 
 
-def _filtered(row: Float[np.ndarray, " samples"], ratio: Fraction) -> Float[np.ndarray, " fewer"]:
+def _filter_to_rate(samples: Float[np.ndarray, " samples"], rate_ratio: Fraction) -> Float[np.ndarray, " fewer"]:
     return np.asarray(
-        scipy.signal.resample_poly(row, ratio.numerator, ratio.denominator, window=("kaiser", 8.0), padtype="line"),
+        scipy.signal.resample_poly(
+            samples, rate_ratio.numerator, rate_ratio.denominator, window=("kaiser", 8.0), padtype="line"
+        ),
         dtype=float,
     )
 
@@ -129,31 +143,34 @@ def _rate_and_fault(time_s: Float[np.ndarray, " samples"]) -> tuple[float, str]:
         raise RigError("it holds fewer than two samples; export more")
     steps_s = np.diff(time_s)
     if not (steps_s > 0).all():
-        first = int(np.argmin(steps_s > 0))
-        raise RigError(f"its time does not increase after {time_s[first]:.6f} s (sample {first}); sort or mend it")
+        first_fault = int(np.argmin(steps_s > 0))
+        raise RigError(
+            f"its time does not increase after {time_s[first_fault]:.6f} s (sample {first_fault}); sort or mend it"
+        )
     interval_s = float(np.median(steps_s))
     duration_s = float(time_s[-1] - time_s[0])
-    gaps = np.flatnonzero(steps_s > MIN_GAP * interval_s)
-    if gaps.size:
-        widest = int(np.argmax(steps_s))
-        if steps_s[widest] > MAX_BRIDGED * interval_s:
+    gap_indices = np.flatnonzero(steps_s > MIN_GAP_INTERVALS * interval_s)
+    if gap_indices.size:
+        widest_gap = int(np.argmax(steps_s))
+        if steps_s[widest_gap] > MAX_BRIDGED_INTERVALS * interval_s:
             raise RigError(
-                f"its time stamps have a gap of {steps_s[widest]:.6g} s after {time_s[widest]:.6f} s; cut the record "
-                "there and import the longer part"
+                f"its time stamps have a gap of {steps_s[widest_gap]:.6g} s after {time_s[widest_gap]:.6f} s; cut the "
+                "record there and import the longer part"
             )
-        intervals = float(np.round(steps_s / interval_s).sum())
+        interval_count = float(np.round(steps_s / interval_s).sum())
         return float(
-            np.divide(intervals, duration_s)
-        ), f"its time stamps have {gaps.size} gaps, the first after {time_s[gaps[0]]:.6f} s"
+            np.divide(interval_count, duration_s)
+        ), f"its time stamps have {gap_indices.size} gaps, the first after {time_s[gap_indices[0]]:.6f} s"
     del steps_s
     rate_hz = float(np.divide(time_s.size - 1, duration_s))
-    deviations = time_s - time_s[0]
-    deviations *= rate_hz
-    deviations -= np.arange(time_s.size)
-    np.abs(deviations, out=deviations)
-    worst = int(np.argmax(deviations))
-    if deviations[worst] > MAX_JITTER:
+    deviations_intervals = time_s - time_s[0]
+    deviations_intervals *= rate_hz
+    deviations_intervals -= np.arange(time_s.size)
+    np.abs(deviations_intervals, out=deviations_intervals)
+    worst_stamp = int(np.argmax(deviations_intervals))
+    if deviations_intervals[worst_stamp] > MAX_JITTER_INTERVALS:
         return rate_hz, (
-            f"its time stamps are uneven, by {deviations[worst]:.2g} of a sampling interval at {time_s[worst]:.6f} s"
+            f"its time stamps are uneven, by {deviations_intervals[worst_stamp]:.2g} of a sampling interval at "
+            f"{time_s[worst_stamp]:.6f} s"
         )
     return rate_hz, ""

@@ -26,7 +26,7 @@ class ColumnBlock:
     """
 
     names: tuple[str, ...]
-    samples: int
+    sample_count: int
     read: Callable[[Sequence[int]], Sequence[Column]]
     working_bytes: int = 0
 
@@ -47,9 +47,9 @@ class UnreadableError(ValueError):
     """Fault of a file, in words that fit between "cannot be read as .mat (" and ")"."""
 
 
-def decoded(raw: bytes) -> str:
+def decode_text(encoded_text: bytes) -> str:
     """Text of unknown encoding: UTF-8, or else Latin-1."""
     try:
-        return raw.decode()
+        return encoded_text.decode()
     except UnicodeDecodeError:
-        return raw.decode("latin-1")
+        return encoded_text.decode("latin-1")

@@ -19,7 +19,7 @@ from rig.lab.units import name_and_unit, quantity_of
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", ".lvm", ".dat")
 MAX_LINE_LENGTH = 1_000_000
 """Longest line, characters."""
-LINES_AT_ONCE = 8192
+LINES_PER_BLOCK = 8192
 """Lines converted at once."""
 _COMMENT_MARK = re.compile(r"^\s*[#%]+\s*(?=[^\s,;|])")
 UNFIT_ENCODINGS = {"idna", "punycode", "undefined", "unicode_escape", "raw_unicode_escape"}
@@ -53,17 +53,17 @@ class TextForm(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True)
-class _Body:
-    """Shape of the lines of samples: cells of the first one (width), and the number of lines.
+class _SampleLines:
+    """Shape of the lines of samples: cells of the first one, and the number of lines.
 
-    first_line_of maps every number of cells to the first line with that number; empty_at_end trailing cells, which are
-    empty in all lines, do not count.
+    first_line_by_count maps every number of cells to the first line with that number; trailing_empty_count trailing
+    cells, which are empty in all lines, do not count.
     """
 
-    width: int
-    samples: int
-    first_line_of: Mapping[int, int]
-    empty_at_end: int
+    cell_count: int
+    sample_count: int
+    first_line_by_count: Mapping[int, int]
+    trailing_empty_count: int
 
 
 def csv_blocks(path: Path, form: TextForm) -> Blocks:
@@ -71,91 +71,125 @@ def csv_blocks(path: Path, form: TextForm) -> Blocks:
 
     Raises RigError if the file is not text in the encoding, or its lines do not have equally many cells.
     """
-    head = next(islice(lines_of(path, form.encoding), form.lines_before_names, None), None)
-    if head is None:
+    name_line = next(islice(lines_of(path, form.encoding), form.lines_before_names, None), None)
+    if name_line is None:
         raise RigError(f"{path}: has no line after the first {form.lines_before_names}; check lines_before_names")
-    names = names_in(head, form.delimiter)
-    named = not all(is_number(name, form.decimal) for name in names if name) if form.names is None else form.names
-    skipped_lines = form.lines_before_names + (1 if named else 0) + form.lines_after_names
-    body = _counted(path, form, skipped_lines)
-    width = body.width
-    used = _used_columns(path, names, width, body.empty_at_end) if named else width
-    for cells, line in body.first_line_of.items():  # of last columns without a name there may be any number
-        if cells != width and (cells < used or used == width) and not form.cut_incomplete_end:
+    names_in_line = names_in(name_line, form.delimiter)
+    has_names = (
+        not all(is_number(name, form.decimal) for name in names_in_line if name) if form.names is None else form.names
+    )
+    skipped_line_count = form.lines_before_names + (1 if has_names else 0) + form.lines_after_names
+    sample_lines_shape = _count_lines(path, form, skipped_line_count)
+    cell_count = sample_lines_shape.cell_count
+    used_column_count = (
+        _used_column_count(path, names_in_line, cell_count, sample_lines_shape.trailing_empty_count)
+        if has_names
+        else cell_count
+    )
+    # of last columns without a name there may be any number
+    for other_count, line_number in sample_lines_shape.first_line_by_count.items():
+        if (
+            other_count != cell_count
+            and (other_count < used_column_count or used_column_count == cell_count)
+            and not form.cut_incomplete_end
+        ):
             raise RigError(
-                f"{path}: the number of columns changed from {width} to {cells} in line {line}; check delimiter"
+                f"{path}: the number of columns changed from {cell_count} to {other_count} in line {line_number}; "
+                "check delimiter"
             )
-    column_names = tuple(names[:used]) if named else tuple(f"column {k}" for k in range(1, used + 1))
+    column_names = (
+        tuple(names_in_line[:used_column_count])
+        if has_names
+        else tuple(f"column {k}" for k in range(1, used_column_count + 1))
+    )
     yield ColumnBlock(
-        column_names, body.samples, partial(_columns, path, form, skipped_lines, column_names, body.samples)
+        column_names,
+        sample_lines_shape.sample_count,
+        partial(_read_columns, path, form, skipped_line_count, column_names, sample_lines_shape.sample_count),
     )
 
 
 def lines_of(path: Path, encoding: str) -> Iterator[str]:
     """Lines of a text; raises RigError if it is not in the encoding, or there is no such encoding."""
-    unknown = RigError(f"{path}: there is no encoding {encoding!r}; give e.g. utf-8 or latin-1")
+    encoding_error = RigError(f"{path}: there is no encoding {encoding!r}; give e.g. utf-8 or latin-1")
     if encoding.lower().replace("-", "_") in UNFIT_ENCODINGS:
-        raise unknown
-    number = 0
+        raise encoding_error
+    line_number = 0
     try:
         with path.open(encoding=encoding) as stream:
             for line in stream:
-                number += 1
+                line_number += 1
                 yield line
     except UnicodeError as error:
         raise RigError(
-            f"{path}: is not text in {encoding} (after line {number}); name its encoding in the map, "
+            f"{path}: is not text in {encoding} (after line {line_number}); name its encoding in the map, "
             'e.g. encoding = "latin-1" or "utf-16"'
         ) from error
     except (LookupError, ValueError) as error:
-        raise unknown from error
+        raise encoding_error from error
 
 
-def sample_lines(path: Path, form: TextForm, skipped_lines: int) -> Iterator[tuple[int, str]]:
+def sample_lines(path: Path, form: TextForm, skipped_line_count: int) -> Iterator[tuple[int, str]]:
     """Lines that are not blank, after the skipped ones, with their numbers from 1."""
-    for number, line in enumerate(islice(lines_of(path, form.encoding), skipped_lines, None), start=skipped_lines + 1):
+    for line_number, line in enumerate(
+        islice(lines_of(path, form.encoding), skipped_line_count, None), start=skipped_line_count + 1
+    ):
         if not line.isspace():
-            yield number, line.rstrip("\n")
+            yield line_number, line.rstrip("\n")
 
 
-def _counted(path: Path, form: TextForm, skipped_lines: int) -> _Body:
+def _count_lines(path: Path, form: TextForm, skipped_line_count: int) -> _SampleLines:
     delimiter = form.delimiter
-    lines = sample_lines(path, form, skipped_lines)
-    number, first = next(lines, (0, ""))
-    if not first:
+    numbered_lines = sample_lines(path, form, skipped_line_count)
+    line_number, first_line = next(numbered_lines, (0, ""))
+    if not first_line:
         raise RigError(f"{path}: holds no samples; export it again")
-    first_line_of, samples = {len(cells_of(first, delimiter)): number}, 1
-    empty_count = _empty_at_end(first, delimiter)
-    for number, line in lines:
-        plain = '"' not in line and delimiter != " "
-        count = line.count(delimiter) + 1 if plain else len(cells_of(line, delimiter))
-        if count not in first_line_of:
-            first_line_of[count] = number
-        if empty_count:
-            empty_count = min(empty_count, _empty_at_end(line, delimiter))
-        samples += 1
-    width = len(cells_of(first.rsplit(delimiter, empty_count)[0] if empty_count else first, delimiter))
-    surplus = next(iter(first_line_of)) - width
-    return _Body(width, samples, {count - surplus: number for count, number in first_line_of.items()}, empty_count)
+    first_line_by_count, sample_count = {len(cells_of(first_line, delimiter)): line_number}, 1
+    trailing_empty_count = _trailing_empty_count(first_line, delimiter)
+    for line_number, line in numbered_lines:
+        is_plain = '"' not in line and delimiter != " "
+        cell_count = line.count(delimiter) + 1 if is_plain else len(cells_of(line, delimiter))
+        if cell_count not in first_line_by_count:
+            first_line_by_count[cell_count] = line_number
+        if trailing_empty_count:
+            trailing_empty_count = min(trailing_empty_count, _trailing_empty_count(line, delimiter))
+        sample_count += 1
+    width_without_empty = len(
+        cells_of(
+            first_line.rsplit(delimiter, trailing_empty_count)[0] if trailing_empty_count else first_line, delimiter
+        )
+    )
+    surplus_count = next(iter(first_line_by_count)) - width_without_empty
+    return _SampleLines(
+        width_without_empty,
+        sample_count,
+        {cell_count - surplus_count: line_number for cell_count, line_number in first_line_by_count.items()},
+        trailing_empty_count,
+    )
 
 
-def _columns(
-    path: Path, form: TextForm, skipped_lines: int, names: Sequence[str], samples: int, column_indices: Sequence[int]
+def _read_columns(
+    path: Path,
+    form: TextForm,
+    skipped_line_count: int,
+    column_names: Sequence[str],
+    sample_count: int,
+    column_indices: Sequence[int],
 ) -> list[Column]:
-    values = np.empty((len(column_indices), samples))
-    start = 0
-    lines_left = sample_lines(path, form, skipped_lines)
-    while lines := list(islice(lines_left, LINES_AT_ONCE)):
+    values = np.empty((len(column_indices), sample_count))
+    row_start = 0
+    remaining_lines = sample_lines(path, form, skipped_line_count)
+    while numbered_lines := list(islice(remaining_lines, LINES_PER_BLOCK)):
         if form.decimal != ".":
-            _check_decimal(path, form, names, column_indices, lines)
+            _check_decimal(path, form, column_names, column_indices, numbered_lines)
         if form.cut_incomplete_end:
-            lines = _complete_lines(path, form, column_indices, lines, lines_left)
-        plain = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in lines]
-        if not plain:
+            numbered_lines = _complete_lines(path, form, column_indices, numbered_lines, remaining_lines)
+        number_texts = [line if form.decimal == "." else line.replace(form.decimal, ".") for _, line in numbered_lines]
+        if not number_texts:
             continue
         try:
             rows = np.loadtxt(
-                plain,
+                number_texts,
                 delimiter=None if form.delimiter == " " else form.delimiter,
                 ndmin=2,
                 comments=None,
@@ -163,73 +197,89 @@ def _columns(
                 usecols=column_indices,
             )
         except ValueError as error:
-            raise _no_number(path, form, names, column_indices, lines) from error
-        values[:, start : start + len(rows)] = rows.T
-        start += len(rows)
-    values = values[:, :start]
-    if not start:
+            raise _no_number_error(path, form, column_names, column_indices, numbered_lines) from error
+        values[:, row_start : row_start + len(rows)] = rows.T
+        row_start += len(rows)
+    values = values[:, :row_start]
+    if not row_start:
         raise RigError(f"{path}: has no line with numbers in all columns of the map; check its columns")
-    return [Column(names[k], row, _unit_of(names[k])) for k, row in zip(column_indices, values, strict=True)]
+    return [
+        Column(column_names[k], row, _unit_of(column_names[k])) for k, row in zip(column_indices, values, strict=True)
+    ]
 
 
-def _unit_of(name: str) -> str | None:
+def _unit_of(column_name: str) -> str | None:
     """Unit in a column's name, if it is one of the quantities'."""
-    unit = name_and_unit(name)[1]
+    unit = name_and_unit(column_name)[1]
     return unit if quantity_of(unit) else None
 
 
 def _complete_lines(
     path: Path,
     form: TextForm,
-    chosen: Sequence[int],
-    lines: Sequence[tuple[int, str]],
-    lines_left: Iterator[tuple[int, str]],
+    column_indices: Sequence[int],
+    numbered_lines: Sequence[tuple[int, str]],
+    remaining_lines: Iterator[tuple[int, str]],
 ) -> list[tuple[int, str]]:
     """Lines up to the first that lacks a number in a chosen column; raises RigError if a whole line follows it."""
 
     def is_whole(line: str) -> bool:
         cells = cells_of(line, form.delimiter)
-        return len(cells) > max(chosen) and all(number_in(cells[k], form.decimal) is not None for k in chosen)
+        return len(cells) > max(column_indices) and all(
+            number_in(cells[k], form.decimal) is not None for k in column_indices
+        )
 
-    count = next((k for k, (_, line) in enumerate(lines) if not is_whole(line)), len(lines))
-    if count < len(lines):
-        for number, line in chain(lines[count:], lines_left):
+    whole_count = next((k for k, (_, line) in enumerate(numbered_lines) if not is_whole(line)), len(numbered_lines))
+    if whole_count < len(numbered_lines):
+        for line_number, line in chain(numbered_lines[whole_count:], remaining_lines):
             if is_whole(line):
                 raise RigError(
-                    f"{path}: line {lines[count][0]} lacks a number, and line {number} has them all: not only "
-                    "the end is incomplete; repair the record or cut it there"
+                    f"{path}: line {numbered_lines[whole_count][0]} lacks a number, and line {line_number} has them "
+                    "all: not only the end is incomplete; repair the record or cut it there"
                 )
-    return list(lines[:count])
+    return list(numbered_lines[:whole_count])
 
 
 def _check_decimal(
-    path: Path, form: TextForm, names: Sequence[str], chosen: Sequence[int], lines: Sequence[tuple[int, str]]
+    path: Path,
+    form: TextForm,
+    column_names: Sequence[str],
+    column_indices: Sequence[int],
+    numbered_lines: Sequence[tuple[int, str]],
 ) -> None:
     """Raise RigError at a point in a number if the decimal separator is a comma: 1.500 may be 1500 or 1.5."""
-    for number, line in lines:
+    for line_number, line in numbered_lines:
         if "." in line:
             cells = cells_of(line, form.delimiter)
-            for k in chosen:
-                if k < len(cells) and "." in cells[k]:
+            for column_index in column_indices:
+                if column_index < len(cells) and "." in cells[column_index]:
                     raise RigError(
-                        f"{path}: line {number} has {cells[k].strip()!r} in column {names[k]!r}, and the decimal is "
-                        f"{form.decimal!r}; export numbers without points, or correct decimal in the map"
+                        f"{path}: line {line_number} has {cells[column_index].strip()!r} in column "
+                        f"{column_names[column_index]!r}, and the "
+                        f"decimal is {form.decimal!r}; export numbers without points, or correct decimal in the map"
                     )
 
 
-def _no_number(
-    path: Path, form: TextForm, names: Sequence[str], chosen: Sequence[int], lines: Sequence[tuple[int, str]]
+def _no_number_error(
+    path: Path,
+    form: TextForm,
+    column_names: Sequence[str],
+    column_indices: Sequence[int],
+    numbered_lines: Sequence[tuple[int, str]],
 ) -> RigError:
-    for number, line in lines:
+    for line_number, line in numbered_lines:
         cells = cells_of(line, form.delimiter)
-        for k in chosen:
-            cell = cells[k].strip() if k < len(cells) else ""
+        for column_index in column_indices:
+            cell = cells[column_index].strip() if column_index < len(cells) else ""
             if not is_number(cell, form.decimal):
                 return RigError(
-                    f"{path}: line {number} has {cell[:50]!r} in column {names[k]!r}, which is no number; "
-                    "check encoding, delimiter, decimal and the lines skipped"
+                    f"{path}: line {line_number} has {cell[:50]!r} in column {column_names[column_index]!r}, which is "
+                    "no number; check encoding, delimiter, decimal and the lines skipped"
                 )
-    return RigError(f"{path}: lines {lines[0][0]} to {lines[-1][0]} are not of numbers; check delimiter and decimal")
+    return RigError(
+        f"{path}: lines {numbered_lines[0][0]} to {numbered_lines[-1][0]} are not of numbers; check delimiter and "
+        "decimal"
+    )
 
 
 def cells_of(line: str, delimiter: str) -> list[str]:
@@ -249,33 +299,33 @@ def names_in(line: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in cells_of(_COMMENT_MARK.sub("", line.strip("\r\n")), delimiter)]
 
 
-def _empty_at_end(line: str, delimiter: str) -> int:
+def _trailing_empty_count(line: str, delimiter: str) -> int:
     """Number of empty cells at the end of a line."""
     return 0 if delimiter == " " else line.count(delimiter, len(line.rstrip(" \t" + delimiter)))
 
 
-def _used_columns(path: Path, names: list[str], column_count: int, empty_count: int) -> int:
+def _used_column_count(path: Path, column_names: list[str], column_count: int, trailing_empty_count: int) -> int:
     """Number of leading columns with a name and values; raises RigError if any but trailing columns lack either."""
-    named = next((k for k in range(len(names), 0, -1) if names[k - 1]), 0)
-    if column_count > len(names) or named > column_count + empty_count or not named:
-        raise RigError(f"{path}: {named} names for {column_count} columns; check the line of names")
-    return min(named, column_count)
+    last_named = next((k for k in range(len(column_names), 0, -1) if column_names[k - 1]), 0)
+    if column_count > len(column_names) or last_named > column_count + trailing_empty_count or not last_named:
+        raise RigError(f"{path}: {last_named} names for {column_count} columns; check the line of names")
+    return min(last_named, column_count)
 
 
 def is_number(cell: str, decimal: str) -> bool:
     """True if a cell is a number, perhaps not finite."""
-    return _float(cell, decimal) is not None
+    return _float_or_none(cell, decimal) is not None
 
 
 def number_in(cell: str, decimal: str) -> float | None:
     """Finite number in a cell; None if there is none, or it has the other decimal separator."""
-    number = _float(cell, decimal)
+    number = _float_or_none(cell, decimal)
     if number is None or not math.isfinite(number) or (decimal != "." and "." in cell):
         return None
     return number
 
 
-def _float(cell: str, decimal: str) -> float | None:
+def _float_or_none(cell: str, decimal: str) -> float | None:
     if "_" in cell or not cell:
         return None
     try:

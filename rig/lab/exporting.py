@@ -21,14 +21,14 @@ from rig.recording.channels import Channels
 _UFF_KINDS = {q.name: q.uff_kind for q in QUANTITIES.values()} | {"force": 13}
 _UFF_TIME = 17
 TIME_COLUMN = "time_s"
-MAX_UFF_NAME = 80
-LINES_AT_ONCE = 16384
+MAX_UFF_NAME_LENGTH = 80
+LINES_PER_BLOCK = 16384
 """Lines of a table written at once."""
 
 
 def export(
     recording: Recording,
-    form: str,
+    file_format: str,
     out: Path,
     map_path: Path | None,
     progress: Callable[[float], None] = lambda _: None,
@@ -39,29 +39,31 @@ def export(
     cannot be written.
     """
     with atomic_write(out) as part_path:
-        WRITERS[form](recording, part_path, progress)
+        WRITERS[file_format](recording, part_path, progress)
     if map_path is not None:
-        groups = {name: signals.channels for name, signals in recording.signals.items()}
-        write_bytes(import_map(groups, form).encode(), map_path)
+        channels_by_group = {name: signals.channels for name, signals in recording.signals.items()}
+        write_bytes(import_map(channels_by_group, file_format).encode(), map_path)
         write_bytes(to_json(recording.rig), map_path.with_name(RIG_NAME))
 
 
-def _rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarray, " samples"]]]:
+def _channel_rows(recording: Recording) -> Iterator[tuple[str, int, str, Float[np.ndarray, " samples"]]]:
     """Group, number within it, name and samples of every channel."""
     for group, signals in recording.signals.items():
-        for number, (name, row) in enumerate(zip(signals.channels.names, signals.values, strict=True), start=1):
-            yield group, number, name, row
+        for channel_number, (channel_name, samples) in enumerate(
+            zip(signals.channels.names, signals.values, strict=True), start=1
+        ):
+            yield group, channel_number, channel_name, samples
 
 
 def _write_csv(recording: Recording, path: Path, progress: Callable[[float], None]) -> None:
-    rows = list(_rows(recording))
+    channel_rows = list(_channel_rows(recording))
     with path.open("w", encoding="utf-8", newline="") as stream:
-        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *(name for _, _, name, _ in rows)])
+        csv.writer(stream, lineterminator="\n").writerow([TIME_COLUMN, *(name for _, _, name, _ in channel_rows)])
         time_s = recording.signals["force"].time_s
-        table = np.stack([time_s, *(row for _, _, _, row in rows)], axis=1)
-        for first in range(0, len(table), LINES_AT_ONCE):
-            np.savetxt(stream, table[first : first + LINES_AT_ONCE], fmt="%.17g", delimiter=",")
-            progress(first / len(table))
+        table = np.stack([time_s, *(samples for _, _, _, samples in channel_rows)], axis=1)
+        for first_line in range(0, len(table), LINES_PER_BLOCK):
+            np.savetxt(stream, table[first_line : first_line + LINES_PER_BLOCK], fmt="%.17g", delimiter=",")
+            progress(first_line / len(table))
 
 
 def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> None:
@@ -70,20 +72,20 @@ def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> 
         import pyuff
 
     time_s = recording.signals["force"].time_s
-    nodes = nodes_of(recording.rig)
+    node_by_station = nodes_of(recording.rig)
 
-    def node(station: Station | None) -> int:
-        return nodes.get(station, 0) if station else 0  # 0: on the ground, or without a single place
+    def node_number(station: Station | None) -> int:
+        return node_by_station.get(station, 0) if station else 0  # 0: on the ground, or without a single place
 
     datasets = [
-        *mode_shapes(recording.rig, nodes),
+        *mode_shapes(recording.rig, node_by_station),
         *(
             {
                 "type": 58,
                 "binary": 1,
-                "id1": name,
+                "id1": channel_name,
                 "func_type": 1,
-                "rsp_node": node(recording.signals[group].channels.stations[number - 1]),
+                "rsp_node": node_number(recording.signals[group].channels.stations[channel_number - 1]),
                 "rsp_dir": 3,
                 "ref_node": 0,
                 "ref_dir": 0,
@@ -94,9 +96,9 @@ def _write_uff(recording: Recording, path: Path, _: Callable[[float], None]) -> 
                 "ordinate_axis_units_lab": recording.signals[group].channels.unit,
                 "orddenom_spec_data_type": 0,
                 "x": time_s,
-                "data": row,
+                "data": samples,
             }
-            for group, number, name, row in _rows(recording)
+            for group, channel_number, channel_name, samples in _channel_rows(recording)
         ),
     ]
     path.unlink(missing_ok=True)
@@ -122,13 +124,13 @@ def _write_hdf5(recording: Recording, path: Path, _: Callable[[float], None]) ->
     """Write HDF5: a dataset per channel (channels/0001, ...) with attributes name, unit, sample_rate_hz and group."""
     with needs_extra("lab", f"{path}: an HDF5 file"):
         import h5py
-    number = 0
+    dataset_number = 0
     with h5py.File(path, "w", locking=False) as file:
         for group, signals in recording.signals.items():
-            for name, row in zip(signals.channels.names, signals.values, strict=True):
-                number += 1
-                attributes = file.create_dataset(f"channels/{number:04d}", data=row).attrs
-                attributes["name"], attributes["unit"], attributes["group"] = name, signals.channels.unit, group
+            for channel_name, samples in zip(signals.channels.names, signals.values, strict=True):
+                dataset_number += 1
+                attributes = file.create_dataset(f"channels/{dataset_number:04d}", data=samples).attrs
+                attributes["name"], attributes["unit"], attributes["group"] = channel_name, signals.channels.unit, group
                 attributes["sample_rate_hz"] = signals.channels.sample_rate_hz
 
 
@@ -140,16 +142,16 @@ def _write_mdf(recording: Recording, path: Path, _: Callable[[float], None]) -> 
     with needs_extra("mdf", f"{path}: an MDF file"):
         from asammdf import MDF, Signal
     time_s = recording.signals["force"].time_s
-    channels = [
-        Signal(samples=row, timestamps=time_s, name=name, unit=signals.channels.unit)
+    mdf_signals = [
+        Signal(samples=samples, timestamps=time_s, name=channel_name, unit=signals.channels.unit)
         for signals in recording.signals.values()
-        for name, row in zip(signals.channels.names, signals.values, strict=True)
+        for channel_name, samples in zip(signals.channels.names, signals.values, strict=True)
     ]
-    buffer = BytesIO()
+    mdf_buffer = BytesIO()
     with MDF(version="4.10") as file:
-        file.append(channels)
-        file.save(buffer)
-    path.write_bytes(buffer.getvalue())
+        file.append(mdf_signals)
+        file.save(mdf_buffer)
+    path.write_bytes(mdf_buffer.getvalue())
 
 
 Writer = Callable[[Recording, Path, Callable[[float], None]], None]
@@ -160,7 +162,7 @@ WRITERS: dict[str, Writer] = {
     "h5": _write_hdf5,
     "mf4": _write_mdf,
 }
-ENDINGS: dict[str, tuple[str, ...]] = {
+FILE_ENDINGS: dict[str, tuple[str, ...]] = {
     "csv": (".csv", ".txt"),
     "uff": (".uff", ".unv"),
     "mat": (".mat",),
@@ -175,32 +177,40 @@ def import_map(channels_by_group: Mapping[str, Channels], file_format: str) -> s
 
     A column is named by its number if the format may change its name, or if the name occurs twice.
     """
-    lines = [f"rig = {json.dumps(RIG_NAME)}"]
-    times = Counter(
-        [TIME_COLUMN, *(name.strip() for channels in channels_by_group.values() for name in channels.names)]
+    map_lines = [f"rig = {json.dumps(RIG_NAME)}"]
+    name_counts = Counter(
+        [
+            TIME_COLUMN,
+            *(channel_name.strip() for channels in channels_by_group.values() for channel_name in channels.names),
+        ]
     )
     if file_format == "csv":
-        lines.append(
+        map_lines.append(
             'time = { column = 1, unit = "s" }'
-            if times[TIME_COLUMN] > 1
+            if name_counts[TIME_COLUMN] > 1
             else f'time = {{ column = "{TIME_COLUMN}", unit = "s" }}'
         )
     else:
-        lines.append(f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}")
-    forces, sensors = [], []
+        map_lines.append(f"sample_rate_hz = {channels_by_group['force'].sample_rate_hz!r}")
+    force_entries, sensor_lines = [], []
     column_number = 1 if file_format == "csv" else 0
     for group, channels in channels_by_group.items():
-        for number, name in enumerate(channels.names, start=1):
+        for channel_number, channel_name in enumerate(channels.names, start=1):
             column_number += 1
-            column: str | int = column_number
+            column_key: str | int = column_number
             if file_format == "mat":
-                column = group if len(channels.names) == 1 else f"{group}[{number}]"
-            elif name == name.strip() and times[name] == 1 and name.isascii() and len(name) <= MAX_UFF_NAME:
-                column = name
-            entry = f"{{ column = {json.dumps(column)}, unit = {json.dumps(channels.unit)} }}"
+                column_key = group if len(channels.names) == 1 else f"{group}[{channel_number}]"
+            elif (
+                channel_name == channel_name.strip()
+                and name_counts[channel_name] == 1
+                and channel_name.isascii()
+                and len(channel_name) <= MAX_UFF_NAME_LENGTH
+            ):
+                column_key = channel_name
+            entry = f"{{ column = {json.dumps(column_key)}, unit = {json.dumps(channels.unit)} }}"
             if group == "force":
-                forces.append(entry)
+                force_entries.append(entry)
             else:
-                sensors.append(f"{json.dumps(name, ensure_ascii=False)} = {entry}")
-    force = forces[0] if len(forces) == 1 else f"[{', '.join(forces)}]"
-    return "\n".join([*lines, f"force = {force}", "", "[sensors]", *sensors, ""])
+                sensor_lines.append(f"{json.dumps(channel_name, ensure_ascii=False)} = {entry}")
+    force_value = force_entries[0] if len(force_entries) == 1 else f"[{', '.join(force_entries)}]"
+    return "\n".join([*map_lines, f"force = {force_value}", "", "[sensors]", *sensor_lines, ""])

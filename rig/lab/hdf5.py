@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
 
 NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
@@ -53,22 +53,24 @@ def open_hdf5(path: Path, purpose: str) -> Iterator[Any]:
 def hdf5_blocks(path: Path) -> Blocks:
     """Block per dataset; the rows of a matrix, or its columns if those are fewer, are NAME[1], NAME[2], ..."""
     with open_hdf5(path, "an HDF5 file") as file:
-        yield from _of_group(path, file, "", set(), 0)
+        yield from _group_blocks(path, file, "", set(), 0)
 
 
-def _of_group(path: Path, group: Any, prefix: str, visited: set[int], depth: int) -> Iterator[ColumnBlock | Refused]:
+def _group_blocks(
+    path: Path, group: Any, prefix: str, visited_addresses: set[int], depth: int
+) -> Iterator[ColumnBlock | Refused]:
     import h5py
 
-    for name, item in members(group, prefix, depth):
-        full = f"{prefix}{name}"
+    for item_name, item in members(group, prefix, depth):
+        full_name = f"{prefix}{item_name}"
         if isinstance(item, Refused):
             yield item
-        elif not is_new(item, visited):
+        elif not is_new(item, visited_addresses):
             continue
         elif isinstance(item, h5py.Group):
-            yield from _of_group(path, item, f"{full}/", visited, depth + 1)
+            yield from _group_blocks(path, item, f"{full_name}/", visited_addresses, depth + 1)
         elif isinstance(item, h5py.Dataset):
-            yield from blocks_of(path, item, attribute(item, NAME_ATTRIBUTES) or full)
+            yield from dataset_blocks(path, item, attribute_text(item, NAME_ATTRIBUTES) or full_name)
 
 
 def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
@@ -80,160 +82,189 @@ def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
 
     if len(prefix) > MAX_NAME or depth > MAX_DEPTH:
         raise UnreadableError(f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters")
-    for name in sorted(group):
-        kind = group.id.links.get_info(name.encode("utf-8", "surrogateescape")).type
-        if kind == h5py.h5l.TYPE_EXTERNAL:
-            yield name, Refused(f"{prefix}{name}", _elsewhere(f"{prefix}{name}", "is a link to another file"))
-        elif kind == h5py.h5l.TYPE_HARD:
-            yield name, group[name]
+    for member_name in sorted(group):
+        link_type = group.id.links.get_info(member_name.encode("utf-8", "surrogateescape")).type
+        if link_type == h5py.h5l.TYPE_EXTERNAL:
+            yield (
+                member_name,
+                Refused(
+                    f"{prefix}{member_name}", _elsewhere_sentence(f"{prefix}{member_name}", "is a link to another file")
+                ),
+            )
+        elif link_type == h5py.h5l.TYPE_HARD:
+            yield member_name, group[member_name]
 
 
-def is_new(item: Any, visited: set[int]) -> bool:
+def is_new(item: Any, visited_addresses: set[int]) -> bool:
     """True if an object is visited for the first time, under any name; raises UnreadableError if there are too many."""
     import h5py
 
-    address = h5py.h5o.get_info(item.id).addr
-    if address in visited:
+    object_address = h5py.h5o.get_info(item.id).addr
+    if object_address in visited_addresses:
         return False
-    visited.add(address)
-    if len(visited) > MAX_ITEMS:
+    visited_addresses.add(object_address)
+    if len(visited_addresses) > MAX_ITEMS:
         raise UnreadableError(f"it has more than {MAX_ITEMS} groups and datasets")
     return True
 
 
-def blocks_of(path: Path, dataset: Any, name: str) -> Iterator[ColumnBlock | Refused]:
+def dataset_blocks(path: Path, dataset: Any, dataset_name: str) -> Iterator[ColumnBlock | Refused]:
     """Block of a dataset of real numbers; a Refused if its numbers are in another file.
 
     That is checked first: reading the shape of a virtual dataset can open the other file.
     """
-    if sentence := kept_elsewhere(dataset, name):
-        yield Refused(name, sentence)
+    if sentence := elsewhere_sentence(dataset, dataset_name):
+        yield Refused(dataset_name, sentence)
         return
     try:
-        shape, kind = dataset.shape, dataset.dtype
+        shape, number_type = dataset.shape, dataset.dtype
     except TypeError:  # a type that NumPy does not have
         return
-    if kind.kind not in "iuf" or len(shape) not in (1, 2) or math.prod(shape) < 2:
+    if number_type.kind not in "iuf" or len(shape) not in (1, 2) or math.prod(shape) < 2:
         return
-    axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
-    count = math.prod(shape) // shape[axis]
-    if count > MAX_ITEMS:
-        raise UnreadableError(f"its dataset {name!r} has {count} columns")
-    names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
-    chunk_bytes = math.prod(dataset.chunks or ()) * kind.itemsize
+    sample_axis = len(shape) - 1 if len(shape) == 1 or shape[0] <= shape[1] else 0
+    column_count = math.prod(shape) // shape[sample_axis]
+    if column_count > MAX_ITEMS:
+        raise UnreadableError(f"its dataset {dataset_name!r} has {column_count} columns")
+    column_names = (
+        (dataset_name,)
+        if column_count == 1
+        else tuple(f"{dataset_name}[{column_number}]" for column_number in range(1, column_count + 1))
+    )
+    chunk_bytes = math.prod(dataset.chunks or ()) * number_type.itemsize
     working_bytes = 2 * chunk_bytes + min(dataset.nbytes, READ_BYTES)
-    yield ColumnBlock(names, shape[axis], partial(_columns, path, dataset, axis, names), working_bytes)
+    yield ColumnBlock(
+        column_names,
+        shape[sample_axis],
+        partial(_read_columns, path, dataset, sample_axis, column_names),
+        working_bytes,
+    )
 
 
-def kept_elsewhere(dataset: Any, name: str) -> str:
+def elsewhere_sentence(dataset: Any, name: str) -> str:
     """Sentence that refuses a dataset whose numbers are in other files; empty if they are in this one."""
     import h5py
 
     properties = dataset.id.get_create_plist()
     if properties.get_layout() == h5py.h5d.VIRTUAL:
-        return _elsewhere(name, "is a view of other files (a virtual dataset)")
+        return _elsewhere_sentence(name, "is a view of other files (a virtual dataset)")
     if properties.get_external_count():
-        return _elsewhere(name, "has its bytes in another file (external storage)")
+        return _elsewhere_sentence(name, "has its bytes in another file (external storage)")
     return ""
 
 
-def _elsewhere(name: str, reason: str) -> str:
+def _elsewhere_sentence(name: str, reason: str) -> str:
     return f"{name!r} {reason}, which is not opened; store its numbers in this one"
 
 
-def _columns(path: Path, dataset: Any, axis: int, names: Sequence[str], chosen: Sequence[int]) -> list[Column]:
-    check_stored(path, dataset, names[chosen[0]])
-    for name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
-        if name in dataset.attrs and dataset.attrs.get_id(name).shape not in SINGLE_VALUE_SHAPES:
-            raise UnreadableError(f"its dataset {names[0]!r} has an attribute {name!r} of other than one value")
-    unit, rate = attribute(dataset, UNIT_ATTRIBUTES), attribute(dataset, RATE_ATTRIBUTES)
+def _read_columns(
+    path: Path, dataset: Any, sample_axis: int, column_names: Sequence[str], column_indices: Sequence[int]
+) -> list[Column]:
+    check_stored(path, dataset, column_names[column_indices[0]])
+    for attribute_name in (*UNIT_ATTRIBUTES, *RATE_ATTRIBUTES):
+        if attribute_name in dataset.attrs and dataset.attrs.get_id(attribute_name).shape not in SINGLE_VALUE_SHAPES:
+            raise UnreadableError(
+                f"its dataset {column_names[0]!r} has an attribute {attribute_name!r} of other than one value"
+            )
+    unit_text, rate_text = attribute_text(dataset, UNIT_ATTRIBUTES), attribute_text(dataset, RATE_ATTRIBUTES)
     try:
-        rate_hz = None if rate is None else float(rate)
+        rate_hz = None if rate_text is None else float(rate_text)
     except ValueError:
-        raise UnreadableError(f"its dataset {names[0]!r} has the sample rate {rate!r}") from None
-    rows = _rows(dataset, axis, chosen)
-    recorded = attribute(dataset, DATE_ATTRIBUTES) or attribute(dataset.file, DATE_ATTRIBUTES) or ""
-    return [Column(names[k], row, unit or None, rate_hz, recorded) for k, row in zip(chosen, rows, strict=True)]
+        raise UnreadableError(f"its dataset {column_names[0]!r} has the sample rate {rate_text!r}") from None
+    values = _read_rows(dataset, sample_axis, column_indices)
+    date_text = attribute_text(dataset, DATE_ATTRIBUTES) or attribute_text(dataset.file, DATE_ATTRIBUTES) or ""
+    return [
+        Column(column_names[k], samples, unit_text or None, rate_hz, date_text)
+        for k, samples in zip(column_indices, values, strict=True)
+    ]
 
 
-def _rows(dataset: Any, axis: int, chosen: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
+def _read_rows(dataset: Any, sample_axis: int, column_indices: Sequence[int]) -> Float[np.ndarray, "chosen samples"]:
     """Channels of a matrix, read in spans of whole chunks, or channel by channel if a chunk is too large."""
-    samples = dataset.shape[axis]
-    values = np.empty((len(chosen), samples))
-    chunk = dataset.chunks[axis] if dataset.chunks else 1
-    step = READ_BYTES // (dataset.nbytes // samples) // chunk * chunk
+    sample_count = dataset.shape[sample_axis]
+    values = np.empty((len(column_indices), sample_count))
+    chunk_length = dataset.chunks[sample_axis] if dataset.chunks else 1
+    span_length = READ_BYTES // (dataset.nbytes // sample_count) // chunk_length * chunk_length
     if dataset.ndim == 1:
         values[0] = dataset[()]
-    elif dataset.nbytes <= READ_BYTES or (step and len(chosen) > 1):
-        for first in range(0, samples, step or samples):
-            span = slice(first, first + (step or samples))
-            values[:, span] = dataset[:, span][chosen] if axis else dataset[span].T[chosen]
+    elif dataset.nbytes <= READ_BYTES or (span_length and len(column_indices) > 1):
+        for first_sample in range(0, sample_count, span_length or sample_count):
+            sample_span = slice(first_sample, first_sample + (span_length or sample_count))
+            values[:, sample_span] = (
+                dataset[:, sample_span][column_indices] if sample_axis else dataset[sample_span].T[column_indices]
+            )
     else:
-        for row, k in zip(values, chosen, strict=True):
-            row[:] = dataset[k] if axis else dataset[:, k]
+        for row, column_index in zip(values, column_indices, strict=True):
+            row[:] = dataset[column_index] if sample_axis else dataset[:, column_index]
     return values
 
 
-def check_stored(path: Path, dataset: Any, name: str) -> None:
+def check_stored(path: Path, dataset: Any, dataset_name: str) -> None:
     """Raise RigError if samples were never written, have unknown filters, or expand beyond their chunk."""
     import h5py
 
-    label = f"{path}: {name!r}"
+    dataset_label = f"{path}: {dataset_name!r}"
     properties = dataset.id.get_create_plist()
     layout = properties.get_layout()
     if layout == h5py.h5d.CONTIGUOUS and not dataset.id.get_storage_size():
-        raise _unwritten(label, dataset.size, dataset.size)
+        raise _unwritten_error(dataset_label, dataset.size, dataset.size)
     if layout != h5py.h5d.CHUNKED:
         return
-    filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
-    compressions = [code for code, *_ in filters if code not in PLAIN_FILTERS]
-    if len(compressions) > 1 or not set(compressions) <= set(MAX_EXPANSION):
-        filter_names = ", ".join(f"{code} {decoded(label)!r}" for code, _, _, label in filters)
+    chunk_filters = [properties.get_filter(k) for k in range(properties.get_nfilters())]
+    compression_codes = [code for code, *_ in chunk_filters if code not in PLAIN_FILTERS]
+    if len(compression_codes) > 1 or not set(compression_codes) <= set(MAX_EXPANSION):
+        filter_names = ", ".join(
+            f"{code} {decode_text(dataset_label)!r}" for code, _, _, dataset_label in chunk_filters
+        )
         raise RigError(
-            f"{label} is stored by the filters {filter_names}, which are not read; store it by gzip or without"
+            f"{dataset_label} is stored by the filters {filter_names}, which are not read; store it by gzip or without"
         )
     chunk_bytes = math.prod(dataset.chunks) * dataset.dtype.itemsize
     doubtful_offsets: list[tuple[int, ...]] = []
-    stored = 0
+    stored_count = 0
 
-    def count(chunk: Any) -> None:
-        nonlocal stored
-        edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
-        stored += math.prod(max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in edges)
-        if compressions and chunk.size * MAX_EXPANSION[compressions[0]] > max(UNPACKED_BYTES, chunk_bytes):
+    def count_stored(chunk: Any) -> None:
+        nonlocal stored_count
+        chunk_edges = zip(dataset.chunks, dataset.shape, chunk.chunk_offset, strict=True)
+        stored_count += math.prod(
+            max(0, min(chunk_length, extent - offset)) for chunk_length, extent, offset in chunk_edges
+        )
+        if compression_codes and chunk.size * MAX_EXPANSION[compression_codes[0]] > max(UNPACKED_BYTES, chunk_bytes):
             doubtful_offsets.append(chunk.chunk_offset)
 
-    dataset.id.chunk_iter(count)
-    if stored < dataset.size:
-        raise _unwritten(label, dataset.size - stored, dataset.size)
+    dataset.id.chunk_iter(count_stored)
+    if stored_count < dataset.size:
+        raise _unwritten_error(dataset_label, dataset.size - stored_count, dataset.size)
     for offset in doubtful_offsets:
-        if compressions == [LZF] or not _is_whole(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
+        if compression_codes == [LZF] or not _fits_in(dataset.id.read_direct_chunk(offset)[1], chunk_bytes):
             raise RigError(
-                f"{label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
+                f"{dataset_label} has a chunk that swells beyond its {chunk_bytes} bytes; store it without compression"
             )
 
 
-def _unwritten(label: str, count: int, size: int) -> RigError:
-    return RigError(f"{label} has {count} of {size} samples that were never written; export it again")
+def _unwritten_error(dataset_label: str, missing_count: int, sample_count: int) -> RigError:
+    return RigError(
+        f"{dataset_label} has {missing_count} of {sample_count} samples that were never written; export it again"
+    )
 
 
-def _is_whole(compressed: bytes, size: int) -> bool:
-    """True if a zlib stream decompresses to at most `size` bytes."""
-    decompressor, count = zlib.decompressobj(), 0
-    for first in range(0, len(compressed), PIECE_BYTES):
-        piece = compressed[first : first + PIECE_BYTES]
-        while piece and count <= size:
-            count += len(decompressor.decompress(piece, PIECE_BYTES))
-            piece = decompressor.unconsumed_tail
-    return count <= size
+def _fits_in(compressed: bytes, most_bytes: int) -> bool:
+    """True if a zlib stream decompresses to at most `most_bytes`."""
+    decompressor, byte_count = zlib.decompressobj(), 0
+    for first_byte in range(0, len(compressed), PIECE_BYTES):
+        compressed_piece = compressed[first_byte : first_byte + PIECE_BYTES]
+        while compressed_piece and byte_count <= most_bytes:
+            byte_count += len(decompressor.decompress(compressed_piece, PIECE_BYTES))
+            compressed_piece = decompressor.unconsumed_tail
+    return byte_count <= most_bytes
 
 
-def attribute(item: Any, names: Sequence[str]) -> str | None:
+def attribute_text(item: Any, attribute_names: Sequence[str]) -> str | None:
     """First of these attributes that has a single value, as text; None if there is none."""
-    for name in names:
-        if name in item.attrs and item.attrs.get_id(name).shape in SINGLE_VALUE_SHAPES:
-            value = np.ravel(np.asarray(item.attrs[name], dtype=object))[0]
+    for attribute_name in attribute_names:
+        if attribute_name in item.attrs and item.attrs.get_id(attribute_name).shape in SINGLE_VALUE_SHAPES:
+            value = np.ravel(np.asarray(item.attrs[attribute_name], dtype=object))[0]
             if isinstance(value, str):
                 value = value.encode("utf-8", "surrogateescape")
-            return decoded(value) if isinstance(value, bytes) else str(value)
+            return decode_text(value) if isinstance(value, bytes) else str(value)
     return None

@@ -79,114 +79,117 @@ def read_map(path: Path, out: Path) -> tuple[Map, Rig]:
 
     Raises RigError if a placeholder is left, if either file is invalid, or if their sensors or forces differ.
     """
-    mapping = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
-    rig_path = path.parent / mapping.rig
+    column_map = read_toml(path, Map, "map", "rig/lab/README.md", lambda values: _check_filled(path, values))
+    rig_path = path.parent / column_map.rig
     check_target(out, rig_path)
     if not rig_path.exists():
         raise RigError(
             f"{rig_path}: cannot be opened (No such file or directory), and {path} names it as the description of the "
-            f"machine; write it by `rig init` (rig init mass --help), or correct rig = {mapping.rig!r}"
+            f"machine; write it by `rig init` (rig init mass --help), or correct rig = {column_map.rig!r}"
         )
     try:
-        return mapping, _placed(mapping, read_rig(rig_path), path)
+        return column_map, _placed_rig(column_map, read_rig(rig_path), path)
     except RigError as error:
         raise error if str(error).startswith((str(path), str(rig_path))) else RigError(f"{path}: {error}") from error
 
 
-def _placed(mapping: Map, rig: Rig, path: Path) -> Rig:
-    forces = mapping.forces
-    placed = bool(forces) and all(force.station for force in forces)
-    if mapping.force != "none" and len(forces) != len(rig.forces) and not placed:
+def _placed_rig(column_map: Map, rig: Rig, path: Path) -> Rig:
+    force_sources = column_map.forces
+    is_placed = bool(force_sources) and all(force.station for force in force_sources)
+    if column_map.force != "none" and len(force_sources) != len(rig.forces) and not is_placed:
         raise RigError(
-            f"{path}: force has {len(forces)} columns, and its rig.json {len(rig.forces)} forces; make them agree, or "
-            "give each column body and position_m"
+            f"{path}: force has {len(force_sources)} columns, and its rig.json {len(rig.forces)} forces; make them "
+            "agree, or give each column body and position_m"
         )
-    force_at = (
-        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(forces))
+    force_stations = (
+        tuple(force.station or rig.forces[k if k < len(rig.forces) else 0] for k, force in enumerate(force_sources))
         or rig.forces
     )
-    if any(source.body for source in mapping.sensors.values()):
-        sensors = tuple(_sensor(name, source, rig) for name, source in mapping.sensors.items())
+    if any(source.body for source in column_map.sensors.values()):
+        sensors = tuple(_mapped_sensor(name, source, rig) for name, source in column_map.sensors.items())
     else:
         sensors = rig.sensors
-        names, mapped = {s.name for s in sensors}, set(mapping.sensors)
-        for differing, fault in ((mapped - names, "is no sensor of the rig"), (names - mapped, "is missing")):
-            if differing:
+        rig_names, map_names = {s.name for s in sensors}, set(column_map.sensors)
+        for differing_names, fault_words in (
+            (map_names - rig_names, "is no sensor of the rig"),
+            (rig_names - map_names, "is missing"),
+        ):
+            if differing_names:
                 raise RigError(
-                    f"{path}: sensor {min(differing)!r} {fault}; [sensors] needs {', '.join(sorted(names))}, or give "
-                    "each column body, position_m and quantity"
+                    f"{path}: sensor {min(differing_names)!r} {fault_words}; [sensors] needs "
+                    f"{', '.join(sorted(rig_names))}, or give each column body, position_m and quantity"
                 )
-    if sensors == rig.sensors and force_at == rig.forces:
+    if sensors == rig.sensors and force_stations == rig.forces:
         return rig
-    return replace(rig, sensors=sensors, force_at=force_at if len(force_at) > 1 else force_at[0])
+    return replace(rig, sensors=sensors, force_at=force_stations if len(force_stations) > 1 else force_stations[0])
 
 
-def _sensor(name: str, source: Source, rig: Rig) -> Sensor:
+def _mapped_sensor(sensor_name: str, source: Source, rig: Rig) -> Sensor:
     """Sensor of rig.json by this name, at the map's place if it gives one; or else a new one at that place.
 
     A new one has the noise that all sensors of its quantity in rig.json have in common.
     """
-    known = next((s for s in rig.sensors if s.name == name), None)
+    known_sensor = next((s for s in rig.sensors if s.name == sensor_name), None)
     station = source.station
-    if known is not None:
-        if source.quantity not in (None, known.quantity):
+    if known_sensor is not None:
+        if source.quantity not in (None, known_sensor.quantity):
             raise RigError(
-                f"sensor {name!r} measures {known.quantity} in rig.json and {source.quantity} in the map; give it "
-                "another name here"
+                f"sensor {sensor_name!r} measures {known_sensor.quantity} in rig.json and {source.quantity} in the "
+                "map; give it another name here"
             )
-        return replace(known, station=station or known.station)
+        return replace(known_sensor, station=station or known_sensor.station)
     if station is None:
         raise RigError(
-            f"sensor {name!r} is no sensor of the rig{meant(name, [s.name for s in rig.sensors])}, and has no place; "
-            "give it body, position_m and quantity"
+            f"sensor {sensor_name!r} is no sensor of the rig{meant(sensor_name, [s.name for s in rig.sensors])}, and "
+            "has no place; give it body, position_m and quantity"
         )
     if source.quantity is None:
-        raise RigError(f"sensor {name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
-    noises = {s.noise_density for s in rig.sensors if s.quantity == source.quantity}
+        raise RigError(f"sensor {sensor_name!r} has a place and no quantity; give quantity = ..., e.g. acceleration")
+    noise_densities = {s.noise_density for s in rig.sensors if s.quantity == source.quantity}
     return Sensor(
-        name=name,
+        name=sensor_name,
         station=station,
         quantity=source.quantity,
-        noise_density=noises.pop() if len(noises) == 1 else 0.0,
+        noise_density=noise_densities.pop() if len(noise_densities) == 1 else 0.0,
     )
 
 
-def _check_filled(path: Path, values: dict[str, Any]) -> None:
+def _check_filled(path: Path, map_values: dict[str, Any]) -> None:
     """Raise RigError, with every entry, if placeholders are left in a map."""
-    entries: dict[str, list[str]] = {}
-    for entry, key in _placeholders(values):
-        entries.setdefault(entry, []).append(key)
-    if entries:
-        listed = "; ".join(
-            f"{_enumerated(keys)} of {entry}" if entry else _enumerated(keys) for entry, keys in entries.items()
+    keys_by_entry: dict[str, list[str]] = {}
+    for entry, key in _placeholders(map_values):
+        keys_by_entry.setdefault(entry, []).append(key)
+    if keys_by_entry:
+        entries_text = "; ".join(
+            f"{_enumeration(keys)} of {entry}" if entry else _enumeration(keys) for entry, keys in keys_by_entry.items()
         )
-        count = sum(map(len, entries.values()))
+        placeholder_count = sum(map(len, keys_by_entry.values()))
         raise RigError(
-            f"{path}: {count} {'value is' if count == 1 else 'values are'} left to fill in, marked {PLACEHOLDER!r}: "
-            f"{listed}; a sensor that is not needed may be deleted"
+            f"{path}: {placeholder_count} {'value is' if placeholder_count == 1 else 'values are'} left to fill in, "
+            f"marked {PLACEHOLDER!r}: {entries_text}; a sensor that is not needed may be deleted"
         )
 
 
-def _enumerated(words: list[str]) -> str:
-    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+def _enumeration(texts: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(texts[:-1]), texts[-1]]))
 
 
-def _placeholders(values: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _placeholders(map_values: dict[str, Any]) -> Iterator[tuple[str, str]]:
     """Entry ("sensor 'acc'", "force", or empty for a value of its own) and key of every placeholder."""
-    for key, value in values.items():
+    for key, value in map_values.items():
         if value == PLACEHOLDER:
             yield "", key
         elif key == "sensors" and isinstance(value, dict):
-            for name, entry in value.items():
-                yield from ((f"sensor {name!r}", k) for k in _open_keys(entry))
+            for sensor_name, entry in value.items():
+                yield from ((f"sensor {sensor_name!r}", k) for k in _placeholder_keys(entry))
         elif isinstance(value, list):
-            for number, entry in enumerate(value, start=1):
-                yield from ((f"{key} {number}", k) for k in _open_keys(entry))
+            for entry_number, entry in enumerate(value, start=1):
+                yield from ((f"{key} {entry_number}", k) for k in _placeholder_keys(entry))
         else:
-            yield from ((key, k) for k in _open_keys(value))
+            yield from ((key, k) for k in _placeholder_keys(value))
 
 
-def _open_keys(entry: object) -> list[str]:
+def _placeholder_keys(entry: object) -> list[str]:
     if isinstance(entry, dict):
         return [key for key, value in entry.items() if value == PLACEHOLDER and key != "column"]
     return ["column"] if entry == PLACEHOLDER else []

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.files import sha256_of
-from rig.lab.clock import RATE_TOLERANCE, SampleTimes, even
+from rig.lab.clock import RATE_TOLERANCE, SampleTimes, evenly_sampled
 from rig.lab.column import Column
 from rig.lab.import_map import Map, Source, read_map
 from rig.lab.recorded import recorded_date
@@ -26,13 +26,15 @@ def import_file(source: Path, map_path: Path, out: Path) -> tuple[str, ...]:
     Values are converted to SI: value times scale times unit. Raises RigError with one sentence if the map, the rig or
     the data cannot be used; nothing is written then.
     """
-    mapping, rig = read_map(map_path, out)
-    keys = [entry.column for entry in (*mapping.forces, *mapping.sensors.values(), mapping.time) if entry]
-    table = read_table(source, mapping.csv, keys)
-    date, date_origin = recorded_date(source, mapping.csv, [column.recorded for column in table.columns.values()])
-    origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
+    column_map, rig = read_map(map_path, out)
+    column_keys = [
+        entry.column for entry in (*column_map.forces, *column_map.sensors.values(), column_map.time) if entry
+    ]
+    table = read_table(source, column_map.csv, column_keys)
+    date, date_origin = recorded_date(source, column_map.csv, [column.recorded for column in table.columns.values()])
+    provenance_origin = {"source": source.name, "source_sha256": sha256_of(source), RECORDED: date}
     table = replace(table, notes=(*table.notes, f"recorded {date} by {date_origin}"))
-    return _import(table, origin, str(source), mapping, rig, map_path, out)
+    return _import(table, provenance_origin, str(source), column_map, rig, map_path, out)
 
 
 def import_columns(columns: Sequence[Column], source: str, map_path: Path, out: Path) -> tuple[str, ...]:
@@ -44,29 +46,29 @@ def _import(
     table: Table,
     origin: Mapping[str, str],
     source: str,
-    mapping: Map,
+    column_map: Map,
     rig: Rig,
     map_path: Path,
     out: Path,
 ) -> tuple[str, ...]:
-    forces = mapping.forces
-    sources = {name: ("force", source) for name, source in zip(rig.force_names, forces, strict=False)}
-    sources |= {s.name: (s.quantity, mapping.sensors[s.name]) for s in rig.sensors}
+    force_sources = column_map.forces
+    source_by_name = {name: ("force", source) for name, source in zip(rig.force_names, force_sources, strict=False)}
+    source_by_name |= {s.name: (s.quantity, column_map.sensors[s.name]) for s in rig.sensors}
     try:
-        columns, factors = source_columns(table, sources)
+        column_by_name, si_factors = source_columns(table, source_by_name)
     except RigError as error:
         raise RigError(f"{map_path}: {error}") from error
     try:
-        clock = clock_of(table, list(columns.values()), mapping.time, mapping.sample_rate_hz)
-        rows = rows_in_si(columns, factors)
-        values, resampled = even(rows, clock, rig.sample_rate_hz, mapping.resample)
+        sample_times = sample_times_of(table, list(column_by_name.values()), column_map.time, column_map.sample_rate_hz)
+        si_rows = rows_in_si(column_by_name, si_factors)
+        values, resampling_steps = evenly_sampled(si_rows, sample_times, rig.sample_rate_hz, column_map.resample)
     except RigError as error:
         raise RigError(f"{source}: {error}") from error
-    steps = (
-        f"{rows.shape[1]} samples of {len(rows)} columns read from {origin['source']}",
-        "made SI: " + ", ".join(f"{n} = {factors[n]:.9g} x column {c.name!r}" for n, c in columns.items()),
-        *(() if forces else ("no force was measured: its channel is zero",)),
-        *resampled,
+    history_steps = (
+        f"{si_rows.shape[1]} samples of {len(si_rows)} columns read from {origin['source']}",
+        "made SI: " + ", ".join(f"{n} = {si_factors[n]:.9g} x column {c.name!r}" for n, c in column_by_name.items()),
+        *(() if force_sources else ("no force was measured: its channel is zero",)),
+        *resampling_steps,
         *table.notes,
     )
     provenance = {
@@ -74,97 +76,119 @@ def _import(
         **origin,
         "map": map_path.name,
     }
-    unforced = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
-    _write(out, rig, unforced | dict(zip(columns, values, strict=True)), with_history(provenance, *steps))
-    return steps
+    zero_forces = dict.fromkeys(rig.force_names, np.broadcast_to(0.0, values.shape[1]))
+    _write(
+        out, rig, zero_forces | dict(zip(column_by_name, values, strict=True)), with_history(provenance, *history_steps)
+    )
+    return history_steps
 
 
 def source_columns(
-    table: Table, sources: Mapping[str, tuple[str, Source]]
+    table: Table, source_by_name: Mapping[str, tuple[str, Source]]
 ) -> tuple[dict[str, Column], dict[str, float]]:
     """Columns by source name, with the factors from their numbers to the SI unit of the quantity.
 
     Raises RigError if a column is not there, does not fit the others, or is in no unit of the quantity.
     """
-    columns = {name: table.column(entry.column) for name, (_, entry) in sources.items()}
-    _check_columns(columns)
-    return columns, {name: _factor(quantity, entry, columns[name]) for name, (quantity, entry) in sources.items()}
+    column_by_name = {name: table.column(source.column) for name, (_, source) in source_by_name.items()}
+    _check_columns(column_by_name)
+    return column_by_name, {
+        name: _factor_to_si(quantity, source, column_by_name[name])
+        for name, (quantity, source) in source_by_name.items()
+    }
 
 
-def rows_in_si(columns: Mapping[str, Column], factors: Mapping[str, float]) -> Float[np.ndarray, "channels samples"]:
+def rows_in_si(
+    column_by_name: Mapping[str, Column], si_factors: Mapping[str, float]
+) -> Float[np.ndarray, "channels samples"]:
     """Columns in SI as rows; raises RigError if a number overflows."""
-    rows = np.empty((len(columns), next(iter(columns.values())).values.size))
-    for row, (name, column) in zip(rows, columns.items(), strict=True):
+    si_rows = np.empty((len(column_by_name), next(iter(column_by_name.values())).values.size))
+    for si_row, (channel_name, column) in zip(si_rows, column_by_name.items(), strict=True):
         with np.errstate(over="ignore"):
-            np.multiply(factors[name], column.values, out=row)
-        if not np.isfinite(row).all():
+            np.multiply(si_factors[channel_name], column.values, out=si_row)
+        if not np.isfinite(si_row).all():
             raise RigError(
-                f"column {column.name!r} times {factors[name]:g} is too large for a number; correct its scale"
+                f"column {column.name!r} times {si_factors[channel_name]:g} is too large for a number; correct its "
+                "scale"
             )
-    return rows
+    return si_rows
 
 
-def clock_of(table: Table, columns: Sequence[Column], time: Source | None, sample_rate_hz: float | None) -> SampleTimes:
+def sample_times_of(
+    table: Table, columns: Sequence[Column], time: Source | None, sample_rate_hz: float | None
+) -> SampleTimes:
     """Sampling times by a column of time, or at the given rate or that of the file."""
-    samples = columns[0].values.size
+    sample_count = columns[0].values.size
     if time is not None:
-        column = table.column(time.column)
-        if column.values.size != samples or not np.isfinite(column.values).all():
-            raise RigError(f"its time, column {column.name!r}, does not hold {samples} finite numbers; repair it")
-        stamps_s = rows_in_si({"time": column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
+        time_column = table.column(time.column)
+        if time_column.values.size != sample_count or not np.isfinite(time_column.values).all():
+            raise RigError(
+                f"its time, column {time_column.name!r}, does not hold {sample_count} finite numbers; repair it"
+            )
+        stamps_s = rows_in_si({"time": time_column}, {"time": time.scale * si_factor("time", time.unit or "s")})[0]
         return SampleTimes.of_stamps(stamps_s)
-    rates = {c.sample_rate_hz for c in columns if c.sample_rate_hz is not None}
-    if wrong := [rate for rate in rates if not 0 < rate < np.inf]:
-        raise RigError(f"it says that it is sampled at {wrong[0]} Hz; give its sampling rate or column of time")
-    rate = sample_rate_hz or min(rates, default=None)
-    if rate is None:
+    rates_hz = {c.sample_rate_hz for c in columns if c.sample_rate_hz is not None}
+    if wrong_rates_hz := [rate_hz for rate_hz in rates_hz if not 0 < rate_hz < np.inf]:
+        raise RigError(
+            f"it says that it is sampled at {wrong_rates_hz[0]} Hz; give its sampling rate or column of time"
+        )
+    rate_hz = sample_rate_hz or min(rates_hz, default=None)
+    if rate_hz is None:
         raise RigError("it does not say when its samples were taken; give their sampling rate or column of time")
-    for column_rate in rates:
-        if abs(column_rate / rate - 1) > RATE_TOLERANCE:
-            raise RigError(f"it has columns at {column_rate:.6g} and at {rate:.6g} Hz; all need one rate")
-    return SampleTimes.of_rate(rate, samples)
+    for column_rate_hz in rates_hz:
+        if abs(column_rate_hz / rate_hz - 1) > RATE_TOLERANCE:
+            raise RigError(f"it has columns at {column_rate_hz:.6g} and at {rate_hz:.6g} Hz; all need one rate")
+    return SampleTimes.of_rate(rate_hz, sample_count)
 
 
 def _write(
-    out: Path, rig: Rig, rows: Mapping[str, Float[np.ndarray, " samples"]], provenance: Mapping[str, str]
+    out: Path, rig: Rig, samples_by_channel: Mapping[str, Float[np.ndarray, " samples"]], provenance: Mapping[str, str]
 ) -> None:
-    groups = channel_groups(rig)
-    with writing(out, rig, groups, provenance) as recording:
-        for first in range(0, next(iter(rows.values())).size, SAMPLES_AT_ONCE):
-            span = slice(first, first + SAMPLES_AT_ONCE)
-            recording.append_all({name: np.stack([rows[c][span] for c in g.names]) for name, g in groups.items()})
+    channels_by_group = channel_groups(rig)
+    with writing(out, rig, channels_by_group, provenance) as recording:
+        for first_sample in range(0, next(iter(samples_by_channel.values())).size, SAMPLES_AT_ONCE):
+            sample_span = slice(first_sample, first_sample + SAMPLES_AT_ONCE)
+            recording.append_all(
+                {
+                    name: np.stack([samples_by_channel[c][sample_span] for c in g.names])
+                    for name, g in channels_by_group.items()
+                }
+            )
 
 
-def _check_columns(columns: Mapping[str, Column]) -> None:
+def _check_columns(column_by_name: Mapping[str, Column]) -> None:
     """Raise RigError unless columns are distinct, of equal length and finite."""
-    first_use: dict[int, str] = {}
-    first_name, reference = next(iter(columns.items()))
-    for name, column in columns.items():
-        if first := first_use.get(id(column)):
-            raise RigError(f"column {column.name!r} is given to both {first!r} and {name!r}; each needs its own")
-        first_use[id(column)] = name
-        if column.values.size != reference.values.size:
+    name_by_column_id: dict[int, str] = {}
+    first_name, first_column = next(iter(column_by_name.items()))
+    for channel_name, column in column_by_name.items():
+        if earlier_name := name_by_column_id.get(id(column)):
             raise RigError(
-                f"column {column.name!r} has {column.values.size} samples, the {first_name} {reference.values.size}; "
-                "export them over the same time"
+                f"column {column.name!r} is given to both {earlier_name!r} and {channel_name!r}; each needs its own"
+            )
+        name_by_column_id[id(column)] = channel_name
+        if column.values.size != first_column.values.size:
+            raise RigError(
+                f"column {column.name!r} has {column.values.size} samples, the {first_name} "
+                f"{first_column.values.size}; export them over the same time"
             )
         if not np.isfinite(column.values).all():
-            sample = int(np.argmin(np.isfinite(column.values)))
+            faulty_sample = int(np.argmin(np.isfinite(column.values)))
             raise RigError(
-                f"column {column.name!r} is not a finite number at sample {sample}; repair the record or cut it there"
+                f"column {column.name!r} is not a finite number at sample {faulty_sample}; repair the record or cut "
+                "it there"
             )
 
 
-def _factor(quantity: str, entry: Source, column: Column) -> float:
+def _factor_to_si(quantity: str, source: Source, column: Column) -> float:
     """Factor from a column's numbers to SI; raises RigError if file and map state different units."""
-    if entry.unit is None and column.unit is None:
+    if source.unit is None and column.unit is None:
         raise RigError(f"column {column.name!r} has no unit; add unit = ... in the map")
-    factor = si_factor(quantity, entry.unit or column.unit or "")
-    if entry.unit and column.unit:
+    si_factor_of_unit = si_factor(quantity, source.unit or column.unit or "")
+    if source.unit and column.unit:
         try:
             file_factor = si_factor(quantity, column.unit)
         except RigError:  # what programs put there is often no unit at all, such as "EU"
-            file_factor = factor
-        if file_factor != factor:
-            raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {entry.unit!r} by the map")
-    return factor * entry.scale
+            file_factor = si_factor_of_unit
+        if file_factor != si_factor_of_unit:
+            raise RigError(f"column {column.name!r} is in {column.unit!r} by the file, {source.unit!r} by the map")
+    return si_factor_of_unit * source.scale

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decoded
-from rig.lab.hdf5 import attribute, blocks_of, check_stored, is_new, kept_elsewhere, members, open_hdf5
+from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
+from rig.lab.hdf5 import attribute_text, check_stored, dataset_blocks, elsewhere_sentence, is_new, members, open_hdf5
 from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
 
 _HEADER_BYTES = 128
@@ -38,44 +38,50 @@ def matlab_blocks(path: Path, least_values: int = 2) -> Blocks:
     cut, damaged or too large.
     """
     with path.open("rb") as stream:
-        head = stream.read(_HEADER_BYTES)
-    order = {b"IM": "<", b"MI": ">"}.get(head[126:128])
-    if head.startswith(b"MATLAB 7.3"):
+        header = stream.read(_HEADER_BYTES)
+    byte_order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
+    if header.startswith(b"MATLAB 7.3"):
         yield from matlab_hdf5_blocks(path)
-    elif order is None or not head.startswith(b"MATLAB 5.0"):
-        yield from _version_4(path.read_bytes(), least_values)
+    elif byte_order is None or not header.startswith(b"MATLAB 5.0"):
+        yield from _version_4_blocks(path.read_bytes(), least_values)
     else:
-        yield from _Version5(path, path.read_bytes(), order, least_values).blocks()
+        yield from _Version5(path, path.read_bytes(), byte_order, least_values).blocks()
 
 
-def _block(
-    name: str,
+def _matrix_block(
+    array_name: str,
     shape: tuple[int, ...],
-    array: Callable[[], np.ndarray],
+    read_array: Callable[[], np.ndarray],
     least_values: int,
     working_bytes: int = 0,
 ) -> Iterator[ColumnBlock]:
     """Channels of a matrix: its rows or columns, whichever are fewer."""
     if len(shape) != 2 or math.prod(shape) < least_values:
         return
-    count, samples = sorted(shape)
-    if count > MAX_ITEMS:
-        raise UnreadableError(f"its array {name!r} has {count} columns")
-    names = (name,) if count == 1 else tuple(f"{name}[{number}]" for number in range(1, count + 1))
-    yield ColumnBlock(names, samples, partial(_columns, names, array), working_bytes)
+    channel_count, sample_count = sorted(shape)
+    if channel_count > MAX_ITEMS:
+        raise UnreadableError(f"its array {array_name!r} has {channel_count} columns")
+    channel_names = (
+        (array_name,)
+        if channel_count == 1
+        else tuple(f"{array_name}[{channel_number}]" for channel_number in range(1, channel_count + 1))
+    )
+    yield ColumnBlock(channel_names, sample_count, partial(_read_columns, channel_names, read_array), working_bytes)
 
 
-def _columns(names: Sequence[str], array: Callable[[], np.ndarray], chosen: Sequence[int]) -> list[Column]:
-    values = array()
+def _read_columns(
+    channel_names: Sequence[str], read_array: Callable[[], np.ndarray], channel_indices: Sequence[int]
+) -> list[Column]:
+    values = read_array()
     rows = values if values.shape[0] < values.shape[1] else values.T
-    return [Column(names[k], rows[k].astype(float)) for k in chosen]
+    return [Column(channel_names[k], rows[k].astype(float)) for k in channel_indices]
 
 
 @dataclass(frozen=True)
 class _Head:
     """Head of an array: class, flags, shape and name, and the offset of its content."""
 
-    kind: int
+    array_class: int
     flags: int
     shape: tuple[int, ...]
     name: str
@@ -83,149 +89,180 @@ class _Head:
 
     @property
     def is_real(self) -> bool:
-        return self.kind in _NUMERIC_CLASSES and not self.flags & _COMPLEX
+        return self.array_class in _NUMERIC_CLASSES and not self.flags & _COMPLEX
 
 
 class _Version5:
     """Traversal of a file of version 5 to 7, which counts the elements of structs and cells."""
 
-    def __init__(self, path: Path, content: bytes, order: str, least_values: int) -> None:
-        self._path, self._content, self._order = path, memoryview(content), order
+    def __init__(self, path: Path, file_content: bytes, byte_order: str, least_values: int) -> None:
+        self._path, self._content, self._order = path, memoryview(file_content), byte_order
         self._least_values = least_values
-        self._elements = 0
+        self._element_count = 0
 
     def blocks(self) -> Iterator[ColumnBlock]:
         offset = _HEADER_BYTES
         while offset < len(self._content):
-            self._count("at its top", (1,))
-            kind, body, offset = self._element(self._content, offset)
-            if kind == _COMPRESSED:
-                yield from self._compressed_blocks(body)
-            elif kind == _MATRIX:
-                yield from self._array_blocks(body, "", 0)
+            self._count_elements("at its top", (1,))
+            element_type, element_bytes, offset = self._element(self._content, offset)
+            if element_type == _COMPRESSED:
+                yield from self._compressed_blocks(element_bytes)
+            elif element_type == _MATRIX:
+                yield from self._array_blocks(element_bytes, "", 0)
 
     def _compressed_blocks(self, compressed: memoryview) -> Iterator[ColumnBlock]:
         """Blocks of a compressed array; only the head of a numeric one is decompressed, structs and cells wholly."""
-        beginning = memoryview(zlib.decompressobj().decompress(compressed, _HEAD_BYTES))
-        kind, length, first, _ = self._tag(beginning, 0)
-        if kind != _MATRIX or not length:
+        first_bytes = memoryview(zlib.decompressobj().decompress(compressed, _HEAD_BYTES))
+        element_type, data_length, data_start, _ = self._tag(first_bytes, 0)
+        if element_type != _MATRIX or not data_length:
             return
-        size = first + length
-        head = self._head(beginning[first:])
-        if head.is_real:
+        element_size = data_start + data_length
+        array_head = self._head(first_bytes[data_start:])
+        if array_head.is_real:
             yield from self._numeric_blocks(
-                head, beginning[first:], head.name, lambda: memoryview(_unpacked(compressed, size))[first:], size
+                array_head,
+                first_bytes[data_start:],
+                array_head.name,
+                lambda: memoryview(_unpack(compressed, element_size))[data_start:],
+                element_size,
             )
-        elif head.kind in (_CELL, _STRUCT):
-            label = f"{self._path}: its variable {head.name!r}"
-            check_decoded_size(PROGRAM_BYTES + len(self._content) + size, len(self._content), label)
-            yield from self._array_blocks(memoryview(_unpacked(compressed, size))[first:], "", 0)
+        elif array_head.array_class in (_CELL, _STRUCT):
+            variable_label = f"{self._path}: its variable {array_head.name!r}"
+            check_decoded_size(PROGRAM_BYTES + len(self._content) + element_size, len(self._content), variable_label)
+            yield from self._array_blocks(memoryview(_unpack(compressed, element_size))[data_start:], "", 0)
 
-    def _array_blocks(self, body: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
+    def _array_blocks(self, array_bytes: memoryview, enclosing_name: str, depth: int) -> Iterator[ColumnBlock]:
         """Blocks of an array, or of those in a struct or cell array; none if it is not real and numeric."""
-        if not body:
+        if not array_bytes:
             return
-        head = self._head(body)
-        name = enclosing_name or head.name
-        if depth > MAX_DEPTH or len(name) > MAX_NAME:
+        array_head = self._head(array_bytes)
+        array_name = enclosing_name or array_head.name
+        if depth > MAX_DEPTH or len(array_name) > MAX_NAME:
             raise UnreadableError(
                 f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters"
             )
-        if head.kind == _CELL:
-            names = (f"{name}{{{k}}}" for k in range(1, self._count(name, head.shape) + 1))
-            yield from self._element_blocks(body, head.data_offset, names, depth + 1)
-        elif head.kind == _STRUCT:
-            yield from self._struct_blocks(body, head, name, depth + 1)
-        elif head.is_real:
-            yield from self._numeric_blocks(head, body, name, lambda: body, 0)
+        if array_head.array_class == _CELL:
+            cell_names = (
+                f"{array_name}{{{k}}}" for k in range(1, self._count_elements(array_name, array_head.shape) + 1)
+            )
+            yield from self._element_blocks(array_bytes, array_head.data_offset, cell_names, depth + 1)
+        elif array_head.array_class == _STRUCT:
+            yield from self._struct_blocks(array_bytes, array_head, array_name, depth + 1)
+        elif array_head.is_real:
+            yield from self._numeric_blocks(array_head, array_bytes, array_name, lambda: array_bytes, 0)
 
-    def _struct_blocks(self, body: memoryview, head: _Head, name: str, depth: int) -> Iterator[ColumnBlock]:
-        _, length, offset = self._element(body, head.data_offset)
-        _, text, offset = self._element(body, offset)
-        (size,) = struct.unpack(f"{self._order}i", length)
-        if size < 1:
-            raise UnreadableError(f"the fields of its struct {name!r} have no names")
-        fields = [decoded(bytes(text[k : k + size]).partition(b"\0")[0]) for k in range(0, len(text), size)]
-        count = self._count(name, (*head.shape, len(fields))) // max(1, len(fields))
-        elements = (name if count == 1 else f"{name}({k})" for k in range(1, count + 1))
-        yield from self._element_blocks(body, offset, (f"{e}.{field}" for e in elements for field in fields), depth)
+    def _struct_blocks(
+        self, array_bytes: memoryview, array_head: _Head, array_name: str, depth: int
+    ) -> Iterator[ColumnBlock]:
+        _, length_bytes, offset = self._element(array_bytes, array_head.data_offset)
+        _, names_bytes, offset = self._element(array_bytes, offset)
+        (name_length,) = struct.unpack(f"{self._order}i", length_bytes)
+        if name_length < 1:
+            raise UnreadableError(f"the fields of its struct {array_name!r} have no names")
+        field_names = [
+            decode_text(bytes(names_bytes[k : k + name_length]).partition(b"\0")[0])
+            for k in range(0, len(names_bytes), name_length)
+        ]
+        struct_count = self._count_elements(array_name, (*array_head.shape, len(field_names))) // max(
+            1, len(field_names)
+        )
+        struct_names = (array_name if struct_count == 1 else f"{array_name}({k})" for k in range(1, struct_count + 1))
+        yield from self._element_blocks(
+            array_bytes, offset, (f"{e}.{field_name}" for e in struct_names for field_name in field_names), depth
+        )
 
-    def _element_blocks(self, body: memoryview, offset: int, names: Iterator[str], depth: int) -> Iterator[ColumnBlock]:
+    def _element_blocks(
+        self, array_bytes: memoryview, offset: int, array_names: Iterator[str], depth: int
+    ) -> Iterator[ColumnBlock]:
         """Blocks of consecutive arrays with these names."""
-        for name in names:
-            kind, element, offset = self._element(body, offset)
-            if kind != _MATRIX:
-                raise UnreadableError(f"its array {name!r} is of the unknown type {kind}")
-            yield from self._array_blocks(element, name, depth)
+        for array_name in array_names:
+            element_type, element_bytes, offset = self._element(array_bytes, offset)
+            if element_type != _MATRIX:
+                raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
+            yield from self._array_blocks(element_bytes, array_name, depth)
 
     def _numeric_blocks(
-        self, head: _Head, beginning: memoryview, name: str, body: Callable[[], memoryview], working_bytes: int
+        self,
+        array_head: _Head,
+        first_bytes: memoryview,
+        array_name: str,
+        read_bytes: Callable[[], memoryview],
+        working_bytes: int,
     ) -> Iterator[ColumnBlock]:
-        """Block of a numeric array from its first bytes; `body` returns all of it."""
-        kind, length, start, _ = self._tag(beginning, head.data_offset)
-        if kind not in _TYPES:
-            raise UnreadableError(f"its array {name!r} is of the unknown type {kind}")
-        stored = np.dtype(self._order + _TYPES[kind])
-        if min(head.shape, default=0) < 0 or length != math.prod(head.shape) * stored.itemsize:
-            raise UnreadableError(f"its array {name!r} of {head.shape} holds {length // stored.itemsize} values")
+        """Block of a numeric array from its first bytes; `read_bytes` returns all of it."""
+        element_type, data_length, data_start, _ = self._tag(first_bytes, array_head.data_offset)
+        if element_type not in _TYPES:
+            raise UnreadableError(f"its array {array_name!r} is of the unknown type {element_type}")
+        number_type = np.dtype(self._order + _TYPES[element_type])
+        if min(array_head.shape, default=0) < 0 or data_length != math.prod(array_head.shape) * number_type.itemsize:
+            raise UnreadableError(
+                f"its array {array_name!r} of {array_head.shape} holds {data_length // number_type.itemsize} values"
+            )
 
-        def array() -> np.ndarray:
-            return np.frombuffer(body()[start : start + length], stored).reshape(head.shape, order="F")
+        def read_array() -> np.ndarray:
+            return np.frombuffer(read_bytes()[data_start : data_start + data_length], number_type).reshape(
+                array_head.shape, order="F"
+            )
 
-        yield from _block(name, head.shape, array, self._least_values, working_bytes)
+        yield from _matrix_block(array_name, array_head.shape, read_array, self._least_values, working_bytes)
 
-    def _head(self, body: memoryview) -> _Head:
-        _, flag_bytes, offset = self._element(body, 0)
+    def _head(self, array_bytes: memoryview) -> _Head:
+        _, flag_bytes, offset = self._element(array_bytes, 0)
         (flags,) = struct.unpack_from(f"{self._order}I", flag_bytes)
-        _, sizes, offset = self._element(body, offset)
-        _, name, offset = self._element(body, offset)
-        shape = tuple(np.frombuffer(sizes, f"{self._order}i4").tolist())
-        return _Head(flags & 0xFF, flags, shape, decoded(bytes(name)), offset)
+        _, size_bytes, offset = self._element(array_bytes, offset)
+        _, name_bytes, offset = self._element(array_bytes, offset)
+        shape = tuple(np.frombuffer(size_bytes, f"{self._order}i4").tolist())
+        return _Head(flags & 0xFF, flags, shape, decode_text(bytes(name_bytes)), offset)
 
     def _tag(self, content: memoryview, offset: int) -> tuple[int, int, int, int]:
         """Tag of an element: type, length and offset of its data, and offset of the next element."""
-        kind, length = struct.unpack_from(f"{self._order}II", content, offset)
-        if kind >> 16:  # up to four bytes, in the tag itself
-            return kind & 0xFFFF, kind >> 16, offset + 4, offset + 8
-        return kind, length, offset + 8, offset + 8 + length + (-length % 8 if kind != _COMPRESSED else 0)
+        element_type, data_length = struct.unpack_from(f"{self._order}II", content, offset)
+        if element_type >> 16:  # up to four bytes, in the tag itself
+            return element_type & 0xFFFF, element_type >> 16, offset + 4, offset + 8
+        return (
+            element_type,
+            data_length,
+            offset + 8,
+            offset + 8 + data_length + (-data_length % 8 if element_type != _COMPRESSED else 0),
+        )
 
     def _element(self, content: memoryview, offset: int) -> tuple[int, memoryview, int]:
         """Type and data of an element, and offset of the next."""
-        kind, length, start, next_offset = self._tag(content, offset)
-        if start + length > min(next_offset, len(content)):
-            raise UnreadableError(f"an element of {length} bytes is cut off")
-        return kind, content[start : start + length], next_offset
+        element_type, data_length, data_start, next_offset = self._tag(content, offset)
+        if data_start + data_length > min(next_offset, len(content)):
+            raise UnreadableError(f"an element of {data_length} bytes is cut off")
+        return element_type, content[data_start : data_start + data_length], next_offset
 
-    def _count(self, name: str, shape: tuple[int, ...]) -> int:
+    def _count_elements(self, name: str, shape: tuple[int, ...]) -> int:
         """Number of elements of a struct or cell array, added to those of the file (at most MAX_ITEMS)."""
-        count = math.prod(shape)
-        self._elements += count
-        if min(shape, default=0) < 0 or self._elements > MAX_ITEMS:
+        element_count = math.prod(shape)
+        self._element_count += element_count
+        if min(shape, default=0) < 0 or self._element_count > MAX_ITEMS:
             raise UnreadableError(
                 f"its array {name!r} has the size {shape}, and the file may hold {MAX_ITEMS} elements"
             )
-        return count
+        return element_count
 
 
-def _unpacked(compressed: memoryview, size: int) -> bytes:
-    """Decompressed element of exactly `size` bytes; raises UnreadableError if it has fewer or more."""
+def _unpack(compressed: memoryview, element_size: int) -> bytes:
+    """Decompressed element of exactly `element_size` bytes; raises UnreadableError if it has fewer or more."""
     decompressor = zlib.decompressobj()
-    content = decompressor.decompress(compressed, size)
-    surplus = b"" if decompressor.eof else decompressor.decompress(decompressor.unconsumed_tail, 1)
-    if len(content) < size or surplus or not decompressor.eof:
+    content = decompressor.decompress(compressed, element_size)
+    surplus_bytes = b"" if decompressor.eof else decompressor.decompress(decompressor.unconsumed_tail, 1)
+    if len(content) < element_size or surplus_bytes or not decompressor.eof:
         raise UnreadableError("its compressed data are cut off, or swell beyond what they declare")
     return content
 
 
-def _version_4(content: bytes, least_values: int) -> Iterator[ColumnBlock]:
+def _version_4_blocks(content: bytes, least_values: int) -> Iterator[ColumnBlock]:
     from scipy.io import loadmat
     from scipy.io.matlab import matfile_version
 
     if matfile_version(BytesIO(content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
         raise UnreadableError("its header is damaged")
-    for name, array in loadmat(BytesIO(content)).items():
-        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
-            yield from _block(name, array.shape, partial(np.asarray, array), least_values)
+    for array_name, array in loadmat(BytesIO(content)).items():
+        if isinstance(array, np.ndarray) and array.dtype.array_class in "iuf":
+            yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), least_values)
 
 
 def matlab_hdf5_blocks(path: Path) -> Blocks:
@@ -236,21 +273,21 @@ def matlab_hdf5_blocks(path: Path) -> Blocks:
     """
     purpose = "a MATLAB file of version 7.3 (save(..., '-v7') stores it as an older one)"
     with open_hdf5(path, purpose) as file:
-        arrays = _Arrays(path, file)
+        arrays = _Version73(path, file)
         for name, item in members(file, "", 0):
             if not name.startswith("#"):  # what references point to
-                yield from arrays.of(name, item, 1)
+                yield from arrays.array_blocks(name, item, 1)
 
 
-class _Arrays:
+class _Version73:
     """Traversal of a file of version 7.3, which records visited objects and counts references."""
 
     def __init__(self, path: Path, file: Any) -> None:
         self._path, self._file = path, file
         self._visited: set[int] = set()
-        self._references = 0
+        self._reference_count = 0
 
-    def of(self, name: str, item: Any, depth: int) -> Iterator[ColumnBlock | Refused]:
+    def array_blocks(self, name: str, item: Any, depth: int) -> Iterator[ColumnBlock | Refused]:
         """Blocks of an array, of a struct (a group), or of the targets of a cell array's references."""
         import h5py
 
@@ -258,34 +295,34 @@ class _Arrays:
             yield item
         elif isinstance(item, h5py.Group):
             if is_new(item, self._visited):
-                for field, member in members(item, f"{name}.", depth):
+                for field_name, member in members(item, f"{name}.", depth):
                     if (
                         isinstance(member, h5py.Dataset)
                         and _holds_references(member)
                         and not _has_class(member, "cell")
                     ):
-                        yield from self._referenced(member, f"{name}(", f").{field}", depth + 1)
+                        yield from self._reference_blocks(member, f"{name}(", f").{field_name}", depth + 1)
                     else:
-                        yield from self.of(f"{name}.{field}", member, depth + 1)
+                        yield from self.array_blocks(f"{name}.{field_name}", member, depth + 1)
         elif isinstance(item, h5py.Dataset) and _has_class(item, "cell"):
-            yield from self._referenced(item, f"{name}{{", "}", depth + 1)
+            yield from self._reference_blocks(item, f"{name}{{", "}", depth + 1)
         elif isinstance(item, h5py.Dataset) and not _has_class(item, "char") and not _is_empty(item):
-            yield from blocks_of(self._path, item, name)
+            yield from dataset_blocks(self._path, item, name)
 
-    def _referenced(self, dataset: Any, prefix: str, suffix: str, depth: int) -> Iterator[ColumnBlock | Refused]:
+    def _reference_blocks(self, dataset: Any, prefix: str, suffix: str, depth: int) -> Iterator[ColumnBlock | Refused]:
         """Blocks of the targets of references, named prefix + number + suffix."""
         name = f"{prefix}1{suffix}"
         if not is_new(dataset, self._visited):
             return
-        if sentence := kept_elsewhere(dataset, name):
+        if sentence := elsewhere_sentence(dataset, name):
             yield Refused(name, sentence)
             return
-        self._references += dataset.size
-        if depth > MAX_DEPTH or self._references > MAX_ITEMS:
+        self._reference_count += dataset.size
+        if depth > MAX_DEPTH or self._reference_count > MAX_ITEMS:
             raise UnreadableError(f"its cells are more than {MAX_DEPTH} deep, or more than {MAX_ITEMS}")
         check_stored(self._path, dataset, name)
-        for number, reference in enumerate(dataset[()].T.ravel(order="F"), start=1):
-            yield from self.of(f"{prefix}{number}{suffix}", self._file[reference], depth)
+        for reference_number, reference in enumerate(dataset[()].T.ravel(order="F"), start=1):
+            yield from self.array_blocks(f"{prefix}{reference_number}{suffix}", self._file[reference], depth)
 
 
 def _holds_references(dataset: Any) -> bool:
@@ -294,9 +331,9 @@ def _holds_references(dataset: Any) -> bool:
     return h5py.check_ref_dtype(dataset.dtype) is h5py.Reference
 
 
-def _has_class(item: Any, kind: str) -> bool:
-    return attribute(item, ("MATLAB_class",)) == kind
+def _has_class(item: Any, class_name: str) -> bool:
+    return attribute_text(item, ("MATLAB_class",)) == class_name
 
 
 def _is_empty(item: Any) -> bool:
-    return attribute(item, ("MATLAB_empty",)) not in (None, "0")
+    return attribute_text(item, ("MATLAB_empty",)) not in (None, "0")

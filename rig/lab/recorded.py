@@ -6,15 +6,15 @@ from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 
-from rig.lab.column import decoded
+from rig.lab.column import decode_text
 from rig.lab.csv_text import TEXT_SUFFIXES, TextForm, lines_of, number_in
 
 MAX_HEADER_LINES = 2000
-MAX_LINE = 500
+MAX_LINE_LENGTH = 500
 """Characters of a line in which a date or rate is looked for."""
 _MATLAB_HEAD_BYTES = 116
 """Bytes of the text at the beginning of a .mat file, which states when it was written."""
-_MONTHS = {
+_MONTH_NUMBERS = {
     name: number
     for number, names in enumerate(
         ("jan", "feb", "mar mär mrz", "apr", "may mai", "jun", "jul", "aug", "sep", "oct okt", "nov", "dec dez"),
@@ -22,47 +22,49 @@ _MONTHS = {
     )
     for name in names.split()
 }
-_MONTH = rf"(?P<month>{'|'.join(_MONTHS)})[a-zä]*\.?"
+_MONTH = rf"(?P<month>{'|'.join(_MONTH_NUMBERS)})[a-zä]*\.?"
 _YEAR_FIRST = re.compile(r"(?<!\d)(?P<year>\d{4})[-/.](?P<month>\d\d?)[-/.](?P<day>\d\d?)(?!\d)")
 _DAY_FIRST = re.compile(r"(?<![\d.])(?P<day>\d\d?)\.(?P<month>\d\d?)\.(?P<year>\d{4})(?!\d)")
-_EITHER = re.compile(r"(?<!\d)(?P<first>\d\d?)(?P<mark>[/-])(?P<second>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
+_EITHER_ORDER = re.compile(r"(?<!\d)(?P<first>\d\d?)(?P<mark>[/-])(?P<second>\d\d?)(?P=mark)(?P<year>\d{4})(?!\d)")
 _DAY_NAMED = re.compile(rf"(?<!\d)(?P<day>\d\d?)[-. ]+{_MONTH}[-, ]+(?P<year>\d{{4}}|\d\d)(?!\d)", re.IGNORECASE)
 _CTIME = re.compile(rf"\b{_MONTH} +(?P<day>\d\d?),? +(?:\d\d?:\d\d:\d\d +)?(?P<year>\d{{4}})(?!\d)", re.IGNORECASE)
-_TIME = re.compile(
+_TIME_OF_DAY = re.compile(
     r"(?<![\d:])(?P<hour>\d\d?):(?P<minute>\d\d)(?::(?P<second>\d\d)(?:[.,](?P<fraction>\d{1,9}))?)?"
     r"(?![\d:])\s*(?P<half>[AaPp]\.?[Mm])?"
 )
 _ZONE = re.compile(r"\s*(?P<zone>Z|UTC|[+-]\d\d:?\d\d)(?![\w:])")
-_DATED = re.compile(
+_DATE_LABEL = re.compile(
     r"date|datum|start|begin|record|aufge|messzeit|zeitpunkt|created|erstellt|acqui|\bt0\b", re.IGNORECASE
 )
-_TIMED = re.compile(r"^\W*(?:start|mess|trigger)?[ -]?(?:time|zeit|uhrzeit|startzeit)\b", re.IGNORECASE)
-_RATE = re.compile(
+_TIME_LABEL = re.compile(r"^\W*(?:start|mess|trigger)?[ -]?(?:time|zeit|uhrzeit|startzeit)\b", re.IGNORECASE)
+_RATE_LABEL = re.compile(
     r"sampl\w*[ _-]*(?:rate|freq\w*)|abtast(?:rate|freq\w*)|messrate|scan[ _]?rate|\bfs\b|^\W*rate\b", re.IGNORECASE
 )
-_INTERVAL = re.compile(
+_INTERVAL_LABEL = re.compile(
     r"sampl\w*[ _-]*(?:interval|period|time)|abtast(?:intervall|zeit)|delta[ _]?[xt]\b|axis[ _]delta|\bdt\b|increment",
     re.IGNORECASE,
 )
 _NUMBER = re.compile(r"(?<![\w.,])[+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?")
-_HZ = {"ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0, "ms/s": 1e6, "ks/s": 1e3, "s/s": 1.0}
-_S = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "s": 1.0}
+_HZ_BY_UNIT = {"ghz": 1e9, "mhz": 1e6, "khz": 1e3, "hz": 1.0, "ms/s": 1e6, "ks/s": 1e3, "s/s": 1.0}
+_S_BY_UNIT = {"ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "s": 1.0}
 
 
-def recorded_date(source: Path, form: TextForm, stated: Iterable[str]) -> tuple[str, str]:
+def recorded_date(source: Path, form: TextForm, stated_dates: Iterable[str]) -> tuple[str, str]:
     """Date at which a record begins, as ISO text, and where it stands, in words.
 
-    By the header, or what the channels have `stated`, if that can be read in one way only, else by the file's
+    By the header, or the `stated_dates` of the channels, if that can be read in one way only, else by the file's
     modification time.
     """
-    lines = [*_head(source, form), *dict.fromkeys(text for text in stated if text)]
-    date, doubtful = date_in(lines)
+    date_lines = [*_header_lines(source, form), *dict.fromkeys(text for text in stated_dates if text)]
+    date, doubtful_text = date_in(date_lines)
     if date is not None:
-        saved = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
-        return date.isoformat(), f"the file's header{saved}" + ("" if date.tzinfo else ", which states no time zone")
-    modified = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
-    reason = f"{doubtful!r} in its header is two dates" if doubtful else "its header states no date"
-    return modified, f"the file's modification time, since {reason}"
+        saved_words = " (when it was saved)" if source.suffix.lower() == ".mat" else ""
+        return date.isoformat(), f"the file's header{saved_words}" + (
+            "" if date.tzinfo else ", which states no time zone"
+        )
+    modified_date = datetime.fromtimestamp(source.stat().st_mtime, UTC).isoformat(timespec="seconds")
+    reason = f"{doubtful_text!r} in its header is two dates" if doubtful_text else "its header states no date"
+    return modified_date, f"the file's modification time, since {reason}"
 
 
 def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
@@ -70,36 +72,47 @@ def date_in(lines: Iterable[str]) -> tuple[datetime | None, str]:
 
     Lines that are labelled as a date come first. The time of day may stand in the same line, or in one of its own.
     """
-    header = [line[:MAX_LINE] for line in islice(lines, MAX_HEADER_LINES)]
-    doubtful = ""
-    for line in sorted(header, key=lambda text: not _DATED.search(text)):
-        day, text = _day_in(line)
-        doubtful = doubtful or text
-        if day is not None:
-            clock_lines = [line, *(other for other in header if _TIMED.search(other))]
-            times = (match for text in clock_lines if (match := _TIME.search(text)))
-            return _date_and_time(day, next(times, None)), doubtful
-    return None, doubtful
+    header_lines = [line[:MAX_LINE_LENGTH] for line in islice(lines, MAX_HEADER_LINES)]
+    doubtful_text = ""
+    for line in sorted(header_lines, key=lambda text: not _DATE_LABEL.search(text)):
+        year_month_day, text = _day_in(line)
+        doubtful_text = doubtful_text or text
+        if year_month_day is not None:
+            clock_lines = [line, *(other_line for other_line in header_lines if _TIME_LABEL.search(other_line))]
+            time_matches = (match for text in clock_lines if (match := _TIME_OF_DAY.search(text)))
+            return _date_and_time(year_month_day, next(time_matches, None)), doubtful_text
+    return None, doubtful_text
 
 
-def rate_in(rows: Sequence[Sequence[str]], decimal: str) -> float | None:
+def rate_in(header_rows: Sequence[Sequence[str]], decimal: str) -> float | None:
     """Sampling rate, Hz, stated in the cells of a header: a rate or an interval, beside or below its label."""
-    for row_number, row in enumerate(rows):
-        for k, cell in enumerate(row):
-            for pattern, units in ((_RATE, _HZ), (_INTERVAL, _S)):
-                if not (match := pattern.search(cell[:MAX_LINE])):
+    for row_number, header_row in enumerate(header_rows):
+        for cell_index, cell in enumerate(header_row):
+            for label_pattern, factor_by_unit in ((_RATE_LABEL, _HZ_BY_UNIT), (_INTERVAL_LABEL, _S_BY_UNIT)):
+                if not (match := label_pattern.search(cell[:MAX_LINE_LENGTH])):
                     continue
-                below = (
-                    [rows[row_number + 1][k]] if row_number + 1 < len(rows) and k < len(rows[row_number + 1]) else []
+                cells_below = (
+                    [header_rows[row_number + 1][cell_index]]
+                    if row_number + 1 < len(header_rows) and cell_index < len(header_rows[row_number + 1])
+                    else []
                 )
-                for text in (cell[match.end() : MAX_LINE], *row[k + 1 : k + 3], *below):
-                    value = _quantity_in(text, f"{cell[match.end() :]} {' '.join(row[k + 1 : k + 3])}", units, decimal)
+                for text in (
+                    cell[match.end() : MAX_LINE_LENGTH],
+                    *header_row[cell_index + 1 : cell_index + 3],
+                    *cells_below,
+                ):
+                    value = _quantity_in(
+                        text,
+                        f"{cell[match.end() :]} {' '.join(header_row[cell_index + 1 : cell_index + 3])}",
+                        factor_by_unit,
+                        decimal,
+                    )
                     if value is not None and 0 < value < 1e12:
-                        return value if units is _HZ else float(f"{1 / value:.9g}")
+                        return value if factor_by_unit is _HZ_BY_UNIT else float(f"{1 / value:.9g}")
     return None
 
 
-def _quantity_in(text: str, unit_text: str, units: dict[str, float], decimal: str) -> float | None:
+def _quantity_in(text: str, unit_text: str, factor_by_unit: dict[str, float], decimal: str) -> float | None:
     """Number in a text times its unit, which stands behind it or somewhere in unit_text."""
     match = _NUMBER.search(text)
     if match is None:
@@ -107,61 +120,67 @@ def _quantity_in(text: str, unit_text: str, units: dict[str, float], decimal: st
     value = number_in(match[0], decimal)
     if value is None:
         value = number_in(match[0].replace(",", "."), ".")
-    words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE].lower())
-    return None if value is None else value * next((units[word] for word in words if word in units), 1.0)
+    words = re.findall(r"[a-zµ/]+", f"{text[match.end() :]} {unit_text}"[:MAX_LINE_LENGTH].lower())
+    return (
+        None if value is None else value * next((factor_by_unit[word] for word in words if word in factor_by_unit), 1.0)
+    )
 
 
 def _day_in(line: str) -> tuple[tuple[int, int, int] | None, str]:
     """Year, month and day in a line, and a text of two readings."""
-    for pattern in (_YEAR_FIRST, _DAY_FIRST, _DAY_NAMED, _CTIME):
-        if match := pattern.search(line):
+    for date_pattern in (_YEAR_FIRST, _DAY_FIRST, _DAY_NAMED, _CTIME):
+        if match := date_pattern.search(line):
             month = match["month"].lower()
             year = int(match["year"])
             year += (1900 if year >= 70 else 2000) if year < 100 else 0
-            day = (year, int(month) if month.isdigit() else _MONTHS[month], int(match["day"]))
-            if _is_date(day):
-                return day, ""
-    if match := _EITHER.search(line):
-        first, second, year = int(match["first"]), int(match["second"]), int(match["year"])
-        days = {day for day in ((year, first, second), (year, second, first)) if _is_date(day)}
-        if len(days) == 1:
-            return days.pop(), ""
-        return None, match[0] if days else ""
+            year_month_day = (year, int(month) if month.isdigit() else _MONTH_NUMBERS[month], int(match["day"]))
+            if _is_date(year_month_day):
+                return year_month_day, ""
+    if match := _EITHER_ORDER.search(line):
+        first_number, second_number, year = int(match["first"]), int(match["second"]), int(match["year"])
+        possible_days = {
+            year_month_day
+            for year_month_day in ((year, first_number, second_number), (year, second_number, first_number))
+            if _is_date(year_month_day)
+        }
+        if len(possible_days) == 1:
+            return possible_days.pop(), ""
+        return None, match[0] if possible_days else ""
     return None, ""
 
 
-def _is_date(day: tuple[int, int, int]) -> bool:
+def _is_date(year_month_day: tuple[int, int, int]) -> bool:
     try:
-        return 1970 <= datetime(*day, tzinfo=UTC).year < 2200
+        return 1970 <= datetime(*year_month_day, tzinfo=UTC).year < 2200
     except ValueError:
         return False
 
 
-def _date_and_time(day: tuple[int, int, int], time: re.Match[str] | None) -> datetime:
+def _date_and_time(year_month_day: tuple[int, int, int], time_match: re.Match[str] | None) -> datetime:
     """Date and time of day; the date alone if the time is none."""
-    if time is None:
-        return datetime(*day)
-    hour = int(time["hour"])
-    if time["half"]:
-        hour = hour % 12 + (12 if time["half"][0] in "pP" else 0)
-    microsecond = int((time["fraction"] or "0").ljust(6, "0")[:6])
-    zone = _ZONE.match(time.string, time.end())
+    if time_match is None:
+        return datetime(*year_month_day)
+    hour = int(time_match["hour"])
+    if time_match["half"]:
+        hour = hour % 12 + (12 if time_match["half"][0] in "pP" else 0)
+    microsecond = int((time_match["fraction"] or "0").ljust(6, "0")[:6])
+    zone_match = _ZONE.match(time_match.string, time_match.end())
     try:
-        date = datetime(*day, hour, int(time["minute"]), int(time["second"] or 0), microsecond)
-        if zone is None:
+        date = datetime(*year_month_day, hour, int(time_match["minute"]), int(time_match["second"] or 0), microsecond)
+        if zone_match is None:
             return date
-        return date.replace(tzinfo=datetime.strptime(zone["zone"].replace("UTC", "Z"), "%z").tzinfo)
+        return date.replace(tzinfo=datetime.strptime(zone_match["zone"].replace("UTC", "Z"), "%z").tzinfo)
     except ValueError:
-        return datetime(*day)
+        return datetime(*year_month_day)
 
 
-def _head(source: Path, form: TextForm) -> list[str]:
+def _header_lines(source: Path, form: TextForm) -> list[str]:
     """Lines at the beginning of a file that may state its date; none of a format whose channels state it."""
     suffix = source.suffix.lower()
     if suffix == ".mat":
         with source.open("rb") as stream:
-            return [decoded(stream.read(_MATLAB_HEAD_BYTES))]
+            return [decode_text(stream.read(_MATLAB_HEAD_BYTES))]
     if suffix not in TEXT_SUFFIXES:
         return []
-    count = form.lines_before_names + form.lines_after_names + 2
-    return list(islice(lines_of(source, form.encoding), min(count, MAX_HEADER_LINES)))
+    line_count = form.lines_before_names + form.lines_after_names + 2
+    return list(islice(lines_of(source, form.encoding), min(line_count, MAX_HEADER_LINES)))

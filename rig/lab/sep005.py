@@ -11,22 +11,22 @@ from rig.lab.column import Column
 from rig.lab.importing import import_columns
 from rig.recording import Recording
 
-QUANTITIES = {"force": "f", "displacement": "d", "velocity": "v", "acceleration": "a", "strain": "e"}
+QUANTITY_LETTERS = {"force": "f", "displacement": "d", "velocity": "v", "acceleration": "a", "strain": "e"}
 
 
 def to_sep005(recording: Recording) -> list[dict[str, Any]]:
     """Dictionary per channel: data in SI, name, unit_str, fs in Hz, quantity and group."""
     return [
         {
-            "data": row,
-            "name": name,
+            "data": samples,
+            "name": channel_name,
             "unit_str": signals.channels.unit,
             "fs": signals.channels.sample_rate_hz,
-            "quantity": QUANTITIES.get(group),
+            "quantity": QUANTITY_LETTERS.get(group),
             "group": group,
         }
         for group, signals in recording.signals.items()
-        for name, row in zip(signals.channels.names, signals.values, strict=True)
+        for channel_name, samples in zip(signals.channels.names, signals.values, strict=True)
     ]
 
 
@@ -39,19 +39,25 @@ def import_sep005(
     one sentence if a channel is none, or the map, the rig or the data cannot be used; nothing is written then.
     """
     channel_list = [channels] if isinstance(channels, Mapping) else list(channels)
-    columns = [column for number, channel in enumerate(channel_list, start=1) for column in _columns(channel, number)]
+    columns = [
+        column
+        for channel_number, channel in enumerate(channel_list, start=1)
+        for column in _columns_of_channel(channel, channel_number)
+    ]
     return import_columns(columns, "SEP005 channels", map_path, out)
 
 
-def _columns(channel: Mapping[str, Any], number: int) -> list[Column]:
-    missing = [key for key in ("data", "name", "unit_str") if key not in channel]
-    if missing or not {"fs", "time"} & set(channel):
-        raise RigError(f"channel {number} of SEP005 lacks {missing[0] if missing else 'fs or time'!r}; add it")
-    name, unit, rate = str(channel["name"]), str(channel["unit_str"]) or None, channel.get("fs")
+def _columns_of_channel(channel: Mapping[str, Any], channel_number: int) -> list[Column]:
+    missing_keys = [key for key in ("data", "name", "unit_str") if key not in channel]
+    if missing_keys or not {"fs", "time"} & set(channel):
+        raise RigError(
+            f"channel {channel_number} of SEP005 lacks {missing_keys[0] if missing_keys else 'fs or time'!r}; add it"
+        )
+    name, unit, rate_hz = str(channel["name"]), str(channel["unit_str"]) or None, channel.get("fs")
     try:
         values = np.asarray(channel["data"], dtype=float).reshape(-1)
-        stamps = None if rate else np.asarray(channel["time"], dtype=float).reshape(-1)
-        column = Column(name, values, unit, float(rate) if rate else None)
+        stamps_s = None if rate_hz else np.asarray(channel["time"], dtype=float).reshape(-1)
+        column = Column(name, values, unit, float(rate_hz) if rate_hz else None)
     except (TypeError, ValueError) as error:
         raise RigError(f"channel {name!r} of SEP005 is not of numbers ({error}); correct it") from error
-    return [column] if stamps is None else [Column(f"{name} time", stamps, "s"), column]
+    return [column] if stamps_s is None else [Column(f"{name} time", stamps_s, "s"), column]

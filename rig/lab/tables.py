@@ -35,34 +35,36 @@ class Table:
     def of(cls, columns: Sequence[Column]) -> "Table":
         return cls(tuple(c.name for c in columns), dict(enumerate(columns)))
 
-    def column(self, key: Key) -> Column:
+    def column(self, column_key: Key) -> Column:
         """Column by name or number; raises RigError if there is none, or more than one."""
-        if isinstance(key, int):
-            if not 1 <= key <= len(self.names):
-                raise RigError(f"there is no column {key}; the file has 1 to {len(self.names)}")
-            return self.columns[key - 1]
-        matches = [place for place, name in enumerate(self.names) if name == key]
-        if len(matches) > 1:
-            raise RigError(f"{len(matches)} columns are named {key!r}; give the number of the one meant")
-        if not matches:
-            listed = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
-            raise RigError(f"there is no column {key!r}; the file has {listed}")
-        return self.columns[matches[0]]
+        if isinstance(column_key, int):
+            if not 1 <= column_key <= len(self.names):
+                raise RigError(f"there is no column {column_key}; the file has 1 to {len(self.names)}")
+            return self.columns[column_key - 1]
+        matching_indices = [index for index, name in enumerate(self.names) if name == column_key]
+        if len(matching_indices) > 1:
+            raise RigError(
+                f"{len(matching_indices)} columns are named {column_key!r}; give the number of the one meant"
+            )
+        if not matching_indices:
+            names_text = ", ".join(map(repr, self.names[:12])) + (", ..." if len(self.names) > 12 else "")
+            raise RigError(f"there is no column {column_key!r}; the file has {names_text}")
+        return self.columns[matching_indices[0]]
 
 
-def read_table(path: Path, text: TextForm, keys: Collection[Key] | None = None) -> Table:
+def read_table(path: Path, text_form: TextForm, column_keys: Collection[Key] | None = None) -> Table:
     """Requested columns (None: all) of a file, whose format follows from its suffix; no others are decoded.
 
     Raises RigError as `with_blocks` does, and with a sentence if the file holds no numbers, or keeps a column that is
     asked for elsewhere.
     """
-    table = with_blocks(path, text, lambda blocks: _read(path, blocks, keys))
+    table = with_blocks(path, text_form, lambda blocks: _read_blocks(path, blocks, column_keys))
     if not table.names:
         raise RigError(f"{path}: holds no column of numbers over time; check what was exported")
     return table
 
 
-def with_blocks(path: Path, text: TextForm, consume: Callable[[Blocks], Result]) -> Result:
+def with_blocks(path: Path, text_form: TextForm, consume: Callable[[Blocks], Result]) -> Result:
     """Result of `consume`, given the content of a file, whose format follows from its suffix.
 
     Raises RigError with a sentence if the file cannot be opened, is empty, is not of its format, or would take more
@@ -74,7 +76,7 @@ def with_blocks(path: Path, text: TextForm, consume: Callable[[Blocks], Result])
     try:
         if not path.stat().st_size:
             raise RigError(f"{path}: is empty; export it again")
-        with closing(READERS[suffix](path, text)) as blocks:
+        with closing(READERS[suffix](path, text_form)) as blocks:
             return consume(blocks)
     except OSError as error:
         if error.errno is None:  # of a format's library, in words of its own
@@ -90,40 +92,45 @@ def with_blocks(path: Path, text: TextForm, consume: Callable[[Blocks], Result])
         raise RigError(f"{path}: cannot be read as {suffix}, whole or in part; export it again") from error
 
 
-def _read(path: Path, blocks: Blocks, keys: Collection[Key] | None) -> Table:
-    names: list[str] = []
-    columns: dict[int, Column] = {}
+def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[Key] | None) -> Table:
+    column_names: list[str] = []
+    column_by_index: dict[int, Column] = {}
     notes: tuple[str, ...] = ()
     file_bytes, needed_bytes = path.stat().st_size, PROGRAM_BYTES
     for block in blocks:
-        first = len(names)
+        first_index = len(column_names)
         if isinstance(block, Refused):
-            if _may_select(block, first, keys):
+            if _may_select(block, first_index, column_keys):
                 raise RigError(f"{path}: {block.sentence}")
             continue
-        names += block.names
-        if len(names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
+        column_names += block.names
+        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
             raise UnreadableError(f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters")
-        chosen = [k for k, name in enumerate(block.names) if keys is None or name in keys or first + k + 1 in keys]
-        if chosen:
-            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.samples * len(chosen)
-            other_columns = len(columns) + len(chosen) - 1
-            content = f"{path}: column {block.names[chosen[-1]]!r}" + (
-                f" with {other_columns} more" if other_columns else ""
+        chosen_indices = [
+            k
+            for k, column_name in enumerate(block.names)
+            if column_keys is None or column_name in column_keys or first_index + k + 1 in column_keys
+        ]
+        if chosen_indices:
+            needed_bytes += WORKING_BYTES_PER_SAMPLE * block.sample_count * len(chosen_indices)
+            other_count = len(column_by_index) + len(chosen_indices) - 1
+            content_label = f"{path}: column {block.names[chosen_indices[-1]]!r}" + (
+                f" with {other_count} more" if other_count else ""
             )
-            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content)
-            columns |= zip((first + k for k in chosen), block.read(chosen), strict=True)
-            if missing := block.samples - columns[first + chosen[0]].values.size:
-                notes = (f"the last {missing} lines are incomplete and were left out",)
-    return Table(tuple(names), columns, notes)
+            check_decoded_size(needed_bytes + block.working_bytes, file_bytes, content_label)
+            column_by_index |= zip((first_index + k for k in chosen_indices), block.read(chosen_indices), strict=True)
+            if missing_count := block.sample_count - column_by_index[first_index + chosen_indices[0]].values.size:
+                notes = (f"the last {missing_count} lines are incomplete and were left out",)
+    return Table(tuple(column_names), column_by_index, notes)
 
 
-def _may_select(refused: Refused, column_count: int, keys: Collection[Key] | None) -> bool:
+def _may_select(refused: Refused, column_count: int, column_keys: Collection[Key] | None) -> bool:
     """True if a key may select refused content: by its name, one of its channels, or a number beyond `column_count`."""
-    if keys is None:
+    if column_keys is None:
         return True
     return any(
-        key > column_count if isinstance(key, int) else refused.name in (key, key.partition("[")[0]) for key in keys
+        key > column_count if isinstance(key, int) else refused.name in (key, key.partition("[")[0])
+        for key in column_keys
     )
 
 

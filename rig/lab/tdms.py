@@ -46,20 +46,20 @@ def tdms_blocks(path: Path) -> Blocks:
         stream.seek(0)
         with TdmsFile.open(stream) as file:
             channels = [channel for group in file.groups() for channel in group.channels()]
-            if (declared := sum(map(len, channels))) > file_bytes:
-                raise UnreadableError(f"it declares {declared} values, more than it has bytes")
+            if (declared_count := sum(map(len, channels))) > file_bytes:
+                raise UnreadableError(f"it declares {declared_count} values, more than it has bytes")
             for channel in channels:
                 if channel.dtype.kind in "iuf":
                     name = f"{channel.group_name}/{channel.name}"
-                    yield ColumnBlock((name,), len(channel), partial(_columns, channel, name), 8 * len(channel))
+                    yield ColumnBlock((name,), len(channel), partial(_read_column, channel, name), 8 * len(channel))
 
 
-def _columns(channel: Any, name: str, _: object) -> list[Column]:
+def _read_column(channel: Any, name: str, _: object) -> list[Column]:
     unit = channel.properties.get("unit_string")
     interval_s = channel.properties.get("wf_increment")
-    rate = 1 / interval_s if isinstance(interval_s, int | float) and interval_s > 0 else None
-    recorded = f"{start} UTC" if (start := channel.properties.get("wf_start_time")) is not None else ""
-    return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate, recorded)]
+    rate_hz = 1 / interval_s if isinstance(interval_s, int | float) and interval_s > 0 else None
+    date_text = f"{start} UTC" if (start := channel.properties.get("wf_start_time")) is not None else ""
+    return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate_hz, date_text)]
 
 
 def _check_segments(path: Path, stream: BufferedReader, file_bytes: int) -> None:
@@ -68,25 +68,27 @@ def _check_segments(path: Path, stream: BufferedReader, file_bytes: int) -> None
     A segment that only adds to the list of channels of the one before keeps a list of its own: 32 bytes can take
     megabytes.
     """
-    offset, segments, channels_listed, entries, visits = 0, 0, 0, 0, 0
+    offset, segment_count, listed_count, entry_count, visit_count = 0, 0, 0, 0, 0
     while offset < file_bytes:
         stream.seek(offset)
-        head = stream.read(_HEAD_BYTES + 4)
-        if len(head) < _HEAD_BYTES or head[:4] != b"TDSm":
+        segment_head = stream.read(_HEAD_BYTES + 4)
+        if len(segment_head) < _HEAD_BYTES or segment_head[:4] != b"TDSm":
             raise UnreadableError(f"it has no whole segment at byte {offset}")
-        (kind,) = struct.unpack_from("<I", head, 4)
-        order = ">" if kind & _BIG_ENDIAN else "<"
-        (length,) = struct.unpack_from(f"{order}Q", head, 12)
-        if kind & _METADATA and len(head) > _HEAD_BYTES:
-            (list_length,) = struct.unpack_from(f"{order}I", head, _HEAD_BYTES)
-            channels_listed = list_length + (0 if kind & _NEW_LIST else channels_listed)
-            entries += channels_listed
-        segments, visits = segments + 1, visits + channels_listed
-        offset += _HEAD_BYTES + length
+        (segment_flags,) = struct.unpack_from("<I", segment_head, 4)
+        byte_order = ">" if segment_flags & _BIG_ENDIAN else "<"
+        (segment_length,) = struct.unpack_from(f"{byte_order}Q", segment_head, 12)
+        if segment_flags & _METADATA and len(segment_head) > _HEAD_BYTES:
+            (list_length,) = struct.unpack_from(f"{byte_order}I", segment_head, _HEAD_BYTES)
+            listed_count = list_length + (0 if segment_flags & _NEW_LIST else listed_count)
+            entry_count += listed_count
+        segment_count, visit_count = segment_count + 1, visit_count + listed_count
+        offset += _HEAD_BYTES + segment_length
     if offset != file_bytes:
         raise UnreadableError("it is cut off")
-    if visits > MAX_VISITS:
+    if visit_count > MAX_VISITS:
         raise RigError(
-            f"{path}: has {segments} segments of up to {channels_listed} channels; defragment it, or export it again"
+            f"{path}: has {segment_count} segments of up to {listed_count} channels; defragment it, or export it again"
         )
-    check_decoded_size(SEGMENT_BYTES * segments + ENTRY_BYTES * entries, file_bytes, f"{path}: its {segments} segments")
+    check_decoded_size(
+        SEGMENT_BYTES * segment_count + ENTRY_BYTES * entry_count, file_bytes, f"{path}: its {segment_count} segments"
+    )

@@ -70,33 +70,33 @@ OTHER_UNITS = SCALED_UNITS | frozenset({
     "kPa", "MPa", "psi", "deg", "\u00b0", "rad", "rad/s", "deg/s", "Nm", "kg", "kgf", "W",
 })  # fmt: skip
 """Units that stand in files of measured data and belong to none of the quantities."""
-MAX_HEADER = 200
+MAX_HEADER_LENGTH = 200
 """Characters of a column's header in which a unit is looked for."""
-_BRACKETED = re.compile(r"^(?P<name>.*?)\s*[\[({](?P<unit>[^\[\](){}]{1,20})[\])}]\s*$")
-_BETWEEN = re.compile(r"\s*(?:/|,\s|\bin\b)\s*")
-_UNDERSCORED = re.compile(r"^(?P<name>.*[^\W_])_(?P<unit>[^\W_]{1,3})$")
+_UNIT_IN_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[({](?P<unit>[^\[\](){}]{1,20})[\])}]\s*$")
+_UNIT_SEPARATOR = re.compile(r"\s*(?:/|,\s|\bin\b)\s*")
+_UNIT_AFTER_UNDERSCORE = re.compile(r"^(?P<name>.*[^\W_])_(?P<unit>[^\W_]{1,3})$")
 
 
 def si_factor(quantity: str, unit: str) -> float:
     """Factor from this unit to SI; raises RigError if the quantity has no such unit."""
-    factors = FACTORS[quantity]
-    plain = plainly(unit)
-    if plain not in factors:
-        raise RigError(f"{unit!r} is no unit of {quantity}; give one of {', '.join(factors)}")
-    return factors[plain]
+    factor_by_unit = FACTORS[quantity]
+    plain_unit = canonical_unit(unit)
+    if plain_unit not in factor_by_unit:
+        raise RigError(f"{unit!r} is no unit of {quantity}; give one of {', '.join(factor_by_unit)}")
+    return factor_by_unit[plain_unit]
 
 
-def plainly(unit: str) -> str:
+def canonical_unit(unit: str) -> str:
     """Unit in a canonical spelling: m/s², m/s**2, ms^-2 and m/s2 become m/s^2, µm becomes um, Sek becomes s."""
-    for spelling, plain in _SPELLINGS.items():
-        unit = unit.replace(spelling, plain)
+    for spelling, plain_spelling in _SPELLINGS.items():
+        unit = unit.replace(spelling, plain_spelling)
     return _ALIASES.get(unit, unit)
 
 
 def quantity_of(unit: str | None) -> str | None:
     """Quantity that has this unit, also force and time; None if there is none."""
-    plain = plainly(unit or "")
-    return next((quantity for quantity, factors in FACTORS.items() if plain in factors), None)
+    plain_unit = canonical_unit(unit or "")
+    return next((quantity for quantity, factor_by_unit in FACTORS.items() if plain_unit in factor_by_unit), None)
 
 
 def is_unit(text: str) -> bool:
@@ -110,16 +110,21 @@ def name_and_unit(header: str, guess: bool = False) -> tuple[str, str | None]:
     A word in square brackets is a unit whatever it is, one in others or after a slash or comma only if it is known.
     With `guess` so is one after an underscore, as in "time_s".
     """
-    if len(header) > MAX_HEADER:
+    if len(header) > MAX_HEADER_LENGTH:
         return header, None
-    if (match := _BRACKETED.match(header)) and match["name"]:
+    if (match := _UNIT_IN_BRACKETS.match(header)) and match["name"]:
         unit = match["unit"].strip()
         if not unit.isdigit() and (is_unit(unit) or header.rstrip().endswith("]")):
             return match["name"], unit
-    for match in _BETWEEN.finditer(header):
+    for match in _UNIT_SEPARATOR.finditer(header):
         unit = header[match.end() :].strip()
         if match.start() and is_unit(unit) and not unit.isdigit():
             return header[: match.start()], unit
-    if guess and (match := _UNDERSCORED.match(header)) and is_unit(match["unit"]) and not match["unit"].isdigit():
+    if (
+        guess
+        and (match := _UNIT_AFTER_UNDERSCORE.match(header))
+        and is_unit(match["unit"])
+        and not match["unit"].isdigit()
+    ):
         return match["name"], match["unit"]
     return header, None

@@ -15,78 +15,81 @@ from rig.recording.messages import Block
 class Assembly:
     """Array of a group's samples that grows block by block; a block that comes early is kept until its turn."""
 
-    def __init__(self, path: Path, name: str, channels: Channels, first: int = 0, room: int = 0) -> None:
-        """Start at sample `first`, with memory for `room` samples."""
-        self._path, self._name, self._channels = path, name, channels
-        self._first = self._end = first
-        self._values = np.empty((len(channels.names), room))
-        self._early: list[Block] = []
+    def __init__(
+        self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, room_samples: int = 0
+    ) -> None:
+        """Start at sample `first_sample`, with memory for `room_samples`."""
+        self._path, self._group_name, self._channels = path, group_name, channels
+        self._first_sample = self._end_sample = first_sample
+        self._values = np.empty((len(channels.names), room_samples))
+        self._early_blocks: list[Block] = []
         self._start_ns = 0
-        self._suspect: list[slice] = []
+        self._suspect_spans: list[slice] = []
 
     def add(self, block: Block) -> None:
         """Copy the values of a block; raise RigError if its channels or its rate are not those of the group."""
         channels = self._channels
         if block.values.shape[0] != len(channels.names) or block.sample_rate_hz != channels.sample_rate_hz:
             raise RigError(
-                f"{self._path}: a block of group {self._name} does not fit its channel's metadata; see "
+                f"{self._path}: a block of group {self._group_name} does not fit its channel's metadata; see "
                 "rig/recording/README.md"
             )
-        if block.first_sample == self._end:
+        if block.first_sample == self._end_sample:
             self._store(block)
         else:
-            self._early.append(block.copied())
+            self._early_blocks.append(block.with_copied_values())
 
-    def finished(self) -> tuple[float, Float[np.ndarray, "channels samples"]]:
+    def finish(self) -> tuple[float, Float[np.ndarray, "channels samples"]]:
         """Time of the first sample (s), and the values (channels x samples).
 
         Raises RigError if there are none, there is a gap, or a value is not finite or beyond LARGEST.
         """
-        for block in sorted(self._early, key=lambda b: b.first_sample):
-            if block.first_sample != self._end:
+        for block in sorted(self._early_blocks, key=lambda b: b.first_sample):
+            if block.first_sample != self._end_sample:
                 raise RigError(
-                    f"{self._path}: group {self._name} has samples {self._end} to {block.first_sample} missing or "
-                    "doubled; record it again"
+                    f"{self._path}: group {self._group_name} has samples {self._end_sample} to {block.first_sample} "
+                    "missing or doubled; record it again"
                 )
             self._store(block)
-        if self._end == self._first:
-            raise RigError(f"{self._path}: group {self._name} holds no samples; record it again")
-        for span in self._suspect:
-            self._check_finite(span)
-        return self._start_ns * 1e-9, self._values[:, : self._end - self._first]
+        if self._end_sample == self._first_sample:
+            raise RigError(f"{self._path}: group {self._group_name} holds no samples; record it again")
+        for suspect_span in self._suspect_spans:
+            self._check_finite(suspect_span)
+        return self._start_ns * 1e-9, self._values[:, : self._end_sample - self._first_sample]
 
     def _store(self, block: Block) -> None:
-        start = self._end - self._first
-        stop = start + block.values.shape[1]
-        if stop > self._values.shape[1]:
-            larger = np.empty((len(self._values), max(stop, 3 * self._values.shape[1] // 2)))
-            larger[:, :start] = self._values[:, :start]
-            self._values = larger
-        place = self._values[:, start:stop]
-        place[:] = block.values
-        if not np.einsum("ij,ij->", place, place) < LARGEST**2:  # or only together; the fastest sum, without warnings
-            self._suspect.append(slice(start, stop))
-        if self._end == self._first:
+        start_index = self._end_sample - self._first_sample
+        stop_index = start_index + block.values.shape[1]
+        if stop_index > self._values.shape[1]:
+            larger_values = np.empty((len(self._values), max(stop_index, 3 * self._values.shape[1] // 2)))
+            larger_values[:, :start_index] = self._values[:, :start_index]
+            self._values = larger_values
+        stored_values = self._values[:, start_index:stop_index]
+        stored_values[:] = block.values
+        square_sum = np.einsum("ij,ij->", stored_values, stored_values)  # the fastest sum, without warnings
+        if not square_sum < LARGEST**2:  # or only together
+            self._suspect_spans.append(slice(start_index, stop_index))
+        if self._end_sample == self._first_sample:
             self._start_ns = block.time_ns
-        self._end += stop - start
+        self._end_sample += stop_index - start_index
 
-    def _check_finite(self, span: slice) -> None:
-        faulty = np.argwhere(~(np.abs(self._values[:, span]) <= LARGEST))
-        if faulty.size:
-            sample = self._first + span.start + faulty[0, 1]
-            value = self._values[faulty[0, 0], span.start + faulty[0, 1]]
-            fault = f"{value:g}, which nothing measures," if math.isfinite(value) else "not a finite number"
+    def _check_finite(self, suspect_span: slice) -> None:
+        faulty_indices = np.argwhere(~(np.abs(self._values[:, suspect_span]) <= LARGEST))
+        if faulty_indices.size:
+            sample = self._first_sample + suspect_span.start + faulty_indices[0, 1]
+            value = self._values[faulty_indices[0, 0], suspect_span.start + faulty_indices[0, 1]]
+            fault_words = f"{value:g}, which nothing measures," if math.isfinite(value) else "not a finite number"
             raise RigError(
-                f"{self._path}: channel {self._channels.names[faulty[0, 0]]!r} is {fault} at sample {sample} "
-                f"({sample / self._channels.sample_rate_hz:.4f} s); repair or leave out that channel"
+                f"{self._path}: channel {self._channels.names[faulty_indices[0, 0]]!r} is {fault_words} at sample "
+                f"{sample} ({sample / self._channels.sample_rate_hz:.4f} s); repair or leave out that channel"
             )
 
 
-def assembled(
-    path: Path, name: str, channels: Channels, blocks: list[Block], first: int = 0
+def assemble(
+    path: Path, group_name: str, channels: Channels, blocks: list[Block], first_sample: int = 0
 ) -> Float[np.ndarray, "channels samples"]:
     """Samples of a group from its blocks in any order."""
-    assembly = Assembly(path, name, channels, first, room=sum(b.values.shape[1] for b in blocks))
+    assembly = Assembly(path, group_name, channels, first_sample, room_samples=sum(b.values.shape[1] for b in blocks))
     for block in blocks:
         assembly.add(block)
-    return assembly.finished()[1]
+    return assembly.finish()[1]

@@ -26,30 +26,30 @@ class Channels:
 
 def to_metadata(channels: Channels) -> dict[str, str]:
     """MCAP channel metadata of a group; lists and numbers as JSON."""
-    places = [None if s is None else {"body": s.body, "position_m": s.position_m} for s in channels.stations]
+    station_values = [None if s is None else {"body": s.body, "position_m": s.position_m} for s in channels.stations]
     return {
         "quantity": channels.quantity,
         "unit": channels.unit,
         "sample_rate_hz": json.dumps(channels.sample_rate_hz),
         "names": json.dumps(channels.names),
-        "stations": json.dumps(places),
+        "stations": json.dumps(station_values),
     }
 
 
 def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     """Group described by MCAP channel metadata; raises RigError if they are incomplete or inconsistent."""
-    if missing := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
-        raise RigError(f"the metadata of channel {topic} lack {missing[0]!r}; see rig/recording/README.md")
+    if missing_keys := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
+        raise RigError(f"the metadata of channel {topic} lack {missing_keys[0]!r}; see rig/recording/README.md")
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
-        places = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in places)
+        station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
+        stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in station_values)
         for name in names:
             check_name("channel", name)
-        rate = float(json.loads(metadata["sample_rate_hz"]))
-        if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate < math.inf:
+        rate_hz = float(json.loads(metadata["sample_rate_hz"]))
+        if not names or len(names) != len(stations) or len(set(names)) < len(names) or not 0 < rate_hz < math.inf:
             raise RigError(
-                f"{len(names)} names ({len(set(names))} different), {len(stations)} stations and {rate:g} Hz; give "
+                f"{len(names)} names ({len(set(names))} different), {len(stations)} stations and {rate_hz:g} Hz; give "
                 "each channel a name of its own and a station or null, and a rate above zero"
             )
     except RigError as error:
@@ -59,32 +59,35 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
             f"the metadata of channel {topic} cannot be read: give {', '.join(_JSON_KEYS)} as JSON, as "
             "rig/recording/README.md says"
         ) from error
-    return Channels(metadata["quantity"], metadata["unit"], names, stations, rate)
+    return Channels(metadata["quantity"], metadata["unit"], names, stations, rate_hz)
 
 
-def check_channels(path: Path, rig: Rig, groups: Mapping[str, Channels], expected: Mapping[str, Channels]) -> None:
+def check_channels(
+    path: Path, rig: Rig, groups: Mapping[str, Channels], expected_groups: Mapping[str, Channels]
+) -> None:
     """Raise RigError unless all groups have the rig's sampling rate and the expected ones hold its sensors in SI.
 
-    `expected` are the groups of a recording of this rig (`channel_groups`); other groups are only checked for the rate.
+    `expected_groups` are those of a recording of this rig (`channel_groups`); others are only checked for the rate.
     """
-    believed = {s.name: s for s in rig.sensors}
-    for name, channels in groups.items():
+    sensor_by_name = {s.name: s for s in rig.sensors}
+    for group_name, channels in groups.items():
         if channels.sample_rate_hz != rig.sample_rate_hz:
             raise RigError(
-                f"{path}: group {name} is sampled at {channels.sample_rate_hz} Hz, "
+                f"{path}: group {group_name} is sampled at {channels.sample_rate_hz} Hz, "
                 f"rig.json says {rig.sample_rate_hz} Hz; make them agree"
             )
-        if name not in expected:
+        if group_name not in expected_groups:
             continue
-        unit = expected[name].unit
-        if (channels.quantity, channels.unit) != (name, unit):
+        unit = expected_groups[group_name].unit
+        if (channels.quantity, channels.unit) != (group_name, unit):
             raise RigError(
-                f"{path}: group {name} holds {channels.quantity!r} in {channels.unit!r}; write {name} in {unit}"
+                f"{path}: group {group_name} holds {channels.quantity!r} in {channels.unit!r}; write {group_name} in "
+                f"{unit}"
             )
-        if name == "force":
-            places = zip(channels.stations, rig.forces, strict=False)
+        if group_name == "force":
+            station_pairs = zip(channels.stations, rig.forces, strict=False)
             if len(channels.names) != len(rig.forces) or any(
-                place not in (None, believed_place) for place, believed_place in places
+                measured_station not in (None, believed_station) for measured_station, believed_station in station_pairs
             ):
                 force_text = f"one at {rig.force_at}" if len(rig.forces) == 1 else f"{len(rig.forces)} at {rig.forces}"
                 raise RigError(
@@ -92,11 +95,11 @@ def check_channels(path: Path, rig: Rig, groups: Mapping[str, Channels], expecte
                     f"{force_text}; make them agree"
                 )
             continue
-        for channel, station in zip(channels.names, channels.stations, strict=True):
-            if channel not in believed or believed[channel].station != station:
+        for channel_name, station in zip(channels.names, channels.stations, strict=True):
+            if channel_name not in sensor_by_name or sensor_by_name[channel_name].station != station:
                 raise RigError(
-                    f"{path}: channel {channel!r} of group {name} is no sensor of rig.json, or stands elsewhere "
-                    "there; make them agree"
+                    f"{path}: channel {channel_name!r} of group {group_name} is no sensor of rig.json, or stands "
+                    "elsewhere there; make them agree"
                 )
     for sensor in rig.sensors:
         if sensor.quantity not in groups or sensor.name not in groups[sensor.quantity].names:

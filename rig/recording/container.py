@@ -39,7 +39,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 _CHANNEL = struct.Struct("<H")
 _CHUNK = struct.Struct("<QQQII")  # times, size, checksum, length of the name of the compression
 _LENGTH = struct.Struct("<Q")
-_KINDS = {
+_RECORD_TYPES = {
     Opcode.ATTACHMENT: Attachment,
     Opcode.CHANNEL: Channel,
     Opcode.METADATA: Metadata,
@@ -61,13 +61,13 @@ def open_recording(path: Path) -> BufferedReader:
     try:
         with ExitStack() as closing:
             file = closing.enter_context(path.open("rb"))
-            start = file.read(len(_MAGIC))
-            if start == _MAGIC:
+            first_bytes = file.read(len(_MAGIC))
+            if first_bytes == _MAGIC:
                 closing.pop_all()
                 return file
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
-    if not start:
+    if not first_bytes:
         raise RigError(f"{path}: is empty; record it again")
     raise RigError(f"{path}: is no MCAP file; give a recording made by `rig record` or `rig import`")
 
@@ -78,16 +78,16 @@ def read_complete(file: BufferedReader, is_wanted: Callable[[Channel], bool] = l
     The data of a message are valid until the next record is requested. Messages of channels for which is_wanted is
     false are only counted. A record with a forbidden size or name raises RigError, without the name of the file.
     """
-    crc, messages, skipped, memory = crc32(_MAGIC), 0, set[int](), memory_counter_of(file)
-    for opcode, content in _split(file):
-        for record in records(opcode, content[_HEAD.size :], memory, skipped):
+    crc, message_count, skipped_ids, memory_counter = crc32(_MAGIC), 0, set[int](), memory_counter_of(file)
+    for opcode, content in _top_level_records(file):
+        for record in records(opcode, content[_HEAD.size :], memory_counter, skipped_ids):
             if isinstance(record, DataEnd) and record.data_section_crc not in (0, crc):
                 raise ValueError("the checksum of its data is wrong")
-            if isinstance(record, Statistics) and record.message_count != messages:
-                raise ValueError(f"{messages} messages where its statistics count {record.message_count}")
+            if isinstance(record, Statistics) and record.message_count != message_count:
+                raise ValueError(f"{message_count} messages where its statistics count {record.message_count}")
             if isinstance(record, Channel) and not is_wanted(record):
-                skipped.add(record.id)
-            messages += record.messages if isinstance(record, Unread) else isinstance(record, Message)
+                skipped_ids.add(record.id)
+            message_count += record.message_count if isinstance(record, UnreadMessages) else isinstance(record, Message)
             yield record
         crc = crc32(content, crc)
 
@@ -99,8 +99,10 @@ def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
     except RigError as error:
         raise RigError(f"{path}: {error}") from error
     except DAMAGE as error:
-        state = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
-        raise RigError(f"{path}: is {state} ({reason_of(error)}); try `rig recover`, or restore a copy") from error
+        damage_words = "damaged" if isinstance(error, ValueError) else "cut off or damaged"
+        raise RigError(
+            f"{path}: is {damage_words} ({reason_of(error)}); try `rig recover`, or restore a copy"
+        ) from error
 
 
 def reason_of(error: Exception) -> str:
@@ -115,16 +117,16 @@ def read_sound(file: BufferedReader) -> Iterator[McapRecord]:
 
     A chunk without a checksum is skipped. Raises TooLargeError where the content exceeds the bound of the file.
     """
-    memory, top_level = memory_counter_of(file), _split(file)
+    memory_counter, top_level = memory_counter_of(file), _top_level_records(file)
     while True:
         try:
             opcode, content = next(top_level)
         except (StopIteration, *DAMAGE):
             return
-        body = content[_HEAD.size :]
+        record_body = content[_HEAD.size :]
         try:
-            if opcode != Opcode.CHUNK or _CHUNK.unpack_from(body)[3]:
-                yield from records(opcode, body, memory)
+            if opcode != Opcode.CHUNK or _CHUNK.unpack_from(record_body)[3]:
+                yield from records(opcode, record_body, memory_counter)
         except TooLargeError:
             raise
         except DAMAGE:
@@ -132,10 +134,10 @@ def read_sound(file: BufferedReader) -> Iterator[McapRecord]:
 
 
 @dataclass(frozen=True)
-class Unread:
+class UnreadMessages:
     """Number of messages that were skipped."""
 
-    messages: int
+    message_count: int
 
 
 def memory_counter_of(file: BufferedReader) -> MemoryCounter:
@@ -144,66 +146,72 @@ def memory_counter_of(file: BufferedReader) -> MemoryCounter:
 
 
 def records(
-    opcode: int, body: memoryview, memory: MemoryCounter, skipped: Container[int] = ()
-) -> Iterator[McapRecord | Unread]:
+    opcode: int, record_body: memoryview, memory_counter: MemoryCounter, skipped_ids: Container[int] = ()
+) -> Iterator[McapRecord | UnreadMessages]:
     """Relevant records in one top-level record; a chunk is decompressed to at most MAX_BYTES.
 
     Raises one of DAMAGE if the checksum is wrong or the content is no such record, RigError if it is refused.
     """
     if opcode == Opcode.CHUNK:
-        yield from _in_chunk(_decompressed(body, memory), memory, skipped)
+        yield from _chunk_records(_decompress(record_body, memory_counter), memory_counter, skipped_ids)
     elif opcode == Opcode.MESSAGE:
-        yield _message(body, memory)
-    elif opcode in _KINDS:
-        if opcode != Opcode.ATTACHMENT and len(body) > MAX_DESCRIPTION_BYTES:
-            raise RigError(f"a description declares {len(body)} bytes; write at most {MAX_DESCRIPTION_BYTES} bytes")
-        record = _KINDS[Opcode(opcode)].read(ReadDataStream(BytesIO(body)))
+        yield _message(record_body, memory_counter)
+    elif opcode in _RECORD_TYPES:
+        if opcode != Opcode.ATTACHMENT and len(record_body) > MAX_DESCRIPTION_BYTES:
+            raise RigError(
+                f"a description declares {len(record_body)} bytes; write at most {MAX_DESCRIPTION_BYTES} bytes"
+            )
+        record = _RECORD_TYPES[Opcode(opcode)].read(ReadDataStream(BytesIO(record_body)))
         if isinstance(record, Attachment):
-            _check_attachment(record, body)
+            _check_attachment(record, record_body)
         if isinstance(record, Channel | Metadata):
-            memory.add(ENTRY_BYTES * (1 + len(record.metadata)))
+            memory_counter.add(ENTRY_BYTES * (1 + len(record.metadata)))
         yield record
 
 
-def _in_chunk(data: memoryview, memory: MemoryCounter, skipped: Container[int]) -> Iterator[McapRecord | Unread]:
-    position = 0
-    while position < len(data):
-        opcode, start, position = _next(data, position)
-        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(data, start)[0] in skipped:
-            count = _run_length(data[start - _HEAD.size :], _HEAD.size + position - start)
-            position += (count - 1) * (_HEAD.size + position - start)
-            yield Unread(count)
+def _chunk_records(
+    chunk_records: memoryview, memory_counter: MemoryCounter, skipped_ids: Container[int]
+) -> Iterator[McapRecord | UnreadMessages]:
+    offset = 0
+    while offset < len(chunk_records):
+        opcode, body_start, offset = _next_record(chunk_records, offset)
+        if opcode == Opcode.MESSAGE and _CHANNEL.unpack_from(chunk_records, body_start)[0] in skipped_ids:
+            run_length = _run_length(chunk_records[body_start - _HEAD.size :], _HEAD.size + offset - body_start)
+            offset += (run_length - 1) * (_HEAD.size + offset - body_start)
+            yield UnreadMessages(run_length)
         elif opcode == Opcode.MESSAGE:
-            yield _message(data[start:position], memory)
+            yield _message(chunk_records[body_start:offset], memory_counter)
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            yield from records(opcode, data[start:position], memory)
+            yield from records(opcode, chunk_records[body_start:offset], memory_counter)
 
 
-def _run_length(data: memoryview, length: int) -> int:
+def _run_length(chunk_records: memoryview, record_length: int) -> int:
     """Number of consecutive records with the same opcode, length and channel (their first eleven bytes), at most 64."""
-    rows = min(len(data) // length, 64)
-    heads, tails = (np.ndarray((rows,), "<u8", data, offset=place, strides=(length,)) for place in (0, 3))
-    matches = (heads == heads[0]) & (tails == tails[0])
-    return rows if matches.all() else int(np.argmin(matches))
+    record_count = min(len(chunk_records) // record_length, 64)
+    heads, tails = (
+        np.ndarray((record_count,), "<u8", chunk_records, offset=offset, strides=(record_length,)) for offset in (0, 3)
+    )
+    is_same = (heads == heads[0]) & (tails == tails[0])
+    return record_count if is_same.all() else int(np.argmin(is_same))
 
 
-def _message(body: memoryview, memory: MemoryCounter) -> Message:
-    memory.add(MESSAGE_BYTES)
-    channel, sequence, log_time, publish_time = _MESSAGE.unpack_from(body)
-    return Message(channel, log_time, body[_MESSAGE.size :], publish_time, sequence)
+def _message(record_body: memoryview, memory_counter: MemoryCounter) -> Message:
+    memory_counter.add(MESSAGE_BYTES)
+    channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(record_body)
+    return Message(channel_id, log_time, record_body[_MESSAGE.size :], publish_time, sequence)
 
 
-def _split(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
+def _top_level_records(file: BufferedReader) -> Iterator[tuple[int, memoryview]]:
     """Opcode and bytes (head and body) of every record, up to the footer and the magic behind it.
 
     The bytes are valid until the next record is requested.
     """
     window, opcode = _Window(file), 0
     while opcode != Opcode.FOOTER:
-        opcode, length = _head(window.peek(_HEAD.size), 0)
-        yield opcode, window.peek(_HEAD.size + length)
-        window.move(_HEAD.size + length)
-    if window.peek(len(_MAGIC)) != _MAGIC or window.beyond(len(_MAGIC)):
+        opcode, body_length = _record_head(window.peek(_HEAD.size), 0)
+        yield opcode, window.peek(_HEAD.size + body_length)
+        window.move(_HEAD.size + body_length)
+    if window.peek(len(_MAGIC)) != _MAGIC or window.goes_beyond(len(_MAGIC)):
         raise EOFError("its end is missing")
 
 
@@ -214,76 +222,78 @@ class _Window:
         self._file, self._buffer = file, memoryview(bytearray(_PIECE_BYTES))
         self._position = self._end = 0
 
-    def peek(self, count: int) -> memoryview:
-        """The next `count` bytes, without moving; raises EOFError if the file ends before."""
-        if self._end - self._position < count:
+    def peek(self, byte_count: int) -> memoryview:
+        """The next `byte_count` bytes, without moving; raises EOFError if the file ends before."""
+        if self._end - self._position < byte_count:
             remainder = self._buffer[self._position : self._end]
-            buffer = self._buffer if count <= len(self._buffer) else memoryview(bytearray(count))
+            buffer = self._buffer if byte_count <= len(self._buffer) else memoryview(bytearray(byte_count))
             buffer[: len(remainder)] = remainder
             self._buffer, self._position, self._end = (
                 buffer,
                 0,
                 len(remainder) + self._file.readinto(buffer[len(remainder) :]),
             )
-        if self._end < count:
-            raise EOFError(f"a record of {count} bytes ends after {self._end}" if self._end else "its end is missing")
-        return self._buffer[self._position : self._position + count]
+        if self._end < byte_count:
+            raise EOFError(
+                f"a record of {byte_count} bytes ends after {self._end}" if self._end else "its end is missing"
+            )
+        return self._buffer[self._position : self._position + byte_count]
 
-    def move(self, count: int) -> None:
-        self._position += count
+    def move(self, byte_count: int) -> None:
+        self._position += byte_count
 
-    def beyond(self, count: int) -> bool:
-        """True if the file goes on behind the next `count` bytes."""
-        return self._end - self._position > count or bool(self._file.read(1))
+    def goes_beyond(self, byte_count: int) -> bool:
+        """True if the file goes on behind the next `byte_count` bytes."""
+        return self._end - self._position > byte_count or bool(self._file.read(1))
 
 
-def _next(content: memoryview, offset: int) -> tuple[int, int, int]:
+def _next_record(content: memoryview, offset: int) -> tuple[int, int, int]:
     """Opcode of the record at an offset, and the start and end of its body."""
-    opcode, length = _head(content, offset)
-    start = offset + _HEAD.size
-    if start + length > len(content):
-        raise EOFError(f"a record of {length} bytes ends after {len(content) - start}")
-    return opcode, start, start + length
+    opcode, body_length = _record_head(content, offset)
+    body_start = offset + _HEAD.size
+    if body_start + body_length > len(content):
+        raise EOFError(f"a record of {body_length} bytes ends after {len(content) - body_start}")
+    return opcode, body_start, body_start + body_length
 
 
-def _head(content: memoryview, offset: int) -> tuple[int, int]:
+def _record_head(content: memoryview, offset: int) -> tuple[int, int]:
     """Opcode of the record at an offset and the length of its body, at most MAX_BYTES (else RigError)."""
-    opcode, length = _HEAD.unpack_from(content, offset)
+    opcode, body_length = _HEAD.unpack_from(content, offset)
     if opcode == 0:
         raise ValueError("a record without a kind")
-    if length > MAX_BYTES:
-        raise RigError(f"a record declares {length} bytes; write records of at most {MAX_BYTES} bytes")
-    return opcode, length
+    if body_length > MAX_BYTES:
+        raise RigError(f"a record declares {body_length} bytes; write records of at most {MAX_BYTES} bytes")
+    return opcode, body_length
 
 
-def _decompressed(body: memoryview, memory: MemoryCounter) -> memoryview:
+def _decompress(record_body: memoryview, memory_counter: MemoryCounter) -> memoryview:
     """Decompressed records of a chunk; their memory is counted before the checksum is compared."""
-    _, _, size, crc, name_length = _CHUNK.unpack_from(body)
-    compression = bytes(body[_CHUNK.size : _CHUNK.size + name_length]).decode()
-    (length,) = _LENGTH.unpack_from(body, _CHUNK.size + name_length)
-    if size > MAX_BYTES:
-        raise RigError(f"a chunk declares {size} bytes when decompressed; write at most {MAX_BYTES}")
-    compressed = body[_CHUNK.size + name_length + _LENGTH.size :][:length]
-    if len(compressed) < length:
-        raise EOFError(f"a chunk of {length} bytes ends after {len(compressed)}")
+    _, _, declared_size, crc, name_length = _CHUNK.unpack_from(record_body)
+    compression = bytes(record_body[_CHUNK.size : _CHUNK.size + name_length]).decode()
+    (compressed_length,) = _LENGTH.unpack_from(record_body, _CHUNK.size + name_length)
+    if declared_size > MAX_BYTES:
+        raise RigError(f"a chunk declares {declared_size} bytes when decompressed; write at most {MAX_BYTES}")
+    compressed = record_body[_CHUNK.size + name_length + _LENGTH.size :][:compressed_length]
+    if len(compressed) < compressed_length:
+        raise EOFError(f"a chunk of {compressed_length} bytes ends after {len(compressed)}")
     if compression == "lz4":
-        data = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(compressed, max_length=size))
+        chunk_records = memoryview(lz4.frame.LZ4FrameDecompressor().decompress(compressed, max_length=declared_size))
     elif compression == "zstd":
-        data = memoryview(zstandard.ZstdDecompressor().stream_reader(compressed).read(size))
+        chunk_records = memoryview(zstandard.ZstdDecompressor().stream_reader(compressed).read(declared_size))
     elif compression == "":
-        data = compressed
+        chunk_records = compressed
     else:
         raise ValueError(f"unknown compression {compression!r}")
-    memory.add(COPIES_PER_BYTE * len(data))
-    if len(data) != size or crc not in (0, crc32(data)):
+    memory_counter.add(COPIES_PER_BYTE * len(chunk_records))
+    if len(chunk_records) != declared_size or crc not in (0, crc32(chunk_records)):
         raise ValueError("the checksum of a chunk is wrong")
-    return data
+    return chunk_records
 
 
-def _check_attachment(record: Attachment, body: memoryview) -> None:
+def _check_attachment(record: Attachment, record_body: memoryview) -> None:
     name = PurePosixPath(record.name.replace("\\", "/"))
     if name.is_absolute() or ".." in name.parts:
         raise RigError(f"the attachment {record.name!r} is named like a path out of its folder; rename it")
-    (crc,) = struct.unpack("<I", body[-4:])
-    if crc not in (0, crc32(body[:-4])):
+    (crc,) = struct.unpack("<I", record_body[-4:])
+    if crc not in (0, crc32(record_body[:-4])):
         raise ValueError(f"the checksum of the attachment {record.name!r} is wrong")

@@ -33,29 +33,29 @@ _CHUNK = struct.Struct("<QQQIIQ")  # times, size, checksum, no compression, size
 _MESSAGE = struct.Struct("<BQHIQQ")
 _MESSAGE_START = struct.Struct("<BQHI")  # up to its times
 _INDEX = struct.Struct("<BQHI")
-_PLACE = struct.Struct("<QQ")
-_START = _HEAD.size + _CHUNK.size
+_INDEX_ENTRY = struct.Struct("<QQ")
+_RECORDS_START = _HEAD.size + _CHUNK.size
 
 
 class Chunk:
     """Messages of the next chunk in one buffer: a write to the file for each message would dominate the cost."""
 
-    def __init__(self, start: bytes = b"") -> None:
-        """Start with the records `start`; `counts` holds the messages of each channel over all chunks."""
-        self._bytes = bytearray(_START)
-        self._end = _START
-        self._index: dict[int, list[bytes]] = {}
+    def __init__(self, first_records: bytes = b"") -> None:
+        """Start with `first_records`; `message_counts` holds the messages of each channel over all chunks."""
+        self._bytes = bytearray(_RECORDS_START)
+        self._end_offset = _RECORDS_START
+        self._index_entries: dict[int, list[bytes]] = {}
         self._times_ns: list[int] = []
-        self.counts: Counter[int] = Counter()
-        self._append(start)
+        self.message_counts: Counter[int] = Counter()
+        self._append(first_records)
 
     @property
     def size(self) -> int:
-        return self._end - _START
+        return self._end_offset - _RECORDS_START
 
     @property
-    def filled(self) -> bool:
-        return bool(self._index)
+    def has_messages(self) -> bool:
+        return bool(self._index_entries)
 
     @property
     def span_ns(self) -> int:
@@ -67,17 +67,19 @@ class Chunk:
         channel_id: int,
         time_ns: int,
         sequence: int,
-        head: bytes,
+        message_head: bytes,
         values: Float[np.ndarray, "channels samples"],
         published_ns: int | None = None,
     ) -> None:
         """Append a message: its head and the doubles, channel by channel; published_ns defaults to the log time."""
         published_at_ns = time_ns if published_ns is None else published_ns
-        length = _MESSAGE.size - _HEAD.size + len(head) + 8 * values.size
-        record_head = _MESSAGE.pack(Opcode.MESSAGE, length, channel_id, sequence, time_ns, published_at_ns) + head
-        self._index.setdefault(channel_id, []).append(_PLACE.pack(time_ns, self.size))
+        body_length = _MESSAGE.size - _HEAD.size + len(message_head) + 8 * values.size
+        record_head = (
+            _MESSAGE.pack(Opcode.MESSAGE, body_length, channel_id, sequence, time_ns, published_at_ns) + message_head
+        )
+        self._index_entries.setdefault(channel_id, []).append(_INDEX_ENTRY.pack(time_ns, self.size))
         self._times_ns.append(time_ns)
-        self.counts[channel_id] += 1
+        self.message_counts[channel_id] += 1
         self._append(record_head)
         offset = self._reserve(8 * values.size)
         np.ndarray(values.shape, "<f8", self._bytes, offset)[:] = values
@@ -86,72 +88,78 @@ class Chunk:
         self,
         channel_id: int,
         times_ns: UInt[np.ndarray, " messages"],
-        head: bytes,
+        message_head: bytes,
         values: Float[np.ndarray, "messages channels"],
     ) -> None:
         """Append messages with the same head and the same number of doubles."""
-        record_type = _record_type(len(head), values.shape[1])
-        places = np.empty((len(values), 2), "<u8")
-        places[:, 0], places[:, 1] = times_ns, self.size + record_type.itemsize * np.arange(len(values))
-        self._index.setdefault(channel_id, []).append(places.tobytes())
+        record_type = _record_type(len(message_head), values.shape[1])
+        index_entries = np.empty((len(values), 2), "<u8")
+        index_entries[:, 0], index_entries[:, 1] = times_ns, self.size + record_type.itemsize * np.arange(len(values))
+        self._index_entries.setdefault(channel_id, []).append(index_entries.tobytes())
         self._times_ns += [int(times_ns[0]), int(times_ns[-1])]
-        self.counts[channel_id] += len(values)
+        self.message_counts[channel_id] += len(values)
         offset = self._reserve(len(values) * record_type.itemsize)
         records = np.ndarray(len(values), record_type, self._bytes, offset)
-        start = _MESSAGE_START.pack(Opcode.MESSAGE, record_type.itemsize - _HEAD.size, channel_id, 0)
-        records["start"] = np.frombuffer(start, "u1")
+        record_start = _MESSAGE_START.pack(Opcode.MESSAGE, record_type.itemsize - _HEAD.size, channel_id, 0)
+        records["start"] = np.frombuffer(record_start, "u1")
         records["times"] = times_ns[:, None]  # logged and published
-        records["head"] = np.frombuffer(head, "u1")
+        records["head"] = np.frombuffer(message_head, "u1")
         records["values"] = values
 
-    def sealed(self, file_offset: int) -> tuple[memoryview, int, ChunkIndex]:
+    def seal(self, file_offset: int) -> tuple[memoryview, int, ChunkIndex]:
         """Bytes of the chunk record and its message indexes at a file offset, their CRC-32, and the chunk index.
 
         The chunk is empty afterwards; the bytes are valid until the next message is added.
         """
-        size, length = self.size, self._end
+        records_size, chunk_length = self.size, self._end_offset
         first_ns, last_ns = min(self._times_ns), max(self._times_ns)
-        crc = crc32(memoryview(self._bytes)[_START:length])
-        record_head = _HEAD.pack(Opcode.CHUNK, length - _HEAD.size) + _CHUNK.pack(first_ns, last_ns, size, crc, 0, size)
-        self._bytes[:_START] = record_head
-        places = {}
-        for channel, entries in self._index.items():
-            places[channel], pairs = file_offset + self._end, b"".join(entries)
-            head = _INDEX.pack(Opcode.MESSAGE_INDEX, _INDEX.size - _HEAD.size + len(pairs), channel, len(pairs))
-            self._append(head + pairs)
-        data = memoryview(self._bytes)[: self._end]
-        crc = crc32(data[length:], crc32_combine(crc32(record_head), crc, size))
-        index = ChunkIndex(
-            chunk_length=length,
+        crc = crc32(memoryview(self._bytes)[_RECORDS_START:chunk_length])
+        record_head = _HEAD.pack(Opcode.CHUNK, chunk_length - _HEAD.size) + _CHUNK.pack(
+            first_ns, last_ns, records_size, crc, 0, records_size
+        )
+        self._bytes[:_RECORDS_START] = record_head
+        index_offsets = {}
+        for channel_id, entries in self._index_entries.items():
+            index_offsets[channel_id], entry_bytes = file_offset + self._end_offset, b"".join(entries)
+            index_head = _INDEX.pack(
+                Opcode.MESSAGE_INDEX, _INDEX.size - _HEAD.size + len(entry_bytes), channel_id, len(entry_bytes)
+            )
+            self._append(index_head + entry_bytes)
+        sealed_bytes = memoryview(self._bytes)[: self._end_offset]
+        crc = crc32(sealed_bytes[chunk_length:], crc32_combine(crc32(record_head), crc, records_size))
+        chunk_index = ChunkIndex(
+            chunk_length=chunk_length,
             chunk_start_offset=file_offset,
             compression="",
-            compressed_size=size,
+            compressed_size=records_size,
             message_end_time=last_ns,
-            message_index_length=len(data) - length,
-            message_index_offsets=places,
+            message_index_length=len(sealed_bytes) - chunk_length,
+            message_index_offsets=index_offsets,
             message_start_time=first_ns,
-            uncompressed_size=size,
+            uncompressed_size=records_size,
         )
-        self._end, self._index, self._times_ns = _START, {}, []
-        return data, crc, index
+        self._end_offset, self._index_entries, self._times_ns = _RECORDS_START, {}, []
+        return sealed_bytes, crc, chunk_index
 
     def _append(self, data: bytes) -> None:
         offset = self._reserve(len(data))
-        self._bytes[offset : self._end] = data
+        self._bytes[offset : self._end_offset] = data
 
     def _reserve(self, length: int) -> int:
         """Extend the buffer by `length` bytes and return the offset at which they start."""
-        offset, self._end = self._end, self._end + length
-        if self._end > len(self._bytes):
-            self._bytes = self._bytes[:offset] + bytearray(2 * self._end - offset)
+        offset, self._end_offset = self._end_offset, self._end_offset + length
+        if self._end_offset > len(self._bytes):
+            self._bytes = self._bytes[:offset] + bytearray(2 * self._end_offset - offset)
         return offset
 
 
 @cache
-def _record_type(head: int, doubles: int) -> np.dtype[np.void]:
-    """NumPy record type of a message with `head` bytes before `doubles` doubles."""
-    start = ("start", "u1", (_MESSAGE_START.size,))
-    return np.dtype([start, ("times", "<u8", (2,)), ("head", "u1", (head,)), ("values", "<f8", (doubles,))])
+def _record_type(head_length: int, double_count: int) -> np.dtype[np.void]:
+    """NumPy record type of a message with `head_length` bytes before `double_count` doubles."""
+    start_field = ("start", "u1", (_MESSAGE_START.size,))
+    return np.dtype(
+        [start_field, ("times", "<u8", (2,)), ("head", "u1", (head_length,)), ("values", "<f8", (double_count,))]
+    )
 
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -164,53 +172,55 @@ class ContainerWriter:
     def __init__(
         self,
         stream: IO[bytes],
-        front: Sequence[Attachment | Metadata],
+        front_records: Sequence[Attachment | Metadata],
         schemas: Sequence[Schema],
         channels: Sequence[Channel],
     ) -> None:
         self._stream, self._offset, self._crc = stream, 0, 0
-        self._repeated = [*schemas, *channels]
-        self._indexes: list[Any] = []
-        self._front = front
+        self._repeated_records = [*schemas, *channels]
+        self._index_records: list[Any] = []
+        self._front_records = front_records
         self._write(MAGIC)
-        self._write(_encoded(Header("", "rig")))
-        for record in front:
-            place, length = self._offset, self._write(_encoded(record))
-            self._indexes.append(_index(record, place, length))
-        repeated = b"".join(map(_encoded, self._repeated))
-        self._write(repeated)
+        self._write(_encode(Header("", "rig")))
+        for record in front_records:
+            record_offset, record_length = self._offset, self._write(_encode(record))
+            self._index_records.append(_index_record(record, record_offset, record_length))
+        repeated_bytes = b"".join(map(_encode, self._repeated_records))
+        self._write(repeated_bytes)
         # once more in the first chunk: in front of the chunks no checksum guards them, and what is saved of a file
         # without its end depends on them
-        self.chunk = Chunk(repeated)
+        self.chunk = Chunk(repeated_bytes)
 
     def write_chunk(self) -> None:
         """Write the current chunk and start a new one."""
-        data, crc, index = self.chunk.sealed(self._offset)
-        self._write(data, crc)
-        self._indexes.append(index)
+        chunk_bytes, crc, chunk_index = self.chunk.seal(self._offset)
+        self._write(chunk_bytes, crc)
+        self._index_records.append(chunk_index)
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
-        if self.chunk.filled:
+        if self.chunk.has_messages:
             self.write_chunk()
-        self._write(_encoded(DataEnd(self._crc)))
-        chunks = [index for index in self._indexes if isinstance(index, ChunkIndex)]
+        self._write(_encode(DataEnd(self._crc)))
+        chunk_indexes = [index for index in self._index_records if isinstance(index, ChunkIndex)]
         statistics = Statistics(
-            attachment_count=sum(isinstance(record, Attachment) for record in self._front),
-            channel_count=sum(isinstance(record, Channel) for record in self._repeated),
-            channel_message_counts=dict(self.chunk.counts),
-            chunk_count=len(chunks),
-            message_count=self.chunk.counts.total(),
-            message_end_time=max((index.message_end_time for index in chunks), default=0),
-            message_start_time=min((index.message_start_time for index in chunks), default=0),
-            metadata_count=sum(isinstance(record, Metadata) for record in self._front),
-            schema_count=sum(isinstance(record, Schema) for record in self._repeated),
+            attachment_count=sum(isinstance(record, Attachment) for record in self._front_records),
+            channel_count=sum(isinstance(record, Channel) for record in self._repeated_records),
+            channel_message_counts=dict(self.chunk.message_counts),
+            chunk_count=len(chunk_indexes),
+            message_count=self.chunk.message_counts.total(),
+            message_end_time=max((index.message_end_time for index in chunk_indexes), default=0),
+            message_start_time=min((index.message_start_time for index in chunk_indexes), default=0),
+            metadata_count=sum(isinstance(record, Metadata) for record in self._front_records),
+            schema_count=sum(isinstance(record, Schema) for record in self._repeated_records),
         )
-        summary = b"".join(_encoded(record) for record in [*self._repeated, statistics, *self._indexes])
+        summary_bytes = b"".join(
+            _encode(record) for record in [*self._repeated_records, statistics, *self._index_records]
+        )
         summary_start = self._offset
-        self._write(summary)
-        footer = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
-        self._write(_encoded(Footer(summary_start, 0, crc32(footer, crc32(summary)))))
+        self._write(summary_bytes)
+        footer_start = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
+        self._write(_encode(Footer(summary_start, 0, crc32(footer_start, crc32(summary_bytes)))))
         self._write(MAGIC)
 
     def _write(self, data: bytes | memoryview, crc: int | None = None) -> int:
@@ -221,17 +231,17 @@ class ContainerWriter:
         return len(data)
 
 
-def _encoded(record: Any) -> bytes:
+def _encode(record: Any) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
 
 
-def _index(record: Attachment | Metadata, place: int, length: int) -> AttachmentIndex | MetadataIndex:
+def _index_record(record: Attachment | Metadata, offset: int, length: int) -> AttachmentIndex | MetadataIndex:
     if isinstance(record, Metadata):
-        return MetadataIndex(offset=place, length=length, name=record.name)
+        return MetadataIndex(offset=offset, length=length, name=record.name)
     return AttachmentIndex(
-        offset=place,
+        offset=offset,
         length=length,
         create_time=record.create_time,
         log_time=record.log_time,

@@ -81,21 +81,21 @@ class Recording:
 
     def __getitem__(self, name: str) -> Channel:
         """Channel of that name; raises RigError if there is none."""
-        channels = {}
+        channel_by_name = {}
         for signals in self.signals.values():
-            group = signals.channels
-            for channel_name, station, row in zip(group.names, group.stations, signals.values, strict=True):
-                channels[channel_name] = Channel(channel_name, group.unit, station, signals.time_s, row)
-        if name not in channels:
-            raise RigError(f"the recording has no channel {name!r}; it has {', '.join(channels)}")
-        return channels[name]
+            channels = signals.channels
+            for channel_name, station, samples in zip(channels.names, channels.stations, signals.values, strict=True):
+                channel_by_name[channel_name] = Channel(channel_name, channels.unit, station, signals.time_s, samples)
+        if name not in channel_by_name:
+            raise RigError(f"the recording has no channel {name!r}; it has {', '.join(channel_by_name)}")
+        return channel_by_name[name]
 
     def to_pandas(self) -> Any:
         """Pandas DataFrame of all channels over the time in seconds, a column "NAME, UNIT" each; needs pandas."""
         from pandas import concat
 
-        names = [name for signals in self.signals.values() for name in signals.channels.names]
-        return concat([self[name].to_pandas() for name in names], axis=1)
+        channel_names = [name for signals in self.signals.values() for name in signals.channels.names]
+        return concat([self[name].to_pandas() for name in channel_names], axis=1)
 
     def values_of(self, sensor: Sensor) -> Float[np.ndarray, " samples"]:
         """Samples of a sensor of the rig."""
@@ -149,13 +149,13 @@ def recorded_at(provenance: Mapping[str, str]) -> datetime | None:
         return None
 
 
-def _forces(rig: Rig) -> Channels:
+def _force_channels(rig: Rig) -> Channels:
     return Channels("force", UNITS["force"], rig.force_names, rig.forces, rig.sample_rate_hz)
 
 
 def channel_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of a recording of this rig."""
-    groups = {"force": _forces(rig)}
+    groups = {"force": _force_channels(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
         groups[quantity] = Channels(
@@ -170,14 +170,14 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file, which holds what only a simulator knows."""
-    stations, contacts, rate = stations_of(rig), tuple(c.name for c in rig.contacts), rig.sample_rate_hz
-    names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
-    no_places = (None,) * len(contacts)
+    stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in rig.contacts), rig.sample_rate_hz
+    station_names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
+    no_stations = (None,) * len(contact_names)
     return {
-        "force": _forces(rig),
-        "displacement": Channels("displacement", "m", names, stations, rate),
-        "relative_displacement": Channels("relative displacement", "m", contacts, no_places, rate),
-        "contact_force": Channels("contact force", "N", contacts, no_places, rate),
+        "force": _force_channels(rig),
+        "displacement": Channels("displacement", "m", station_names, stations, rate_hz),
+        "relative_displacement": Channels("relative displacement", "m", contact_names, no_stations, rate_hz),
+        "contact_force": Channels("contact force", "N", contact_names, no_stations, rate_hz),
     }
 
 
@@ -187,7 +187,7 @@ def read(path: Path) -> Recording:
     Raises RigError with one sentence if the file is no recording, is cut or damaged, has no rig.json or no force
     channel, has a gap in its samples, or holds values that are not finite.
     """
-    recording = _loaded(path)
+    recording = _load(path)
     check_given(recording.rig, f"{path}: {RIG_NAME}")
     check_channels(
         path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
@@ -197,7 +197,7 @@ def read(path: Path) -> Recording:
 
 def read_truth(path: Path) -> Recording:
     """Truth file of a simulated recording, with the groups of `truth_groups`. Not for identification."""
-    return _loaded(path)
+    return _load(path)
 
 
 def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
@@ -224,9 +224,9 @@ class Contents:
     groups: dict[str, Channels] = field(default_factory=dict)
 
 
-def is_of_blocks(channel: ChannelRecord) -> bool:
-    topic = channel.topic.split("/")
-    return len(topic) == 4 and topic[1] == "rig" and topic[3] == "block"
+def holds_blocks(channel: ChannelRecord) -> bool:
+    topic_parts = channel.topic.split("/")
+    return len(topic_parts) == 4 and topic_parts[1] == "rig" and topic_parts[3] == "block"
 
 
 def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[tuple[str, messages.Block]]:
@@ -236,26 +236,29 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
     the file, if a record is wrong, an attachment or an entry of the provenance is given twice, or a block's time does
     not follow from its first sample.
     """
-    numbers: dict[int, str] = {}
-    channels: dict[int, ChannelRecord] = {}
+    group_by_channel_id: dict[int, str] = {}
+    channel_by_id: dict[int, ChannelRecord] = {}
     clock = Clock()
     for record in records:
-        if isinstance(record, ChannelRecord) and (earlier := channels.setdefault(record.id, record)) != record:
-            raise ValueError(f"channel {record.id} is described in two ways: {earlier.topic} and {record.topic}")
+        if (
+            isinstance(record, ChannelRecord)
+            and (earlier_record := channel_by_id.setdefault(record.id, record)) != record
+        ):
+            raise ValueError(f"channel {record.id} is described in two ways: {earlier_record.topic} and {record.topic}")
         if isinstance(record, Attachment):
             if record.name in contents.attachments:
                 raise RigError(f"more than one attachment is named {record.name!r}; keep the one that is meant")
             contents.attachments[record.name] = record.data if record.name == RIG_NAME else b""
         elif isinstance(record, Metadata) and record.name == PROVENANCE:
             _add_provenance(record, contents)
-        elif isinstance(record, ChannelRecord) and record.id not in numbers and is_of_blocks(record):
-            group = record.topic.split("/")[2]
-            numbers[record.id] = group
-            contents.groups[group] = from_metadata(record.topic, record.metadata)
-        elif isinstance(record, Message) and record.channel_id in numbers:
-            group, block = numbers[record.channel_id], messages.decode_block(record.data)
-            clock.check(group, contents.groups[group].sample_rate_hz, block)
-            yield group, block
+        elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and holds_blocks(record):
+            group_name = record.topic.split("/")[2]
+            group_by_channel_id[record.id] = group_name
+            contents.groups[group_name] = from_metadata(record.topic, record.metadata)
+        elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
+            group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
+            clock.check(group_name, contents.groups[group_name].sample_rate_hz, block)
+            yield group_name, block
 
 
 def _add_provenance(record: Metadata, contents: Contents) -> None:
@@ -272,27 +275,29 @@ def rig_of(path: Path, contents: Contents) -> Rig:
     return from_json(contents.attachments[RIG_NAME], f"{path}: {RIG_NAME}")
 
 
-def _loaded(path: Path) -> Recording:
+def _load(path: Path) -> Recording:
     contents, assemblies = Contents(), dict[str, Assembly]()
     with container.open_recording(path) as file:
-        doubles = path.stat().st_size // 8
-        for name, block in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, is_of_blocks), contents)
+        most_values = path.stat().st_size // 8
+        for group_name, block in container.with_path_in_error(
+            path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
-            if name not in assemblies:
-                room = doubles // sum(len(group.names) for group in contents.groups.values())
-                assemblies[name] = Assembly(path, name, contents.groups[name], room=room)
-            assemblies[name].add(block)
+            if group_name not in assemblies:
+                room_samples = most_values // sum(len(channels.names) for channels in contents.groups.values())
+                assemblies[group_name] = Assembly(
+                    path, group_name, contents.groups[group_name], room_samples=room_samples
+                )
+            assemblies[group_name].add(block)
     rig = rig_of(path, contents)
     signals = {
-        name: Signals(group, *assemblies.get(name, Assembly(path, name, group)).finished())
-        for name, group in contents.groups.items()
+        group_name: Signals(channels, *assemblies.get(group_name, Assembly(path, group_name, channels)).finish())
+        for group_name, channels in contents.groups.items()
     }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")
-    lengths = {name: s.values.shape[1] for name, s in signals.items()}
-    if len(set(lengths.values())) > 1:
-        raise RigError(f"{path}: its groups differ in length ({lengths}); every group needs the same samples")
+    samples_by_group = {group_name: s.values.shape[1] for group_name, s in signals.items()}
+    if len(set(samples_by_group.values())) > 1:
+        raise RigError(f"{path}: its groups differ in length ({samples_by_group}); every group needs the same samples")
     return Recording(rig, signals, contents.provenance)
 
 
@@ -304,18 +309,18 @@ class Clock:
     """Check of time stamps: t0 = t(k) - k / f of the first block must hold for every block of every group."""
 
     def __init__(self) -> None:
-        self._zero_ns: float | None = None
-        self._group = ""
+        self._start_ns: float | None = None
+        self._first_group = ""
 
-    def check(self, group: str, sample_rate_hz: float, block: Block) -> None:
+    def check(self, group_name: str, sample_rate_hz: float, block: Block) -> None:
         """Raise RigError, without the name of the file, if a block's time does not follow from its first sample."""
-        after_ns = block.first_sample * 1e9 / sample_rate_hz
-        if self._zero_ns is None:
-            self._zero_ns, self._group = block.time_ns - after_ns, group
-        expected_ns = self._zero_ns + after_ns
+        since_start_ns = block.first_sample * 1e9 / sample_rate_hz
+        if self._start_ns is None:
+            self._start_ns, self._first_group = block.time_ns - since_start_ns, group_name
+        expected_ns = self._start_ns + since_start_ns
         if not abs(block.time_ns - expected_ns) <= max(TOLERANCE_NS, TOLERANCE_SAMPLES * 1e9 / sample_rate_hz):
             raise RigError(
-                f"group {group}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "
+                f"group {group_name}: sample {block.first_sample} is stamped {block.time_ns * 1e-9:.9g} s where "
                 f"{expected_ns * 1e-9:.9g} s follows from its number, {sample_rate_hz:g} Hz and the first block (of "
-                f"group {self._group}); stamp every block with first_sample / sample_rate_hz, or record again"
+                f"group {self._first_group}); stamp every block with first_sample / sample_rate_hz, or record again"
             )

@@ -10,15 +10,15 @@ from rig.recording.container_writer import Chunk
 
 RIG_NAME, PROVENANCE = "rig.json", "provenance"
 
-OWN = {Attachment: RIG_NAME, Metadata: PROVENANCE}
-_NONE = np.zeros((0, 0))
+OWN_NAMES = {Attachment: RIG_NAME, Metadata: PROVENANCE}
+_NO_VALUES = np.zeros((0, 0))
 
 
 @dataclass(frozen=True)
 class Foreign:
     """Records of other programs, in the order of the file."""
 
-    front: list[Attachment | Metadata] = field(default_factory=list)
+    front_records: list[Attachment | Metadata] = field(default_factory=list)
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
@@ -27,8 +27,8 @@ class Foreign:
         """Pass on the records of a file and keep those that are not the recording's own."""
         for record in records:
             if isinstance(record, Attachment | Metadata):
-                if record.name != OWN[type(record)] and record not in self.front:
-                    self.front.append(record)
+                if record.name != OWN_NAMES[type(record)] and record not in self.front_records:
+                    self.front_records.append(record)
             elif isinstance(record, Schema):
                 self.schemas.setdefault(record.id, record)
             elif isinstance(record, Channel) and not _is_own(record):
@@ -37,23 +37,32 @@ class Foreign:
                 self.messages.append(replace(record, data=bytes(record.data)))
             yield record
 
-    def numbered(self, schema_count: int, channel_count: int) -> "Foreign":
+    def renumbered(self, schema_count: int, channel_count: int) -> "Foreign":
         """Content renumbered behind `schema_count` and `channel_count` other ids; unused schemas are left out."""
-        used = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
-        schema_ids = {old_id: schema_count + k for k, old_id in enumerate(used, start=1)}
-        ids = {old_id: channel_count + k for k, old_id in enumerate(self.channels, start=1)}
+        used_schema_ids = sorted({c.schema_id for c in self.channels.values()} & set(self.schemas))
+        schema_ids = {old_id: schema_count + k for k, old_id in enumerate(used_schema_ids, start=1)}
+        channel_ids = {old_id: channel_count + k for k, old_id in enumerate(self.channels, start=1)}
         return Foreign(
-            self.front,
-            {schema_ids[old_id]: replace(self.schemas[old_id], id=schema_ids[old_id]) for old_id in used},
-            {ids[o]: replace(c, id=ids[o], schema_id=schema_ids.get(c.schema_id, 0)) for o, c in self.channels.items()},
-            [replace(message, channel_id=ids[message.channel_id]) for message in self.messages],
+            self.front_records,
+            {schema_ids[old_id]: replace(self.schemas[old_id], id=schema_ids[old_id]) for old_id in used_schema_ids},
+            {
+                channel_ids[o]: replace(c, id=channel_ids[o], schema_id=schema_ids.get(c.schema_id, 0))
+                for o, c in self.channels.items()
+            },
+            [replace(message, channel_id=channel_ids[message.channel_id]) for message in self.messages],
         )
 
 
 def add_message(message: Message, chunk: Chunk) -> None:
-    chunk.add(message.channel_id, message.log_time, message.sequence, bytes(message.data), _NONE, message.publish_time)
+    chunk.add(
+        message.channel_id, message.log_time, message.sequence, bytes(message.data), _NO_VALUES, message.publish_time
+    )
 
 
 def _is_own(channel: Channel) -> bool:
-    topic = channel.topic.split("/")
-    return len(topic) >= 4 and topic[1] == "rig" and (topic[3:] == ["block"] or topic[3] == "preview")
+    topic_parts = channel.topic.split("/")
+    return (
+        len(topic_parts) >= 4
+        and topic_parts[1] == "rig"
+        and (topic_parts[3:] == ["block"] or topic_parts[3] == "preview")
+    )

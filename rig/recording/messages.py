@@ -33,7 +33,7 @@ class Block:
     sample_rate_hz: float
     values: Float[np.ndarray, "channels samples"]
 
-    def copied(self) -> "Block":
+    def with_copied_values(self) -> "Block":
         """Block with a copy of the values."""
         return replace(self, values=self.values.copy())
 
@@ -43,20 +43,24 @@ def block_head(time_ns: int, first_sample: int, sample_rate_hz: float, shape: tu
 
     A packed double field is its tag, its length in bytes and the doubles; protobuf would take them one by one.
     """
-    channels, samples = shape
-    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channels)
+    channel_count, sample_count = shape
+    message = _Block(first_sample=first_sample, sample_rate_hz=sample_rate_hz, channels=channel_count)
     message.timestamp.FromNanoseconds(time_ns)
-    return bytes(message.SerializeToString()) + _VALUES_TAG + _varint(8 * channels * samples)
+    return bytes(message.SerializeToString()) + _VALUES_TAG + _encode_varint(8 * channel_count * sample_count)
 
 
-def decode_block(data: bytes | memoryview) -> Block:
+def decode_block(message_bytes: bytes | memoryview) -> Block:
     """Block in a message; raises ValueError if there is none. Its values are a view of the data where possible."""
-    message, (end_of_head, values_start) = _Block(), _values_in(data)
+    message, (end_of_head, values_start) = _Block(), _values_offsets(message_bytes)
     try:
-        message.ParseFromString(bytes(data[:end_of_head]))
+        message.ParseFromString(bytes(message_bytes[:end_of_head]))
     except Exception as error:  # protobuf's own error type differs between its implementations
         raise ValueError("a block cannot be decoded") from error
-    values = np.frombuffer(data, "<f8", offset=values_start) if values_start else np.array(message.values, dtype=float)
+    values = (
+        np.frombuffer(message_bytes, "<f8", offset=values_start)
+        if values_start
+        else np.array(message.values, dtype=float)
+    )
     if message.channels == 0 or values.size % message.channels:
         raise ValueError(f"a block of {values.size} values for {message.channels} channels")
     return Block(
@@ -78,54 +82,54 @@ def preview_head(value_count: int) -> bytes:
 _CDR_EMPTY_LAYOUT = bytes([0, 1, 0, 0]) + struct.pack("<II", 0, 0)  # encapsulation, dim[0], data_offset
 
 
-def _values_in(data: bytes | memoryview) -> tuple[int, int]:
+def _values_offsets(message_bytes: bytes | memoryview) -> tuple[int, int]:
     """Offsets at which the fields before the values end and the doubles begin.
 
     The values must be the last field and contiguous; otherwise the end of the message, and 0.
     """
     offset = 0
-    while offset < min(len(data), _LONGEST_HEAD):
-        field_start, tag, offset = offset, data[offset], offset + 1
+    while offset < min(len(message_bytes), _LONGEST_HEAD):
+        field_start, tag, offset = offset, message_bytes[offset], offset + 1
         if tag == _VALUES_TAG[0]:
-            length, offset = _number(data, offset)
-            if length == len(data) - offset and length % 8 == 0:
+            field_length, offset = _decode_varint(message_bytes, offset)
+            if field_length == len(message_bytes) - offset and field_length % 8 == 0:
                 return field_start, offset
             break
         if tag & 7 == 1:
             offset += 8
         else:
-            length, offset = _number(data, offset)
-            offset += length if tag & 7 == 2 else 0
-    return len(data), 0
+            field_length, offset = _decode_varint(message_bytes, offset)
+            offset += field_length if tag & 7 == 2 else 0
+    return len(message_bytes), 0
 
 
-def _number(data: bytes | memoryview, offset: int) -> tuple[int, int]:
+def _decode_varint(message_bytes: bytes | memoryview, offset: int) -> tuple[int, int]:
     """Value of a varint, and the offset behind it."""
-    value, shift = 0, 0
-    while offset < len(data) and shift < 64:
-        value |= (data[offset] & 0x7F) << shift
-        offset, shift = offset + 1, shift + 7
-        if data[offset - 1] < 0x80:
+    value, shift_bits = 0, 0
+    while offset < len(message_bytes) and shift_bits < 64:
+        value |= (message_bytes[offset] & 0x7F) << shift_bits
+        offset, shift_bits = offset + 1, shift_bits + 7
+        if message_bytes[offset - 1] < 0x80:
             break
     return value, offset
 
 
-def _varint(value: int) -> bytes:
-    encoded = bytearray()
+def _encode_varint(value: int) -> bytes:
+    varint_bytes = bytearray()
     while value > 0x7F:
-        encoded.append(value & 0x7F | 0x80)
+        varint_bytes.append(value & 0x7F | 0x80)
         value >>= 7
-    return bytes([*encoded, value])
+    return bytes([*varint_bytes, value])
 
 
 def _block_type() -> tuple[Any, bytes]:
     """Message class of a block and its schema (a FileDescriptorSet), built in code."""
     field_descriptor = descriptor_pb2.FieldDescriptorProto
-    file = descriptor_pb2.FileDescriptorProto(
+    block_file = descriptor_pb2.FileDescriptorProto(
         name="rig/block.proto", package="rig", syntax="proto3", dependency=["google/protobuf/timestamp.proto"]
     )
-    message = file.message_type.add(name="Block")
-    for number, (name, kind, label) in enumerate(
+    message = block_file.message_type.add(name="Block")
+    for field_number, (field_name, field_type, label) in enumerate(
         [
             ("timestamp", field_descriptor.TYPE_MESSAGE, field_descriptor.LABEL_OPTIONAL),
             ("first_sample", field_descriptor.TYPE_UINT64, field_descriptor.LABEL_OPTIONAL),
@@ -135,16 +139,16 @@ def _block_type() -> tuple[Any, bytes]:
         ],
         start=1,
     ):
-        added = message.field.add(name=name, number=number, type=kind, label=label)
-        if kind == field_descriptor.TYPE_MESSAGE:
-            added.type_name = ".google.protobuf.Timestamp"
-    stamp = descriptor_pb2.FileDescriptorProto()
-    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(stamp)
-    pool.Add(file)
-    schema = descriptor_pb2.FileDescriptorSet(file=[stamp, file]).SerializeToString()
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("rig.Block")), schema
+        added_field = message.field.add(name=field_name, number=field_number, type=field_type, label=label)
+        if field_type == field_descriptor.TYPE_MESSAGE:
+            added_field.type_name = ".google.protobuf.Timestamp"
+    timestamp_file = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(timestamp_file)
+    descriptors = descriptor_pool.DescriptorPool()
+    descriptors.Add(timestamp_file)
+    descriptors.Add(block_file)
+    schema_bytes = descriptor_pb2.FileDescriptorSet(file=[timestamp_file, block_file]).SerializeToString()
+    return message_factory.GetMessageClass(descriptors.FindMessageTypeByName("rig.Block")), schema_bytes
 
 
 _Block, BLOCK_SCHEMA = _block_type()

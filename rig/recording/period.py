@@ -13,13 +13,15 @@ def period_of(force_n: Float[np.ndarray, " samples"]) -> int | None:
 
     None if it does not, or the record is shorter than two periods.
     """
-    samples, force_n = force_n.size, force_n - force_n.mean()
-    length = scipy.fft.next_fast_len(2 * samples, real=True)
-    products = scipy.fft.irfft(np.abs(scipy.fft.rfft(force_n, length)) ** 2, length)[: samples // 2 + 2]
-    energy = np.concatenate([[0.0], np.cumsum(force_n**2)])
-    lags = np.arange(products.size)
-    energies = np.sqrt(energy[samples - lags] * (energy[-1] - energy[lags]))
-    correlation = np.divide(products, energies, out=np.zeros_like(energies), where=energies > 0)
-    peaks, _ = scipy.signal.find_peaks(correlation, height=MIN_CORRELATION)
-    periods = peaks[peaks >= samples / MAX_PERIODS]
-    return int(periods[0]) if periods.size else None
+    sample_count, force_n = force_n.size, force_n - force_n.mean()
+    padded_length = scipy.fft.next_fast_len(2 * sample_count, real=True)
+    lagged_products = scipy.fft.irfft(np.abs(scipy.fft.rfft(force_n, padded_length)) ** 2, padded_length)[
+        : sample_count // 2 + 2
+    ]
+    energy_until = np.concatenate([[0.0], np.cumsum(force_n**2)])
+    lags = np.arange(lagged_products.size)
+    lag_energies = np.sqrt(energy_until[sample_count - lags] * (energy_until[-1] - energy_until[lags]))
+    correlation = np.divide(lagged_products, lag_energies, out=np.zeros_like(lag_energies), where=lag_energies > 0)
+    peak_lags, _ = scipy.signal.find_peaks(correlation, height=MIN_CORRELATION)
+    period_lags = peak_lags[peak_lags >= sample_count / MAX_PERIODS]
+    return int(period_lags[0]) if period_lags.size else None

@@ -10,7 +10,7 @@ import numpy as np
 from rig.errors import RigError
 from rig.files import check_target
 from rig.recording import container
-from rig.recording.assembly import assembled
+from rig.recording.assembly import assemble
 from rig.recording.channels import Channels, check_channels
 from rig.recording.file import (
     Contents,
@@ -36,71 +36,79 @@ class Loss:
     asked: int | None
 
     def __str__(self) -> str:
-        rate, lost = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
-        unstored = "" if self.asked is not None else ", besides what was never stored"
-        kept_s, lost_s = self.kept / rate, lost / rate
-        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost} lost ({lost_s:g} s){unstored}"
+        rate_hz, lost_count = self.sample_rate_hz, max(self.found, self.asked or 0) - self.kept
+        unstored_note = "" if self.asked is not None else ", besides what was never stored"
+        kept_s, lost_s = self.kept / rate_hz, lost_count / rate_hz
+        return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost_count} lost ({lost_s:g} s){unstored_note}"
 
 
-def recover(damaged: Path, target: Path) -> tuple[Loss, ...]:
+def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
     """Write the undamaged samples of a recording, from its start to the first gap in any group, as a recording.
 
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
     into the provenance; channels, attachments and metadata of other programs are kept. Raises RigError if there is no
     rig.json, no complete chunk, or the result cannot be written.
     """
-    check_target(target, damaged)
-    contents, foreign, read_blocks = Contents(), Foreign(), defaultdict[str, list[Block]](list)
-    with container.open_recording(damaged) as file:
+    check_target(target_path, damaged_path)
+    contents, foreign, blocks_by_group = Contents(), Foreign(), defaultdict[str, list[Block]](list)
+    with container.open_recording(damaged_path) as file:
         try:
-            for name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
-                read_blocks[name].append(block.copied())
+            for group_name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
+                blocks_by_group[group_name].append(block.with_copied_values())
         except RigError as error:
-            raise RigError(f"{damaged}: {error}") from error
+            raise RigError(f"{damaged_path}: {error}") from error
         except container.DAMAGE as error:
             raise RigError(
-                f"{damaged}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
+                f"{damaged_path}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
             ) from error
-    rig = rig_of(damaged, contents)
-    blocks = {name: _undisputed(read_blocks[name]) for name in contents.groups}
-    kept_samples = min(map(_unbroken, blocks.values()), default=0)
-    if not kept_samples:
+    rig = rig_of(damaged_path, contents)
+    block_by_start = {group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.groups}
+    kept_count = min(map(_unbroken_count, block_by_start.values()), default=0)
+    if not kept_count:
         raise RigError(
-            f"{damaged}: holds no complete chunk of every group with its checksum; there is nothing to recover"
+            f"{damaged_path}: holds no complete chunk of every group with its checksum; there is nothing to recover"
         )
     requested_s = _requested_duration_s(contents.provenance)
     losses = tuple(
-        _loss(channels, blocks[name], kept_samples, requested_s) for name, channels in contents.groups.items()
+        _loss(channels, block_by_start[group_name], kept_count, requested_s)
+        for group_name, channels in contents.groups.items()
     )
     signals = {
-        name: assembled(damaged, name, channels, [b for first, b in blocks[name].items() if first < kept_samples])
-        for name, channels in contents.groups.items()
+        group_name: assemble(
+            damaged_path,
+            group_name,
+            channels,
+            [b for first, b in block_by_start[group_name].items() if first < kept_count],
+        )
+        for group_name, channels in contents.groups.items()
     }
     if set(signals) != set(truth_groups(rig)):
-        check_channels(damaged, rig, contents.groups, channel_groups(rig))
-    history = with_history(contents.provenance, f"recovered from {damaged.name}; " + "; ".join(map(str, losses)))
-    with writing(target, rig, contents.groups, history, foreign) as recording:
-        recording.append_all({name: values[:, :kept_samples] for name, values in signals.items()})
+        check_channels(damaged_path, rig, contents.groups, channel_groups(rig))
+    new_provenance = with_history(
+        contents.provenance, f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
+    )
+    with writing(target_path, rig, contents.groups, new_provenance, foreign) as recording:
+        recording.append_all({group_name: values[:, :kept_count] for group_name, values in signals.items()})
     return losses
 
 
-def _undisputed(blocks: list[Block]) -> dict[int, Block]:
+def _undisputed_blocks(blocks: list[Block]) -> dict[int, Block]:
     """Blocks by first sample, without those that contradict another block at the same place."""
-    by_start: dict[int, Block] = {}
-    disputed = set()
+    block_by_start: dict[int, Block] = {}
+    disputed_starts = set()
     for block in blocks:
-        earlier = by_start.setdefault(block.first_sample, block)
+        earlier = block_by_start.setdefault(block.first_sample, block)
         if not np.array_equal(earlier.values, block.values):
-            disputed.add(block.first_sample)
-    return {first: block for first, block in by_start.items() if first not in disputed}
+            disputed_starts.add(block.first_sample)
+    return {first: block for first, block in block_by_start.items() if first not in disputed_starts}
 
 
-def _unbroken(blocks: dict[int, Block]) -> int:
+def _unbroken_count(block_by_start: dict[int, Block]) -> int:
     """Number of samples from the start to the first gap."""
-    stop = 0
-    while stop in blocks and blocks[stop].values.size:
-        stop += blocks[stop].values.shape[1]
-    return stop
+    stop_sample = 0
+    while stop_sample in block_by_start and block_by_start[stop_sample].values.size:
+        stop_sample += block_by_start[stop_sample].values.shape[1]
+    return stop_sample
 
 
 def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
@@ -111,11 +119,11 @@ def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
         return None
 
 
-def _loss(channels: Channels, blocks: dict[int, Block], kept_samples: int, requested_s: float | None) -> Loss:
+def _loss(channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None) -> Loss:
     return Loss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
-        kept=kept_samples,
-        found=sum(b.values.shape[1] for b in blocks.values()),
+        kept=kept_count,
+        found=sum(b.values.shape[1] for b in block_by_start.values()),
         asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 from rig.errors import RigError
 from rig.model.description import Rig, check_given
 from rig.recording import container
-from rig.recording.assembly import assembled
+from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
 from rig.recording.file import (
     Contents,
@@ -15,7 +15,7 @@ from rig.recording.file import (
     Signals,
     channel_groups,
     group_blocks,
-    is_of_blocks,
+    holds_blocks,
     rig_of,
 )
 from rig.recording.foreign import RIG_NAME
@@ -28,25 +28,28 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
     Only one segment is in memory at a time. Raises RigError as `read` does, once it reaches the fault, and if the rig's
     description comes after the samples.
     """
-    contents, blocks = Contents(), defaultdict[str, list[Block]](list)
-    rig, start = None, 0
+    contents, blocks_by_group = Contents(), defaultdict[str, list[Block]](list)
+    rig, start_sample = None, 0
     with container.open_recording(path) as file:
-        for name, block in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, is_of_blocks), contents)
+        for group_name, block in container.with_path_in_error(
+            path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             rig = rig or _checked_rig(path, contents)
-            blocks[name].append(block.copied())
-            length, overlap = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
-            if min(_stop_sample(blocks[name]) for name in contents.groups) >= start + length + length // 2:
-                yield _segment(path, rig, contents, blocks, start, start + length)
-                start += length - overlap
-                for group in blocks.values():
-                    group[:] = [b for b in group if _stop_sample([b]) > start]
+            blocks_by_group[group_name].append(block.with_copied_values())
+            length_samples, overlap_samples = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
+            if (
+                min(_stop_sample(blocks_by_group[group_name]) for group_name in contents.groups)
+                >= start_sample + length_samples + length_samples // 2
+            ):
+                yield _segment(path, rig, contents, blocks_by_group, start_sample, start_sample + length_samples)
+                start_sample += length_samples - overlap_samples
+                for group_blocks_left in blocks_by_group.values():
+                    group_blocks_left[:] = [b for b in group_blocks_left if _stop_sample([b]) > start_sample]
     rig = rig or _checked_rig(path, contents)
-    stops = {name: _stop_sample(blocks[name]) for name in contents.groups}
-    if len(set(stops.values())) > 1:
-        raise RigError(f"{path}: its groups differ in length ({stops}); every group needs the same samples")
-    yield _segment(path, rig, contents, blocks, start, stops["force"])
+    stop_by_group = {group_name: _stop_sample(blocks_by_group[group_name]) for group_name in contents.groups}
+    if len(set(stop_by_group.values())) > 1:
+        raise RigError(f"{path}: its groups differ in length ({stop_by_group}); every group needs the same samples")
+    yield _segment(path, rig, contents, blocks_by_group, start_sample, stop_by_group["force"])
 
 
 def bytes_per_second(path: Path) -> float:
@@ -57,7 +60,7 @@ def bytes_per_second(path: Path) -> float:
     contents = Contents()
     with container.open_recording(path) as file:
         for _ in container.with_path_in_error(
-            path, group_blocks(container.read_complete(file, is_of_blocks), contents)
+            path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             break
     rig = _checked_rig(path, contents)
@@ -80,12 +83,19 @@ def _stop_sample(blocks: list[Block]) -> int:
 
 
 def _segment(
-    path: Path, rig: Rig, contents: Contents, blocks: defaultdict[str, list[Block]], start: int, stop: int
+    path: Path,
+    rig: Rig,
+    contents: Contents,
+    blocks_by_group: defaultdict[str, list[Block]],
+    start_sample: int,
+    stop_sample: int,
 ) -> Recording:
     signals = {}
-    for name, channels in contents.groups.items():
-        stored = blocks[name]
-        first = stored[0].first_sample if stored else start
-        values = assembled(path, name, channels, stored, first)[:, start - first : stop - first]
-        signals[name] = Signals(channels, start / rig.sample_rate_hz, values.copy())
+    for group_name, channels in contents.groups.items():
+        stored_blocks = blocks_by_group[group_name]
+        first_stored = stored_blocks[0].first_sample if stored_blocks else start_sample
+        values = assemble(path, group_name, channels, stored_blocks, first_stored)[
+            :, start_sample - first_stored : stop_sample - first_stored
+        ]
+        signals[group_name] = Signals(channels, start_sample / rig.sample_rate_hz, values.copy())
     return Recording(rig, signals, contents.provenance)

@@ -43,15 +43,17 @@ class RecordingWriter:
         self._stream = stream
         self._groups = dict(groups)
         self._start_date_ns = start_date_ns(provenance)
-        ids = count(1)
-        self._ids = {name: (next(ids), [next(ids) for _ in group.names]) for name, group in groups.items()}
-        foreign_records = (foreign or Foreign()).numbered(schema_count=2, channel_count=next(ids) - 1)
+        id_counter = count(1)
+        self._channel_ids = {
+            name: (next(id_counter), [next(id_counter) for _ in group.names]) for name, group in groups.items()
+        }
+        foreign_records = (foreign or Foreign()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
         self._writer = ContainerWriter(
             stream,
-            front=[
+            front_records=[
                 Attachment(0, 0, RIG_NAME, "application/json", to_json(rig)),
                 Metadata(name=PROVENANCE, metadata=dict(provenance)),
-                *foreign_records.front,
+                *foreign_records.front_records,
             ],
             schemas=[
                 Schema(id=1, name=messages.BLOCK_NAME, encoding="protobuf", data=messages.BLOCK_SCHEMA),
@@ -59,7 +61,11 @@ class RecordingWriter:
                 *foreign_records.schemas.values(),
             ],
             channels=[
-                *(record for name, group in groups.items() for record in _records(name, group, *self._ids[name])),
+                *(
+                    record
+                    for name, group in groups.items()
+                    for record in _channel_records(name, group, *self._channel_ids[name])
+                ),
                 *foreign_records.channels.values(),
             ],
         )
@@ -67,61 +73,75 @@ class RecordingWriter:
             add_message(message, self._writer.chunk)
             self._write_full_chunk()
         stream.flush()
-        self._pending = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
-        self._written = dict.fromkeys(groups, 0)
+        self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
+        self._written_counts = dict.fromkeys(groups, 0)
 
-    def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        waiting = self._pending[group]
-        pending = np.concatenate([waiting, values], axis=1) if waiting.size else values
-        full = pending.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
-        for first in range(0, full, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
-            self._write(group, pending[:, first : min(first + SAMPLES_AT_ONCE, full)], BLOCK_SAMPLES)
-        self._pending[group] = pending[:, full:].copy()
+    def append(self, group_name: str, values: Float[np.ndarray, "channels samples"]) -> None:
+        earlier_values = self._pending_values[group_name]
+        pending_values = np.concatenate([earlier_values, values], axis=1) if earlier_values.size else values
+        full_count = pending_values.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
+        for first_sample in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
+            self._write(
+                group_name,
+                pending_values[:, first_sample : min(first_sample + SAMPLES_AT_ONCE, full_count)],
+                BLOCK_SAMPLES,
+            )
+        self._pending_values[group_name] = pending_values[:, full_count:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
         """Append samples of every group, interleaved in the file, so that it can be read segment by segment."""
-        for first in range(0, max(rows.shape[1] for rows in values.values()), SAMPLES_AT_ONCE):
-            for group, rows in values.items():
-                self.append(group, rows[:, first : first + SAMPLES_AT_ONCE])
+        for first_sample in range(0, max(group_values.shape[1] for group_values in values.values()), SAMPLES_AT_ONCE):
+            for group_name, group_values in values.items():
+                self.append(group_name, group_values[:, first_sample : first_sample + SAMPLES_AT_ONCE])
 
     def finish(self) -> None:
         """Write the remaining samples and the index, which completes the file."""
-        for group, remainder in self._pending.items():
+        for group_name, remainder in self._pending_values.items():
             if remainder.shape[1]:
-                self._write(group, remainder, remainder.shape[1])
+                self._write(group_name, remainder, remainder.shape[1])
         self._writer.finish()
 
-    def _write(self, group: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
+    def _write(self, group_name: str, values: Float[np.ndarray, "channels samples"], block_samples: int) -> None:
         """Write blocks of `block_samples` and the previews of their channels."""
-        rate, first = self._groups[group].sample_rate_hz, self._written[group]
-        block_id, preview_ids = self._ids[group]
-        channel_count, samples = values.shape
-        for offset in range(0, samples, block_samples):
-            time_ns = round((first + offset) / rate * 1e9)
-            head = messages.block_head(time_ns, first + offset, rate, (channel_count, block_samples))
+        rate_hz, first_sample = self._groups[group_name].sample_rate_hz, self._written_counts[group_name]
+        block_id, preview_ids = self._channel_ids[group_name]
+        channel_count, sample_count = values.shape
+        for offset in range(0, sample_count, block_samples):
+            time_ns = round((first_sample + offset) / rate_hz * 1e9)
+            block_head = messages.block_head(time_ns, first_sample + offset, rate_hz, (channel_count, block_samples))
             log_ns = self._start_date_ns + time_ns
             self._writer.chunk.add(
-                block_id, log_ns, (first + offset) // BLOCK_SAMPLES, head, values[:, offset : offset + block_samples]
+                block_id,
+                log_ns,
+                (first_sample + offset) // BLOCK_SAMPLES,
+                block_head,
+                values[:, offset : offset + block_samples],
             )
             self._write_full_chunk()
-        starts, rows = previews(values, rate, block_samples)
-        times_ns = np.rint((first + starts) / rate * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
-        for preview_id, extremes in zip(preview_ids, rows, strict=True):
+        part_starts, part_extremes = previews(values, rate_hz, block_samples)
+        times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
+        for preview_id, extremes in zip(preview_ids, part_extremes, strict=True):
             self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
-        self._written[group] += samples
+        self._written_counts[group_name] += sample_count
 
     def _write_full_chunk(self) -> None:
         if self._writer.chunk.size >= CHUNK_BYTES or self._writer.chunk.span_ns >= CHUNK_S * 1e9:
             self._writer.write_chunk()
 
 
-def _records(name: str, group: Channels, block_id: int, preview_ids: Sequence[int]) -> Iterator[ChannelRecord]:
+def _channel_records(
+    group_name: str, channels: Channels, block_id: int, preview_ids: Sequence[int]
+) -> Iterator[ChannelRecord]:
     yield ChannelRecord(
-        id=block_id, topic=f"/rig/{name}/block", message_encoding="protobuf", schema_id=1, metadata=to_metadata(group)
+        id=block_id,
+        topic=f"/rig/{group_name}/block",
+        message_encoding="protobuf",
+        schema_id=1,
+        metadata=to_metadata(channels),
     )
-    for preview_id, sensor in zip(preview_ids, group.names, strict=True):
-        yield preview_record(preview_id, name, sensor, group.unit)
+    for preview_id, channel_name in zip(preview_ids, channels.names, strict=True):
+        yield preview_record(preview_id, group_name, channel_name, channels.unit)
 
 
 def start_date_ns(provenance: Mapping[str, str]) -> int:
@@ -171,20 +191,20 @@ def writing(
 PREVIEW_HZ = 50.0
 
 
-def preview_record(number: int, group: str, sensor: str, unit: str) -> ChannelRecord:
+def preview_record(channel_id: int, group_name: str, channel_name: str, unit: str) -> ChannelRecord:
     """MCAP channel of the previews of a sensor, contact or force, under its name, so that a viewer shows it."""
-    metadata = {"unit": unit, "shown": "least, largest"}
-    topic = f"/rig/{group}/preview/{sensor}"
-    return ChannelRecord(id=number, topic=topic, message_encoding="cdr", schema_id=2, metadata=metadata)
+    channel_metadata = {"unit": unit, "shown": "least, largest"}
+    topic = f"/rig/{group_name}/preview/{channel_name}"
+    return ChannelRecord(id=channel_id, topic=topic, message_encoding="cdr", schema_id=2, metadata=channel_metadata)
 
 
 def previews(
     values: Float[np.ndarray, "channels samples"], sample_rate_hz: float, block_samples: int
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "channels parts 2"]]:
     """First samples of the parts (1/50 s) of blocks of `block_samples`, and the extremes of every part."""
-    starts = _part_starts(values.shape[1], block_samples, max(1, round(sample_rate_hz / PREVIEW_HZ)))
-    extremes = [extreme.reduceat(values, starts, axis=1) for extreme in (np.minimum, np.maximum)]
-    return starts, np.stack(extremes, axis=2)
+    part_starts = _part_starts(values.shape[1], block_samples, max(1, round(sample_rate_hz / PREVIEW_HZ)))
+    extremes = [extreme_function.reduceat(values, part_starts, axis=1) for extreme_function in (np.minimum, np.maximum)]
+    return part_starts, np.stack(extremes, axis=2)
 
 
 @lru_cache(maxsize=16)

@@ -49,9 +49,11 @@ class BandLimitedGaussian(_Band, frozen=True, tag="gaussian"):
     consists of independent segments of 256 s that overlap by half, under windows whose squares add up to one.
     """
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        return _scaled(_noise(samples, step_s, self) * _rise(samples, step_s), self.rms_n)
+        return _scale_to_rms(
+            _unscaled_noise(sample_count, step_s, self) * _rise_window(sample_count, step_s), self.rms_n
+        )
 
 
 class BurstRandom(_Band, frozen=True, tag="burst"):
@@ -62,21 +64,23 @@ class BurstRandom(_Band, frozen=True, tag="burst"):
     on_fraction: float = 0.6
     """Share of each period in which the force is on."""
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        noise = _noise(samples, step_s, self)
-        phase = np.mod(np.arange(samples) * step_s, self.period_s) / (self.period_s * self.on_fraction)
-        edge = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
-        return _scaled(noise * np.sin(np.pi / 2 * edge) ** 2, self.rms_n)
+        noise = _unscaled_noise(sample_count, step_s, self)
+        phase = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        edge_share = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
+        return _scale_to_rms(noise * np.sin(np.pi / 2 * edge_share) ** 2, self.rms_n)
 
 
 class Sweep(_Band, frozen=True, tag="sweep"):
     """A linear sine sweep from the lower to the upper end of the band over the whole record."""
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        time_s = np.arange(samples) * step_s
-        return _scaled(scipy.signal.chirp(time_s, self.low_hz, samples * step_s, self.high_hz, phi=-90), self.rms_n)
+        time_s = np.arange(sample_count) * step_s
+        return _scale_to_rms(
+            scipy.signal.chirp(time_s, self.low_hz, sample_count * step_s, self.high_hz, phi=-90), self.rms_n
+        )
 
 
 class Multisine(_Band, frozen=True, tag="multisine"):
@@ -85,26 +89,26 @@ class Multisine(_Band, frozen=True, tag="multisine"):
     period_s: float = 8.0
     """Period, s."""
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        lines = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
-        lines = lines[lines > 0]
-        phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(lines))
-        time_s = np.arange(samples) * step_s
-        total = np.zeros(samples)
-        for line, phase in zip(lines, phases, strict=True):
-            total += np.cos(2 * np.pi * line / self.period_s * time_s + phase)
-        return total * _rise(samples, step_s) * self.rms_n * np.sqrt(2 / max(len(lines), 1))
+        line_numbers = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
+        line_numbers = line_numbers[line_numbers > 0]
+        phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(line_numbers))
+        time_s = np.arange(sample_count) * step_s
+        sine_sum = np.zeros(sample_count)
+        for line_number, phase in zip(line_numbers, phases, strict=True):
+            sine_sum += np.cos(2 * np.pi * line_number / self.period_s * time_s + phase)
+        return sine_sum * _rise_window(sample_count, step_s) * self.rms_n * np.sqrt(2 / max(len(line_numbers), 1))
 
 
 class FreeDecay(_Band, frozen=True, tag="free_decay"):
     """One half-sine impact of length 1/(2 high_hz) and peak rms_n * sqrt(2), then free decay."""
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        time_s = np.arange(samples) * step_s
-        blow = np.sin(2 * np.pi * self.high_hz * time_s)
-        return np.where(time_s < 0.5 / self.high_hz, blow, 0.0) * self.rms_n * np.sqrt(2)
+        time_s = np.arange(sample_count) * step_s
+        half_sine = np.sin(2 * np.pi * self.high_hz * time_s)
+        return np.where(time_s < 0.5 / self.high_hz, half_sine, 0.0) * self.rms_n * np.sqrt(2)
 
 
 class Hammer(_Band, frozen=True, tag="hammer"):
@@ -114,18 +118,18 @@ class Hammer(_Band, frozen=True, tag="hammer"):
     The spectrum of a hit is flat within 3 dB up to 1.2 high_hz and first zero at 3 high_hz.
     """
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        duration_s, rng = samples * step_s, np.random.default_rng(self.seed)
-        count = max(1, int(duration_s * self.low_hz))
-        interval_s, peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, count)
-        starts_s = (np.arange(count) + rng.uniform(0.0, 0.2, count)) * interval_s
-        time_s, force = np.arange(samples) * step_s, np.zeros(samples)
-        for start_s, peak in zip(starts_s, peaks, strict=True):
-            hit = slice(int(start_s / step_s), int((start_s + 0.5 / self.high_hz) / step_s) + 2)
-            phase = 2 * np.pi * self.high_hz * (time_s[hit] - start_s)
-            force[hit] += peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
-        return _scaled(force, self.rms_n)
+        duration_s, rng = sample_count * step_s, np.random.default_rng(self.seed)
+        hit_count = max(1, int(duration_s * self.low_hz))
+        interval_s, relative_peaks = 1 / self.low_hz if self.low_hz else 0.0, rng.uniform(0.8, 1.2, hit_count)
+        hit_starts_s = (np.arange(hit_count) + rng.uniform(0.0, 0.2, hit_count)) * interval_s
+        time_s, unscaled_force = np.arange(sample_count) * step_s, np.zeros(sample_count)
+        for start_s, relative_peak in zip(hit_starts_s, relative_peaks, strict=True):
+            hit_samples = slice(int(start_s / step_s), int((start_s + 0.5 / self.high_hz) / step_s) + 2)
+            phase = 2 * np.pi * self.high_hz * (time_s[hit_samples] - start_s)
+            unscaled_force[hit_samples] += relative_peak * np.where((phase > 0) & (phase < np.pi), np.sin(phase), 0.0)
+        return _scale_to_rms(unscaled_force, self.rms_n)
 
 
 class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
@@ -137,18 +141,22 @@ class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
     steps: int = 20
     """Number of frequencies."""
 
-    def excited(self, samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        held_s, time_s = samples * step_s / self.steps, np.arange(samples) * step_s
-        step = np.minimum((time_s / held_s).astype(int), self.steps - 1)
+        held_s, time_s = sample_count * step_s / self.steps, np.arange(sample_count) * step_s
+        step_of_sample = np.minimum((time_s / held_s).astype(int), self.steps - 1)
         frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
-        turns = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * held_s)])
-        phase = 2 * np.pi * (turns[step] + frequency_hz[step] * (time_s - step * held_s))
-        return _scaled(np.sin(phase) * _rise(samples, step_s), self.rms_n)
+        turns_at_step = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * held_s)])
+        phase = (
+            2
+            * np.pi
+            * (turns_at_step[step_of_sample] + frequency_hz[step_of_sample] * (time_s - step_of_sample * held_s))
+        )
+        return _scale_to_rms(np.sin(phase) * _rise_window(sample_count, step_s), self.rms_n)
 
 
 Excitation = BandLimitedGaussian | BurstRandom | Sweep | SteppedSine | Multisine | Hammer | FreeDecay
-_KINDS: dict[str, type[Excitation]] = {
+_TYPE_BY_NAME: dict[str, type[Excitation]] = {
     "gaussian": BandLimitedGaussian,
     "burst": BurstRandom,
     "sweep": Sweep,
@@ -161,9 +169,9 @@ _KINDS: dict[str, type[Excitation]] = {
 
 def excitation_of(kind: str, *, rms_n: float, low_hz: float, high_hz: float, seed: int = 1) -> Excitation:
     """Excitation of a kind by its name; raises RigError if there is none."""
-    if kind not in _KINDS:
-        raise RigError(f"no excitation {kind!r}; there are {', '.join(_KINDS)}")
-    return _KINDS[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
+    if kind not in _TYPE_BY_NAME:
+        raise RigError(f"no excitation {kind!r}; there are {', '.join(_TYPE_BY_NAME)}")
+    return _TYPE_BY_NAME[kind](rms_n=rms_n, low_hz=low_hz, high_hz=high_hz, seed=seed)
 
 
 def force_history(excitation: Excitation, duration_s: float, step_s: float) -> Float[np.ndarray, " samples"]:
@@ -171,10 +179,10 @@ def force_history(excitation: Excitation, duration_s: float, step_s: float) -> F
 
     Raises RigError if the record is not longer than the quiet second or the band reaches beyond half the step rate.
     """
-    _check(excitation, duration_s, step_s)
-    quiet = round(QUIET_S / step_s)
-    samples = round(duration_s / step_s)
-    return np.concatenate([np.zeros(quiet), excitation.excited(samples - quiet, step_s)])
+    _check_force(excitation, duration_s, step_s)
+    quiet_count = round(QUIET_S / step_s)
+    sample_count = round(duration_s / step_s)
+    return np.concatenate([np.zeros(quiet_count), excitation.excited_force_n(sample_count - quiet_count, step_s)])
 
 
 @dataclass(frozen=True)
@@ -189,16 +197,21 @@ class LongForce:
         return self.samples
 
     def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
-        start, stop, _ = span.indices(self.samples)
-        quiet, half = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
-        force = np.zeros(max(0, stop - start))
-        for k in range((max(start, quiet) - quiet) // half, (stop - 1 - quiet) // half + 2):
-            segment_start = quiet + (k - 1) * half
-            overlap = slice(max(start, segment_start, quiet), min(stop, segment_start + 2 * half))
-            force[overlap.start - start : overlap.stop - start] += self._segment(k)[
+        first_sample, end_sample, _ = span.indices(self.samples)
+        quiet_count, half_segment = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
+        force_n = np.zeros(max(0, end_sample - first_sample))
+        for segment_number in range(
+            (max(first_sample, quiet_count) - quiet_count) // half_segment,
+            (end_sample - 1 - quiet_count) // half_segment + 2,
+        ):
+            segment_start = quiet_count + (segment_number - 1) * half_segment
+            overlap = slice(
+                max(first_sample, segment_start, quiet_count), min(end_sample, segment_start + 2 * half_segment)
+            )
+            force_n[overlap.start - first_sample : overlap.stop - first_sample] += self._segment(segment_number)[
                 overlap.start - segment_start : overlap.stop - segment_start
             ]
-        return force
+        return force_n
 
     @cached_property
     def _segment(self) -> Callable[[int], Float[np.ndarray, " samples"]]:
@@ -209,56 +222,60 @@ class LongForce:
 def force_signal(excitation: Excitation, duration_s: float, step_s: float) -> ForceSignal:
     """Force of `force_history`; a Gaussian force of more than 1024 s is computed slice by slice."""
     if isinstance(excitation, BandLimitedGaussian) and duration_s > LONG_S:
-        _check(excitation, duration_s, step_s)
+        _check_force(excitation, duration_s, step_s)
         return LongForce(excitation, round(duration_s / step_s), step_s)
     return force_history(excitation, duration_s, step_s)
 
 
 def noise_spectrum(
-    samples: int, step_s: float, low_hz: float, high_hz: float, seed: int | Sequence[int]
+    sample_count: int, step_s: float, low_hz: float, high_hz: float, seed: int | Sequence[int]
 ) -> Complex[np.ndarray, " lines"]:
     """Spectrum with independent Gaussian lines at the multiples of 1/duration in the band, whatever the time step.
 
     Raises RigError if no line lies in the band.
     """
-    period_s = samples * step_s
-    first, last = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
-    if last < first:
+    period_s = sample_count * step_s
+    first_line, last_line = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
+    if last_line < first_line:
         raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {period_s:.3g} s; record longer")
-    lines = np.random.default_rng(seed).standard_normal((last - first + 1, 2))
-    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
-    spectrum[first : last + 1] = lines[:, 0] + 1j * lines[:, 1]
+    line_parts = np.random.default_rng(seed).standard_normal((last_line - first_line + 1, 2))
+    spectrum = np.zeros(sample_count // 2 + 1, dtype=complex)
+    spectrum[first_line : last_line + 1] = line_parts[:, 0] + 1j * line_parts[:, 1]
     return spectrum
 
 
-def _check(excitation: Excitation, duration_s: float, step_s: float) -> None:
+def _check_force(excitation: Excitation, duration_s: float, step_s: float) -> None:
     if not duration_s > QUIET_S:
         raise RigError(f"duration is {duration_s} s; give more than {QUIET_S} s, the quiet start of every recording")
     if not step_s > 0 or excitation.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; {excitation.high_hz} Hz needs a step above 0 and at most 1/(4 high_hz)")
 
 
-def _segment(band: BandLimitedGaussian, step_s: float, k: int) -> Float[np.ndarray, " samples"]:
-    """Segment k under its window; the force rises smoothly from its start, half-way through segment 0."""
-    samples = 2 * round(SEGMENT_S / 2 / step_s)
-    spectrum = noise_spectrum(samples, step_s, band.low_hz, band.high_hz, (band.seed, k))
-    rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / samples
-    force = np.fft.irfft(spectrum, samples) * (band.rms_n / rms) * np.sin(np.pi * np.arange(samples) / samples)
-    if k < 2:
-        force_start = (1 - k) * samples // 2
-        force[force_start:] *= _rise(samples - force_start, step_s)
-    force.flags.writeable = False
-    return np.asarray(force)
+def _segment(band: BandLimitedGaussian, step_s: float, segment_number: int) -> Float[np.ndarray, " samples"]:
+    """Segment of that number under its window; the force rises smoothly from its start, half-way through segment 0."""
+    sample_count = 2 * round(SEGMENT_S / 2 / step_s)
+    spectrum = noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, (band.seed, segment_number))
+    unscaled_rms = 2 * np.sqrt(np.count_nonzero(spectrum)) / sample_count
+    force_n = (
+        np.fft.irfft(spectrum, sample_count)
+        * (band.rms_n / unscaled_rms)
+        * np.sin(np.pi * np.arange(sample_count) / sample_count)
+    )
+    if segment_number < 2:
+        rise_start = (1 - segment_number) * sample_count // 2
+        force_n[rise_start:] *= _rise_window(sample_count - rise_start, step_s)
+    force_n.flags.writeable = False
+    return np.asarray(force_n)
 
 
-def _noise(samples: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
-    return np.fft.irfft(noise_spectrum(samples, step_s, band.low_hz, band.high_hz, band.seed), samples)
+def _unscaled_noise(sample_count: int, step_s: float, band: _Band) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(noise_spectrum(sample_count, step_s, band.low_hz, band.high_hz, band.seed), sample_count)
 
 
-def _rise(samples: int, step_s: float) -> Float[np.ndarray, " samples"]:
-    return np.sin(np.pi / 2 * np.clip(np.arange(samples) * step_s / RISE_S, 0, 1)) ** 2
+def _rise_window(sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
+    return np.sin(np.pi / 2 * np.clip(np.arange(sample_count) * step_s / RISE_S, 0, 1)) ** 2
 
 
-def _scaled(force: Float[np.ndarray, " samples"], rms_n: float) -> Float[np.ndarray, " samples"]:
-    rms = np.sqrt(np.mean(force**2))
-    return force * (rms_n / rms) if rms > 0 else force
+def _scale_to_rms(unscaled_force: Float[np.ndarray, " samples"], rms_n: float) -> Float[np.ndarray, " samples"]:
+    unscaled_rms = np.sqrt(np.mean(unscaled_force**2))
+    return unscaled_force * (rms_n / unscaled_rms) if unscaled_rms > 0 else unscaled_force

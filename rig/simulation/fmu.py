@@ -23,8 +23,8 @@ def export_fmu(rig: Rig, out: Path, step_s: float = STEP_S) -> None:
     with needs_extra("fmu", f"{out}: an FMU"):
         from pythonfmu3.builder import FmuBuilder
     Stepwise(rig, step_s)
-    with TemporaryDirectory() as name:
-        folder = Path(name)
+    with TemporaryDirectory() as folder_name:
+        folder = Path(folder_name)
         (folder / RIG_NAME).write_bytes(to_json(rig))
         (folder / "step.txt").write_text(repr(step_s))
         fmu_path = FmuBuilder.build_FMU(SCRIPT, folder / "out", [folder / RIG_NAME, folder / "step.txt"])

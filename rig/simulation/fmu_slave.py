@@ -26,31 +26,43 @@ class RigFmu(Fmi3Slave):  # type: ignore[misc]
         self._register("time", Fmi3Causality.independent, "time, s", lambda: self._stepwise.time_s)
         description = "force on the rig, N; the value given before a step is that at its end"
         self._register("force", Fmi3Causality.input, description, lambda: self.force, start=0.0)
-        for number, sensor in enumerate(rig.sensors):
-            self._output(f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", number)
-        for number, contact in enumerate(rig.contacts):
-            self._output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", number)
-            self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", number)
+        for index, sensor in enumerate(rig.sensors):
+            self._output(f"sensors.{sensor.name}", f"{sensor.quantity}, {sensor.measures.unit}", "sensed", index)
+        for index, contact in enumerate(rig.contacts):
+            self._output(f"contacts.{contact.name}.eta", "relative displacement, m", "eta_m", index)
+            self._output(f"contacts.{contact.name}.force", "contact force, N", "contact_force_n", index)
 
-    def _output(self, name: str, description: str, attribute: str, number: int) -> None:
-        def value() -> float:
-            return float(getattr(self._stepwise, attribute)[number])
+    def _output(self, variable_name: str, description: str, attribute: str, index: int) -> None:
+        def read_value() -> float:
+            return float(getattr(self._stepwise, attribute)[index])
 
-        self._register(name, Fmi3Causality.output, description, value)
+        self._register(variable_name, Fmi3Causality.output, description, read_value)
 
     def _register(
-        self, name: str, role: Any, description: str, value: Callable[[], float], start: float | None = None
+        self,
+        variable_name: str,
+        role: Any,
+        description: str,
+        read_value: Callable[[], float],
+        start: float | None = None,
     ) -> None:
         continuous = Fmi3Variability.continuous
         self.register_variable(
-            Float64(name, start=start, causality=role, variability=continuous, description=description, getter=value),
+            Float64(
+                variable_name,
+                start=start,
+                causality=role,
+                variability=continuous,
+                description=description,
+                getter=read_value,
+            ),
             nested=False,
         )
 
     def do_step(self, current_time: float, step_size: float) -> bool:  # noqa: ARG002
         """Advance by a multiple of the plant's step, over which the force goes linearly to its given value."""
-        count = round(step_size / self._stepwise.step_s)
-        if count < 1 or abs(count * self._stepwise.step_s - step_size) > 1e-6 * step_size:
+        step_count = round(step_size / self._stepwise.step_s)
+        if step_count < 1 or abs(step_count * self._stepwise.step_s - step_size) > 1e-6 * step_size:
             raise ValueError(f"a step of {step_size} s is no multiple of {self._stepwise.step_s} s; choose one")
-        self._stepwise.advance(self.force, count)
+        self._stepwise.advance(self.force, step_count)
         return True

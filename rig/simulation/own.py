@@ -17,7 +17,7 @@ MIN_STEP_RATE_HZ = 2.0**14
 SHAKER_N = 2000.0
 """Force, N rms, of a large shaker in a laboratory: modal shakers that push through a stinger give some 50 to 500 N,
 air-cooled vibrators 1 to 3 kN; more needs a test house."""
-SHAKEN = ("gaussian", "burst", "sweep", "multisine", "stepped_sine")
+SHAKER_EXCITATIONS = ("gaussian", "burst", "sweep", "multisine", "stepped_sine")
 """Excitations that a shaker gives; a blow's peak is not so limited."""
 
 
@@ -46,8 +46,8 @@ class OwnRig:
 
     @property
     def step_s(self) -> float:
-        rate = self.machine.sample_rate_hz
-        return self.drive.step_s or 1 / (rate * max(1, int(np.ceil(MIN_STEP_RATE_HZ / rate))))
+        rate_hz = self.machine.sample_rate_hz
+        return self.drive.step_s or 1 / (rate_hz * max(1, int(np.ceil(MIN_STEP_RATE_HZ / rate_hz))))
 
     def rig(self) -> Rig:
         return self.machine
@@ -58,10 +58,10 @@ class OwnRig:
 
     def force(self) -> Excitation:
         drive = self.drive
-        unit_free = excitation_of(
+        unscaled_excitation = excitation_of(
             drive.excitation, rms_n=0.0, low_hz=drive.low_hz, high_hz=self.high_hz, seed=drive.seed
         )
-        return msgspec.structs.replace(unit_free, rms_n=self.level.rms_n)
+        return msgspec.structs.replace(unscaled_excitation, rms_n=self.level.rms_n)
 
     @cached_property
     def level(self) -> Level:
@@ -76,7 +76,7 @@ class OwnRig:
     def warnings(self) -> tuple[str, ...]:
         """Sentence on a force that is beyond a shaker; none otherwise."""
         rms_n = self.level.rms_n
-        if rms_n <= SHAKER_N or self.drive.excitation not in SHAKEN:
+        if rms_n <= SHAKER_N or self.drive.excitation not in SHAKER_EXCITATIONS:
             return ()
         return (
             f"{rms_n:g} N rms is more than a large laboratory shaker gives (about {SHAKER_N:g} N rms); check the "
@@ -86,11 +86,11 @@ class OwnRig:
 
 def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
     """User's rig with settings given as text; raises RigError for an unknown setting or an invalid value."""
-    if unknown := sorted(set(settings) - set(Drive.__struct_fields__)):
-        names = Drive.__struct_fields__
+    if unknown_settings := sorted(set(settings) - set(Drive.__struct_fields__)):
+        setting_names = Drive.__struct_fields__
         raise RigError(
-            f"no setting {unknown[0]!r}{meant(unknown[0], names)} for a rig of one's own, only {', '.join(names)}; "
-            "change the rest in its file"
+            f"no setting {unknown_settings[0]!r}{meant(unknown_settings[0], setting_names)} for a rig of one's own, "
+            f"only {', '.join(setting_names)}; change the rest in its file"
         )
     try:
         return OwnRig(rig, msgspec.convert(settings, Drive, strict=False))

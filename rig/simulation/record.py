@@ -17,7 +17,7 @@ from rig.model.description import Rig
 from rig.recording import RECORDED, channel_groups, truth_groups, truth_path, writing
 from rig.simulation.excitation import QUIET_S, Excitation, force_signal
 from rig.simulation.motion import Forces, Plant, Progress
-from rig.simulation.sensors import Samples, digitised, needed_duration_s
+from rig.simulation.sensors import Samples, digitise, needed_duration_s
 
 MAX_DURATION_S = 1e6
 
@@ -59,15 +59,15 @@ def record(
                 f"tone: frequency_hz is {tone.frequency_hz:g}, which steps of {step_s:g} s do not resolve; give less "
                 f"than {0.5 / step_s:g} Hz"
             )
-    samples = round(duration_s * rig.sample_rate_hz)
-    if samples == 0:
+    sample_count = round(duration_s * rig.sample_rate_hz)
+    if sample_count == 0:
         raise RigError(
             f"duration is {duration_s} s and sample_rate_hz {rig.sample_rate_hz}, which makes no sample; record longer "
             "or sample faster"
         )
-    simulated_s = needed_duration_s(actual, samples / rig.sample_rate_hz)
+    simulated_s = needed_duration_s(actual, sample_count / rig.sample_rate_hz)
     if isinstance(excitation, Excitation):
-        excitation = [_seeded(excitation, number) for number in range(len(rig.forces))]
+        excitation = [_with_own_seed(excitation, force_number) for force_number in range(len(rig.forces))]
     force = Forces(tuple(force_signal(settings, simulated_s, step_s) for settings in excitation))
     plant_name = getattr(plant, "__module__", "").rsplit(".", 1)[-1]
     provenance = {
@@ -78,10 +78,10 @@ def record(
         "asked_duration_s": repr(duration_s),
         "excitation": ", ".join(map(repr, excitation)),
         "seed": str(excitation[0].seed),
-        **dict(_versions("rig-identify", "exudyn", "numpy")),
+        **dict(_version_entries("rig-identify", "exudyn", "numpy")),
     }
     rng = np.random.default_rng([excitation[0].seed, 1])
-    samples_written = 0
+    written_count = 0
     with (
         np.errstate(over="ignore", divide="ignore", invalid="ignore"),  # what becomes of it is refused below
         threadpool_limits(1),  # the matrices are small
@@ -89,54 +89,54 @@ def record(
         writing(path, rig, channel_groups(rig), provenance) as recording,
         writing(truth_path(path), actual, truth_groups(actual), provenance) as truth,
     ):
-        for block in digitised(actual, plant(actual, force, step_s, progress), rng):
-            keep = slice(0, samples - samples_written)
+        for block in digitise(actual, plant(actual, force, step_s, progress), rng):
+            kept_samples = slice(0, sample_count - written_count)
             _check_finite(block)
-            for file in (recording, truth):
-                file.append("force", block.forces_n[:, keep])
+            for writer in (recording, truth):
+                writer.append("force", block.forces_n[:, kept_samples])
             for quantity, values in block.sensed.items():
-                recording.append(quantity, values[:, keep])
-            for group, values in block.truth.items():
-                truth.append(group, values[:, keep])
-            samples_written += block.forces_n[:, keep].shape[1]
+                recording.append(quantity, values[:, kept_samples])
+            for group_name, values in block.truth.items():
+                truth.append(group_name, values[:, kept_samples])
+            written_count += block.forces_n[:, kept_samples].shape[1]
             check_interrupt()
 
 
-def _versions(*packages: str) -> Iterator[tuple[str, str]]:
+def _version_entries(*packages: str) -> Iterator[tuple[str, str]]:
     """Provenance entries with the versions of those packages that are installed."""
-    for name in packages:
+    for package_name in packages:
         with suppress(importlib.metadata.PackageNotFoundError):
-            yield f"version of {name}", importlib.metadata.version(name)
+            yield f"version of {package_name}", importlib.metadata.version(package_name)
 
 
-def _seeded(excitation: Excitation, number: int) -> Excitation:
-    """Excitation of force `number` (from 0), with a statistically independent seed for every number and seed."""
-    if not number:
+def _with_own_seed(excitation: Excitation, force_number: int) -> Excitation:
+    """Excitation of force `force_number` (from 0), with a statistically independent seed for each number and seed."""
+    if not force_number:
         return excitation
-    (seed,) = np.random.SeedSequence([excitation.seed, number]).generate_state(1)
+    (seed,) = np.random.SeedSequence([excitation.seed, force_number]).generate_state(1)
     return replace(excitation, seed=int(seed))
 
 
 def _check_finite(block: Samples) -> None:
-    for name, values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
+    for signal_name, values in (("force", block.forces_n), *block.sensed.items(), *block.truth.items()):
         if not np.isfinite(values).all():
-            raise RigError(f"the simulated {name} is no finite number; check the rig for values without reason")
+            raise RigError(f"the simulated {signal_name} is no finite number; check the rig for values without reason")
 
 
 @contextmanager
 def _interrupted_between_blocks() -> Iterator[Callable[[], None]]:
     """Defer Ctrl-C until the yielded function is called, so that it interrupts neither a solver nor a writer."""
-    interrupts: list[int] = []
+    signal_numbers: list[int] = []
 
-    def check() -> None:
-        if interrupts:
+    def raise_if_interrupted() -> None:
+        if signal_numbers:
             raise KeyboardInterrupt
 
     if threading.current_thread() is not threading.main_thread():  # signals reach the main thread alone
-        yield check
+        yield raise_if_interrupted
         return
-    handler = signal.signal(signal.SIGINT, lambda number, _: interrupts.append(number))
+    earlier_handler = signal.signal(signal.SIGINT, lambda signal_number, _: signal_numbers.append(signal_number))
     try:
-        yield check
+        yield raise_if_interrupted
     finally:
-        signal.signal(signal.SIGINT, handler)
+        signal.signal(signal.SIGINT, earlier_handler)

@@ -53,7 +53,7 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     def rig(self) -> Rig:
         """Rig of these settings."""
-        mass = Station("mass")
+        mass_station = Station("mass")
         quantities = _quantities(self.sensors)
         law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.contact_damping_n_s_per_m)
         return Rig(
@@ -66,9 +66,9 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
                     damping_ratio=self.damping_ratio,
                 ),
             ),
-            contacts=(Contact(name="stop", at=mass, against=None, law=law),),
-            force_at=mass,
-            sensors=tuple(named_sensor(mass, quantity, self.noise_density) for quantity in quantities),
+            contacts=(Contact(name="stop", at=mass_station, against=None, law=law),),
+            force_at=mass_station,
+            sensors=tuple(named_sensor(mass_station, quantity, self.noise_density) for quantity in quantities),
             sample_rate_hz=self.sample_rate_hz,
         )
 
@@ -132,19 +132,19 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
                 thickness_m=0.01,
                 damping_ratio=self.damping_ratio,
             )
-            for name, end_condition in _ENDS
+            for name, end_condition in _END_CONDITIONS
         )
-        reach = self.length_m - self.overlap_start_m
+        barrel_overlap_m = self.length_m - self.overlap_start_m
         contacts = tuple(
             Contact(
                 name=name,
-                at=Station("barrel", on_barrel),
-                against=Station("cradle", on_cradle),
-                law=equal_sides(clearance, stiffness, self.contact_damping_n_s_per_m),
+                at=Station("barrel", on_barrel_m),
+                against=Station("cradle", on_cradle_m),
+                law=equal_sides(clearance_m, stiffness_n_per_m, self.contact_damping_n_s_per_m),
             )
-            for name, on_barrel, on_cradle, clearance, stiffness in (
+            for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in (
                 ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
-                ("contact_2", reach, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
+                ("contact_2", barrel_overlap_m, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
             )
         )
         quantities = _quantities(self.sensors)
@@ -154,10 +154,10 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             contacts=contacts,
             force_at=Station("barrel", self.length_m),
             sensors=tuple(
-                named_sensor(Station(beam, position), quantity, self.noise_density)
+                named_sensor(Station(beam_name, position_m), quantity, self.noise_density)
                 for quantity in quantities
-                for beam, positions in self._positions(reach)
-                for position in positions
+                for beam_name, positions_m in self._positions(barrel_overlap_m)
+                for position_m in positions_m
             ),
             sample_rate_hz=self.sample_rate_hz,
         )
@@ -168,20 +168,23 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
         )
 
-    def _positions(self, reach: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
+    def _positions(self, barrel_overlap_m: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """Station positions by beam: the contacts and those that condition the modal transformation best."""
-        cradle, barrel = _STATIONS[self.stations]
+        cradle_shares, barrel_shares = _STATION_SHARES[self.stations]
         return (
-            ("cradle", tuple(sorted({self.overlap_start_m, self.length_m, *(p * self.length_m for p in cradle)}))),
-            ("barrel", tuple(sorted({0.0, reach, *(p * self.length_m for p in barrel)}))),
+            (
+                "cradle",
+                tuple(sorted({self.overlap_start_m, self.length_m, *(p * self.length_m for p in cradle_shares)})),
+            ),
+            ("barrel", tuple(sorted({0.0, barrel_overlap_m, *(p * self.length_m for p in barrel_shares)}))),
         )
 
 
-_ENDS: tuple[tuple[str, Literal["clamped-free", "free-free"]], ...] = (
+_END_CONDITIONS: tuple[tuple[str, Literal["clamped-free", "free-free"]], ...] = (
     ("cradle", "clamped-free"),
     ("barrel", "free-free"),
 )
-_STATIONS: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
+_STATION_SHARES: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
     4: ((0.25, 0.75), (0.25, 1.0)),
     6: ((0.2, 0.3, 0.65, 0.85), (0.2, 0.35, 0.8, 1.0)),
     8: ((0.15, 0.25, 0.35, 0.6, 0.75, 0.9), (0.1, 0.25, 0.4, 0.7, 0.85, 1.0)),
@@ -198,19 +201,24 @@ def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
     """
     if scenario not in REFERENCES:
         raise RigError(f"no scenario {scenario!r}; there are {', '.join(REFERENCES)}")
-    kind = REFERENCES[scenario]
-    if unknown := sorted(set(settings) - set(kind.__struct_fields__)):
-        names = kind.__struct_fields__
-        raise RigError(f"{scenario} has no setting {unknown[0]!r}{meant(unknown[0], names)}; it has {', '.join(names)}")
+    settings_type = REFERENCES[scenario]
+    if unknown_settings := sorted(set(settings) - set(settings_type.__struct_fields__)):
+        setting_names = settings_type.__struct_fields__
+        raise RigError(
+            f"{scenario} has no setting {unknown_settings[0]!r}{meant(unknown_settings[0], setting_names)}; it has "
+            f"{', '.join(setting_names)}"
+        )
     try:
-        return msgspec.convert(settings, kind, strict=False)
+        return msgspec.convert(settings, settings_type, strict=False)
     except msgspec.ValidationError as error:
-        raise RigError(f"{scenario}: {explained(error, settings, kind)}; see `rig record --help`") from error
+        raise RigError(f"{scenario}: {explained(error, settings, settings_type)}; see `rig record --help`") from error
 
 
 def _quantities(sensors: str) -> list[QuantityName]:
     """Quantities from a text that joins them by +; "both" stands for displacement and acceleration."""
-    names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
-    if unknown := sorted(set(names) - set(QUANTITIES)):
-        raise RigError(f"sensors is {sensors!r}: no quantity {unknown[0]!r}; join any of {', '.join(QUANTITIES)} by +")
-    return names
+    quantity_names = ["displacement", "acceleration"] if sensors == "both" else sensors.split("+")
+    if unknown_quantities := sorted(set(quantity_names) - set(QUANTITIES)):
+        raise RigError(
+            f"sensors is {sensors!r}: no quantity {unknown_quantities[0]!r}; join any of {', '.join(QUANTITIES)} by +"
+        )
+    return quantity_names

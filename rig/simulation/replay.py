@@ -15,11 +15,11 @@ from rig.model.description import Rig
 from rig.model.sensing import quantities_of
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.motion import Forces, Plant, Progress, sensed_alone
-from rig.simulation.sensors import digitised, needed_duration_s
+from rig.simulation.sensors import digitise, needed_duration_s
 
 
 @dataclass(frozen=True)
-class _Interpolated:
+class _SplineForce:
     """Force at a plant's steps from a spline, computed slice by slice."""
 
     force_n: "scipy.interpolate.CubicSpline"
@@ -35,58 +35,60 @@ class _Interpolated:
         return np.asarray(self.force_n(np.minimum(time_s, self.last_s)))
 
 
-def finer(
+def forces_at_steps(
     forces_n: Float[np.ndarray, "forces samples"], sample_rate_hz: float, step_s: float, step_count: int
 ) -> Forces:
     """Forces at a plant's steps, by cubic splines through their samples; constant after the last one."""
-    samples = forces_n.shape[1]
-    splines = (scipy.interpolate.CubicSpline(np.arange(samples) / sample_rate_hz, row) for row in forces_n)
+    sample_count = forces_n.shape[1]
+    splines = (scipy.interpolate.CubicSpline(np.arange(sample_count) / sample_rate_hz, samples) for samples in forces_n)
     return Forces(
-        tuple(_Interpolated(spline, (samples - 1) / sample_rate_hz, step_s, step_count) for spline in splines)
+        tuple(_SplineForce(spline, (sample_count - 1) / sample_rate_hz, step_s, step_count) for spline in splines)
     )
 
 
-def replayed(
-    believed: Rig,
-    actual: Rig,
+def replayed_recording(
+    believed_rig: Rig,
+    actual_rig: Rig,
     force_n: Float[np.ndarray, "*forces samples"],
     plant: Plant,
     step_s: float,
     seed: int,
     progress: Progress = lambda _: None,
 ) -> Recording:
-    """Recording of the rig `actual` under forces given at the sampling rate; it states the nominal rig `believed`.
+    """Recording of `actual_rig` under forces given at the sampling rate; it states the nominal rig, `believed_rig`.
 
     Several forces are rows. Each is interpolated by a cubic to the plant's step and stays at its last value while the
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
-    rate, samples, rows = believed.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
-    fine = finer(rows, rate, step_s, round(needed_duration_s(actual, samples / rate) / step_s))
+    rate_hz, sample_count, force_rows_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
+    step_forces = forces_at_steps(
+        force_rows_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
+    )
     with threadpool_limits(1):  # the matrices are small
-        motion = sensed_alone(plant(actual, fine, step_s, progress))
-        blocks = list(digitised(actual, motion, np.random.default_rng([seed, 1])))
-    groups = channel_groups(believed)
-    signals = {"force": Signals(groups["force"], 0.0, rows)}
-    for quantity in quantities_of(believed):
-        sensed = np.concatenate([b.sensed[quantity] for b in blocks], axis=1)[:, :samples]
-        signals[quantity] = Signals(groups[quantity], 0.0, sensed)
-    return Recording(believed, signals, {"made_by": "replay", "seed": str(seed)})
+        motion = sensed_alone(plant(actual_rig, step_forces, step_s, progress))
+        sample_blocks = list(digitise(actual_rig, motion, np.random.default_rng([seed, 1])))
+    channels_by_group = channel_groups(believed_rig)
+    signals = {"force": Signals(channels_by_group["force"], 0.0, force_rows_n)}
+    for quantity in quantities_of(believed_rig):
+        sensor_values = np.concatenate([b.sensed[quantity] for b in sample_blocks], axis=1)[:, :sample_count]
+        signals[quantity] = Signals(channels_by_group[quantity], 0.0, sensor_values)
+    return Recording(believed_rig, signals, {"made_by": "replay", "seed": str(seed)})
 
 
-def modal(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
+def modal(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """Replay by the plant `modal`, with 24 modes a beam at 32 kHz or more."""
     from rig.simulation.plants.modal import simulate
 
     plant = partial(simulate, modes_per_beam=24)
-    return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**15), seed)
+    return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**15), seed)
 
 
-def ancf(believed: Rig, actual: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
+def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces samples"], seed: int) -> Recording:
     """Replay by the plant `ancf`, with 12 elements a beam at 8 kHz or more."""
     from rig.simulation.plants.ancf import simulate
 
     plant = partial(simulate, element_count=12)
-    return replayed(believed, actual, force_n, plant, step_s_of(believed, 2.0**13), seed)
+    return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**13), seed)
 
 
 def step_s_of(rig: Rig, least_hz: float) -> float:

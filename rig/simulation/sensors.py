@@ -13,7 +13,7 @@ from rig.model.quantities import QuantityName
 from rig.model.sensing import quantities_of
 from rig.simulation.motion import Motion, SignalRows
 
-HALF_WIDTH = 16
+HALF_WIDTH_SAMPLES = 16
 """Half the anti-aliasing filter's length, in samples of the recording."""
 BLOCK_OUTPUTS = 16
 """Output samples per block: half the length of the sensors' filter, so that three products cover it."""
@@ -31,13 +31,13 @@ class Decimator:
     pieces: Float[np.ndarray, "long together_times_pieces"]
 
     @property
-    def count(self) -> int:
+    def piece_count(self) -> int:
         """Number of the T_i."""
         return self.pieces.shape[1] // BLOCK_OUTPUTS
 
-    def reach(self, samples: int) -> int:
-        """Samples of x spanned by the blocks of `samples` outputs; those behind the last tap are multiplied by 0."""
-        return self.start + (-(-samples // BLOCK_OUTPUTS) + self.count - 1) * len(self.pieces)
+    def reach(self, output_count: int) -> int:
+        """Samples of x spanned by the blocks of `output_count` outputs; those behind the last tap count as 0."""
+        return self.start + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.pieces)
 
 
 def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
@@ -45,29 +45,29 @@ def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
 
     Zero taps at either end cost nothing.
     """
-    nonzero = np.flatnonzero(taps[::-1])
-    start = int(nonzero[0]) if nonzero.size else 0
-    response = taps[::-1][start : int(nonzero[-1]) + 1] if nonzero.size else np.zeros(1)
+    nonzero_taps = np.flatnonzero(taps[::-1])
+    first_tap = int(nonzero_taps[0]) if nonzero_taps.size else 0
+    nonzero_response = taps[::-1][first_tap : int(nonzero_taps[-1]) + 1] if nonzero_taps.size else np.zeros(1)
     block_inputs = factor * BLOCK_OUTPUTS
-    count = -(-(block_inputs - factor + response.size) // block_inputs)
-    toeplitz = np.zeros((count * block_inputs, BLOCK_OUTPUTS))
+    piece_count = -(-(block_inputs - factor + nonzero_response.size) // block_inputs)
+    toeplitz = np.zeros((piece_count * block_inputs, BLOCK_OUTPUTS))
     for n in range(BLOCK_OUTPUTS):
-        toeplitz[n * factor : n * factor + response.size, n] = response
-    return Decimator(start, np.concatenate(np.split(toeplitz, count), axis=1))
+        toeplitz[n * factor : n * factor + nonzero_response.size, n] = nonzero_response
+    return Decimator(first_tap, np.concatenate(np.split(toeplitz, piece_count), axis=1))
 
 
-def decimated(
-    filter_: Decimator, signals: Float[np.ndarray, "rows long"], samples: int
+def decimate(
+    filter_: Decimator, signals: Float[np.ndarray, "rows long"], output_count: int
 ) -> Float[np.ndarray, "rows samples"]:
-    """First `samples` filtered samples of every row; rows must hold at least `filter_.reach(samples)`."""
-    row_count, count = len(signals), filter_.count
-    blocks = signals[:, filter_.start : filter_.reach(samples)].reshape(row_count, -1, len(filter_.pieces))
-    products = (blocks @ filter_.pieces).reshape(row_count, blocks.shape[1], count, BLOCK_OUTPUTS)
-    blocks_out = blocks.shape[1] - count + 1
-    filtered = products[:, :blocks_out, 0].copy()
-    for i in range(1, count):
-        filtered += products[:, i : blocks_out + i, i]
-    return filtered.reshape(row_count, -1)[:, :samples]
+    """First `output_count` filtered samples of every row; rows must hold at least `filter_.reach(output_count)`."""
+    row_count, piece_count = len(signals), filter_.piece_count
+    input_blocks = signals[:, filter_.start : filter_.reach(output_count)].reshape(row_count, -1, len(filter_.pieces))
+    products = (input_blocks @ filter_.pieces).reshape(row_count, input_blocks.shape[1], piece_count, BLOCK_OUTPUTS)
+    output_block_count = input_blocks.shape[1] - piece_count + 1
+    filtered = products[:, :output_block_count, 0].copy()
+    for i in range(1, piece_count):
+        filtered += products[:, i : output_block_count + i, i]
+    return filtered.reshape(row_count, -1)[:, :output_count]
 
 
 @dataclass(frozen=True)
@@ -81,16 +81,16 @@ class Samples:
     @property
     def force_n(self) -> Float[np.ndarray, " samples"]:
         """Force of a rig with a single force, N."""
-        (only,) = self.forces_n
-        return np.asarray(only)
+        (single_force_n,) = self.forces_n
+        return np.asarray(single_force_n)
 
 
 def needed_duration_s(rig: Rig, duration_s: float) -> float:
     """Duration that a plant must run for the filter to deliver `duration_s` of samples, s."""
-    return duration_s + (HALF_WIDTH + _longest_delay(rig) + 1) / rig.sample_rate_hz
+    return duration_s + (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig) + 1) / rig.sample_rate_hz
 
 
-def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
+def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> Iterator[Samples]:
     """Sample every channel of the rig at its sampling rate, block by block.
 
     Each channel is filtered before sampling by a windowed sinc, symmetric about its own delay, so a channel without
@@ -99,37 +99,48 @@ def digitised(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> I
 
     Raises RigError unless the plant's rate is a multiple of the sampling rate.
     """
-    streams, force_count = rng.spawn(len(rig.sensors)), len(rig.forces)
-    filters: list[tuple[list[int], Decimator]] = []
+    noise_streams, force_count = rng.spawn(len(rig.sensors)), len(rig.forces)
+    delay_filters: list[tuple[list[int], Decimator]] = []
     kept_steps, steps_done = np.zeros((0, 0)), 0
-    truth: dict[str, Float[np.ndarray, "rows samples"]] = {}
+    truth_values: dict[str, Float[np.ndarray, "rows samples"]] = {}
     high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
     for block in blocks:
-        factor, size = _factor(rig, block.step_s), block.forces_n.shape[1]
-        reach = (HALF_WIDTH + _longest_delay(rig)) * factor
-        if not filters:
-            filters = _filters(rig, factor, reach)
-            kept_steps = np.zeros((force_count + len(rig.sensors), reach))  # at rest before the record
-        instants = (slice(None), slice(-steps_done % factor, None, factor))
-        steps_done += size
-        fresh = {name: rows[instants] for name, rows in _truth_of(block).items()}
-        truth = {name: np.concatenate([truth[name], rows], axis=1) if truth else rows for name, rows in fresh.items()}
-        width = kept_steps.shape[1] + size
-        ready = max(0, (width - 2 * reach - 1) // factor + 1)
-        queue = np.empty((len(kept_steps), max(width, *(filter_.reach(ready) for _, filter_ in filters))))
-        queue[:, : kept_steps.shape[1]] = kept_steps
-        queue[:force_count, kept_steps.shape[1] : width] = block.forces_n
-        queue[force_count:, kept_steps.shape[1] : width] = block.sensed
-        queue[:, width:] = 0.0
-        kept_steps = queue[:, ready * factor : width]
-        if ready:
-            filtered = _filtered(filters, queue, ready)
-            for row, high_pass in zip(filtered[force_count:], high_passes, strict=True):
+        steps_per_sample, block_steps = _steps_per_sample(rig, block.step_s), block.forces_n.shape[1]
+        reach_steps = (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
+        if not delay_filters:
+            delay_filters = _delay_filters(rig, steps_per_sample, reach_steps)
+            kept_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
+        sampled_steps = (slice(None), slice(-steps_done % steps_per_sample, None, steps_per_sample))
+        steps_done += block_steps
+        new_truth = {name: rows[sampled_steps] for name, rows in _truth_of(block).items()}
+        truth_values = {
+            name: np.concatenate([truth_values[name], rows], axis=1) if truth_values else rows
+            for name, rows in new_truth.items()
+        }
+        queue_length = kept_steps.shape[1] + block_steps
+        ready_count = max(0, (queue_length - 2 * reach_steps - 1) // steps_per_sample + 1)
+        step_queue = np.empty(
+            (len(kept_steps), max(queue_length, *(filter_.reach(ready_count) for _, filter_ in delay_filters)))
+        )
+        step_queue[:, : kept_steps.shape[1]] = kept_steps
+        step_queue[:force_count, kept_steps.shape[1] : queue_length] = block.forces_n
+        step_queue[force_count:, kept_steps.shape[1] : queue_length] = block.sensed
+        step_queue[:, queue_length:] = 0.0
+        kept_steps = step_queue[:, ready_count * steps_per_sample : queue_length]
+        if ready_count:
+            filtered_rows = _apply_filters(delay_filters, step_queue, ready_count)
+            for samples, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
                 if high_pass:
-                    row[:] = high_pass.passed(row)
-            sensed = {q: _delivered_all(rig, q, filtered[force_count:], streams) for q in quantities_of(rig)}
-            yield Samples(filtered[:force_count], sensed, {name: rows[:, :ready] for name, rows in truth.items()})
-            truth = {name: rows[:, ready:] for name, rows in truth.items()}
+                    samples[:] = high_pass.high_passed(samples)
+            sensor_values = {
+                q: _sensor_outputs(rig, q, filtered_rows[force_count:], noise_streams) for q in quantities_of(rig)
+            }
+            yield Samples(
+                filtered_rows[:force_count],
+                sensor_values,
+                {name: rows[:, :ready_count] for name, rows in truth_values.items()},
+            )
+            truth_values = {name: rows[:, ready_count:] for name, rows in truth_values.items()}
 
 
 @dataclass
@@ -149,85 +160,92 @@ class _HighPass:
         )
         return cls(numerator, denominator, np.zeros(1))
 
-    def passed(self, row: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
-        values, self.state = scipy.signal.lfilter(self.numerator, self.denominator, row, zi=self.state)
+    def high_passed(self, samples: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
+        values, self.state = scipy.signal.lfilter(self.numerator, self.denominator, samples, zi=self.state)
         return np.asarray(values)
 
 
-def _filters(rig: Rig, factor: int, reach: int) -> list[tuple[list[int], Decimator]]:
+def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tuple[list[int], Decimator]]:
     """Filter of every delay with the rows that it applies to: the forces, without delay, then the sensors."""
-    delays = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
-    filters = []
-    for delay in dict.fromkeys(delays):
-        rows = [k for k, row_delay in enumerate(delays) if row_delay == delay]
-        filters.append((rows, decimator(_taps(factor, reach, delay * rig.sample_rate_hz), factor)))
-    return filters
+    delays_s = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
+    delay_filters = []
+    for delay_s in dict.fromkeys(delays_s):
+        row_indices = [k for k, row_delay in enumerate(delays_s) if row_delay == delay_s]
+        delay_filters.append(
+            (
+                row_indices,
+                decimator(_sinc_taps(steps_per_sample, reach_steps, delay_s * rig.sample_rate_hz), steps_per_sample),
+            )
+        )
+    return delay_filters
 
 
-def _filtered(
-    filters: list[tuple[list[int], Decimator]], queue: Float[np.ndarray, "rows steps"], samples: int
+def _apply_filters(
+    delay_filters: list[tuple[list[int], Decimator]], step_queue: Float[np.ndarray, "rows steps"], sample_count: int
 ) -> Float[np.ndarray, "rows samples"]:
-    if len(filters) == 1:
-        return decimated(filters[0][1], queue, samples)
-    filtered = np.empty((len(queue), samples))
-    for rows, filter_ in filters:
-        filtered[rows] = decimated(filter_, queue[rows], samples)
-    return filtered
+    if len(delay_filters) == 1:
+        return decimate(delay_filters[0][1], step_queue, sample_count)
+    filtered_rows = np.empty((len(step_queue), sample_count))
+    for row_indices, filter_ in delay_filters:
+        filtered_rows[row_indices] = decimate(filter_, step_queue[row_indices], sample_count)
+    return filtered_rows
 
 
-def _delivered_all(
+def _sensor_outputs(
     rig: Rig,
     quantity: QuantityName,
-    filtered: Float[np.ndarray, "sensors samples"],
-    streams: list[np.random.Generator],
+    filtered_rows: Float[np.ndarray, "sensors samples"],
+    noise_streams: list[np.random.Generator],
 ) -> Float[np.ndarray, "some samples"]:
     return np.stack(
         [
-            _delivered(sensor, row, rig.sample_rate_hz, stream)
-            for sensor, row, stream in zip(rig.sensors, filtered, streams, strict=True)
+            _sensor_output(sensor, samples, rig.sample_rate_hz, noise_stream)
+            for sensor, samples, noise_stream in zip(rig.sensors, filtered_rows, noise_streams, strict=True)
             if sensor.quantity == quantity
         ]
     )
 
 
-def _delivered(
-    sensor: Sensor, motion: Float[np.ndarray, " samples"], sample_rate_hz: float, rng: np.random.Generator
+def _sensor_output(
+    sensor: Sensor, motion: Float[np.ndarray, " samples"], sample_rate_hz: float, noise_stream: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
-    noise = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
-    values = sensor.gain * motion + (noise * rng.standard_normal(motion.size) if noise else 0.0)
+    noise_rms = sensor.noise_density * np.sqrt(sample_rate_hz / 2)
+    values = sensor.gain * motion + (noise_rms * noise_stream.standard_normal(motion.size) if noise_rms else 0.0)
     if sensor.measuring_range is not None:
         values = np.clip(values, -sensor.measuring_range, sensor.measuring_range)
         if sensor.bits is not None:
-            step = 2 * sensor.measuring_range / 2**sensor.bits
-            values = np.round(values / step) * step
+            quantum = 2 * sensor.measuring_range / 2**sensor.bits
+            values = np.round(values / quantum) * quantum
     return values
 
 
-def _taps(factor: int, reach: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
+def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
     """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
-    time = np.arange(-reach, reach + 1) / factor - delay_samples
-    half = HALF_WIDTH + 0.5 / factor
-    inside = np.abs(time) < half
-    window = np.zeros(time.size)
-    grid = np.linspace(-half, half, 4096)
-    window[inside] = np.interp(time[inside], grid, scipy.signal.windows.kaiser(grid.size, 10.0))
-    taps = window * np.sinc(time)
-    if factor == 1 and delay_samples == 0:
-        return (time == 0).astype(float)
+    time_samples = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
+    half_width = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
+    is_inside = np.abs(time_samples) < half_width
+    window = np.zeros(time_samples.size)
+    window_grid = np.linspace(-half_width, half_width, 4096)
+    window[is_inside] = np.interp(
+        time_samples[is_inside], window_grid, scipy.signal.windows.kaiser(window_grid.size, 10.0)
+    )
+    taps = window * np.sinc(time_samples)
+    if steps_per_sample == 1 and delay_samples == 0:
+        return (time_samples == 0).astype(float)
     return taps / taps.sum()
 
 
-def _factor(rig: Rig, step_s: float) -> int:
-    factor = round(1 / (step_s * rig.sample_rate_hz))
-    if factor < 1 or abs(factor * step_s * rig.sample_rate_hz - 1) > 1e-9:
+def _steps_per_sample(rig: Rig, step_s: float) -> int:
+    steps_per_sample = round(1 / (step_s * rig.sample_rate_hz))
+    if steps_per_sample < 1 or abs(steps_per_sample * step_s * rig.sample_rate_hz - 1) > 1e-9:
         raise RigError(
             f"sample_rate_hz is {rig.sample_rate_hz} and the plant's step {step_s} s; "
             "1/step must be a whole multiple of the sampling rate"
         )
-    return factor
+    return steps_per_sample
 
 
-def _longest_delay(rig: Rig) -> int:
+def _longest_delay_samples(rig: Rig) -> int:
     return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
 
 

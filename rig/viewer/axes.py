@@ -8,13 +8,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from jaxtyping import Float
 
-from rig.viewer.drawing import pixels, send_labels, style
+from rig.viewer.drawing import pixels, send_labels, send_static
 from rig.viewer.palette import GRID, STEEL, Colour
 
 WIDTH, HEIGHT = 1.6, 1.0
 LABEL_HALF_HEIGHT = 0.06
 """Half the height of a label where the view is a sixth of a window of 1920 pixels."""
-MAX_FIGURES = 6
+MAX_TICKS = 6
 
 
 @dataclass(frozen=True)
@@ -25,52 +25,60 @@ class Axes:
     y: tuple[float, float]
     x_name: str
     y_name: str
-    logarithmic: bool = False
+    is_logarithmic: bool = False
 
     def points(self, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"]) -> Float[np.ndarray, "points 2"]:
         """Coordinates in the view, whose y points downwards; values beyond an axis are clipped to its ends."""
         return np.stack([WIDTH * self._share(x, self.x), -HEIGHT * self._share(y, self.y)], axis=1)
 
     def _share(self, values: Float[np.ndarray, " points"], limits: tuple[float, float]) -> Float[np.ndarray, " points"]:
-        inside = np.clip(values, *limits)
-        scale = np.log10 if self.logarithmic else np.asarray
-        low, high = scale(np.array(limits))
-        return np.asarray((scale(inside) - low) / (high - low))
+        clipped_values = np.clip(values, *limits)
+        transform = np.log10 if self.is_logarithmic else np.asarray
+        low_end, high_end = transform(np.array(limits))
+        return np.asarray((transform(clipped_values) - low_end) / (high_end - low_end))
 
     def send(self, stream: rr.RecordingStream, path: str, legend: Mapping[str, Colour]) -> None:
         """Send the frame, the grid with its tick labels, the names of the axes, and the legend beside it.
 
         The viewer draws labels below their points: the label of y is below the end of its line.
         """
-        x, y = (decades(*limits) if self.logarithmic else figures(*limits) for limits in (self.x, self.y))
-        across = self.points(x, np.full(x.size, self.y[0])).tolist()
-        up = self.points(np.full(y.size, self.x[0]), y).tolist()
-        grid = [[[a, 0], [a, -HEIGHT]] for a, _ in across] + [[[-0.25, b], [WIDTH, b]] for _, b in up]
-        frame = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
-        colours = [GRID] * len(grid) + [STEEL]
-        style(stream, f"{path}/grid", rr.LineStrips2D([*grid, frame], colors=colours, radii=pixels(0.5)))
-        places = [[a, 0.5 * LABEL_HALF_HEIGHT] for a, _ in across] + [[-0.15, b] for _, b in up]
-        places += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
-        texts = [f"{value:.6g}" for value in (*x, *y)] + [self.x_name, self.y_name]
-        send_labels(stream, f"{path}/figures", places, texts, STEEL)
-        for row, (name, colour) in enumerate(legend.items()):
-            place = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * row]
-            send_labels(stream, f"{path}/legend/{row}", [place], [name], colour)
+        x_ticks, y_ticks = (
+            decades(*limits) if self.is_logarithmic else tick_values(*limits) for limits in (self.x, self.y)
+        )
+        x_tick_points = self.points(x_ticks, np.full(x_ticks.size, self.y[0])).tolist()
+        y_tick_points = self.points(np.full(y_ticks.size, self.x[0]), y_ticks).tolist()
+        grid_lines = [[[a, 0], [a, -HEIGHT]] for a, _ in x_tick_points] + [
+            [[-0.25, b], [WIDTH, b]] for _, b in y_tick_points
+        ]
+        frame_line = [[0, 0], [WIDTH, 0], [WIDTH, -HEIGHT], [0, -HEIGHT], [0, 0]]
+        colours = [GRID] * len(grid_lines) + [STEEL]
+        send_static(
+            stream, f"{path}/grid", rr.LineStrips2D([*grid_lines, frame_line], colors=colours, radii=pixels(0.5))
+        )
+        label_positions = [[a, 0.5 * LABEL_HALF_HEIGHT] for a, _ in x_tick_points] + [
+            [-0.15, b] for _, b in y_tick_points
+        ]
+        label_positions += [[WIDTH / 2, 3 * LABEL_HALF_HEIGHT], [0.0, -HEIGHT - 0.15]]
+        label_texts = [f"{value:.6g}" for value in (*x_ticks, *y_ticks)] + [self.x_name, self.y_name]
+        send_labels(stream, f"{path}/figures", label_positions, label_texts, STEEL)
+        for legend_row, (name, colour) in enumerate(legend.items()):
+            name_position = [WIDTH + 0.4, -HEIGHT + 2.6 * LABEL_HALF_HEIGHT * legend_row]
+            send_labels(stream, f"{path}/legend/{legend_row}", [name_position], [name], colour)
 
 
 def axes_view(
-    origin: str, name: str, **settings: rrb.VisibleTimeRange | list[rr.VisibleTimeRange]
+    origin: str, view_name: str, **settings: rrb.VisibleTimeRange | list[rr.VisibleTimeRange]
 ) -> rrb.Spatial2DView:
     """View of a plot sent by `Axes.send`."""
     bounds = rrb.VisualBounds2D(x_range=[-0.35, WIDTH + 0.75], y_range=[-HEIGHT - 0.2, 5.5 * LABEL_HALF_HEIGHT])
-    return rrb.Spatial2DView(origin=origin, name=name, visual_bounds=bounds, **settings)
+    return rrb.Spatial2DView(origin=origin, name=view_name, visual_bounds=bounds, **settings)
 
 
-def figures(low: float, high: float) -> Float[np.ndarray, " figures"]:
+def tick_values(low: float, high: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
-    power = 10.0 ** np.floor(np.log10((high - low) / MAX_FIGURES))
-    step = power * next(m for m in (1, 2, 5, 10, 20) if m * power * (MAX_FIGURES - 1) >= high - low)
-    return step * np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+    power_of_ten = 10.0 ** np.floor(np.log10((high - low) / MAX_TICKS))
+    tick_step = power_of_ten * next(m for m in (1, 2, 5, 10, 20) if m * power_of_ten * (MAX_TICKS - 1) >= high - low)
+    return tick_step * np.arange(np.ceil(low / tick_step - 1e-9), np.floor(high / tick_step + 1e-9) + 1)
 
 
 def decades(low: float, high: float) -> Float[np.ndarray, " figures"]:

@@ -12,30 +12,32 @@ from rig.recording import Recording
 
 CORNER_HZ = 1.0
 TAPER_S = 0.5
-ALL = slice(None)
+ALL_SAMPLES = slice(None)
 
 
 @dataclass(frozen=True)
 class Deflection:
-    """Displacement of the stations; `approximate` if it was integrated, without the content below 1 Hz."""
+    """Displacement of the stations; `is_approximate` if it was integrated, without the content below 1 Hz."""
 
     rig: Rig
     stations: tuple[Station, ...]
     displacement_m: Float[np.ndarray, "stations samples"]
-    approximate: bool
+    is_approximate: bool
 
     def of_body(
         self,
         body: Body,
         positions_m: Float[np.ndarray, " positions"],
-        samples: slice | Int[np.ndarray, " frames"] = ALL,
+        samples: slice | Int[np.ndarray, " frames"] = ALL_SAMPLES,
     ) -> Float[np.ndarray, "positions frames"]:
         """w(x) = phi(x) pinv(phi(stations)) w(stations), with as many modes as the body has stations."""
-        rows = [i for i, s in enumerate(self.stations) if s.body == body.name]
-        places = np.array([self.stations[i].position_m for i in rows])
-        modes = min(len(rows), body.max_modes)
-        inverse = np.linalg.pinv(body.shapes(places, modes), rcond=1e-3)
-        return np.asarray(body.shapes(positions_m, modes) @ inverse @ self.displacement_m[rows][:, samples])
+        station_rows = [i for i, s in enumerate(self.stations) if s.body == body.name]
+        stations_m = np.array([self.stations[i].position_m for i in station_rows])
+        mode_count = min(len(station_rows), body.max_modes)
+        inverse_shapes = np.linalg.pinv(body.shapes(stations_m, mode_count), rcond=1e-3)
+        return np.asarray(
+            body.shapes(positions_m, mode_count) @ inverse_shapes @ self.displacement_m[station_rows][:, samples]
+        )
 
     def displacement_at(self, station: Station) -> Float[np.ndarray, " samples"]:
         """Displacement at a station, m: as measured there, else from the body's modes."""
@@ -43,13 +45,13 @@ class Deflection:
             return self.displacement_m[self.stations.index(station)]
         return self.of_body(self.rig.body(station.body), np.array([station.position_m]))[0]
 
-    def relative(self) -> Float[np.ndarray, "contacts samples"]:
+    def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m."""
-        rows = [
+        displacement_rows = [
             self.displacement_at(c.at) - (self.displacement_at(c.against) if c.against else 0.0)
             for c in self.rig.contacts
         ]
-        return np.array(rows).reshape(len(rows), self.displacement_m.shape[1])
+        return np.array(displacement_rows).reshape(len(displacement_rows), self.displacement_m.shape[1])
 
 
 def deflection(recording: Recording, truth: Recording | None) -> Deflection:
@@ -61,34 +63,36 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
     if truth is not None:
         true_signals = truth.signals["displacement"]
         stations = tuple(s for s in true_signals.channels.stations if s is not None)
-        return Deflection(truth.rig, stations, true_signals.values, approximate=False)
+        return Deflection(truth.rig, stations, true_signals.values, is_approximate=False)
     rig = recording.rig
     motion_sensors = [s for s in rig.sensors if s.measures.translates]
-    sensor_at = {s.station: s for s in sorted(motion_sensors, key=lambda s: s.measures.order, reverse=True)}
+    sensor_by_station = {s.station: s for s in sorted(motion_sensors, key=lambda s: s.measures.order, reverse=True)}
     for body in rig.bodies:
-        if body.name not in {station.body for station in sensor_at}:
+        if body.name not in {station.body for station in sensor_by_station}:
             raise RigError(f"body {body.name!r} has no sensor of its motion, so that it cannot be shown; record one")
-    rows = []
-    for sensor in sensor_at.values():
+    displacement_rows = []
+    for sensor in sensor_by_station.values():
         signals = recording.signals[sensor.quantity]
-        row = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
-        rows.append(_integrated(row, sensor.measures.order, rig.sample_rate_hz))
-    approximate = any(s.measures.order for s in sensor_at.values())
-    stations, displacement_m = tuple(sensor_at), np.stack(rows)
+        sensor_samples = signals.values[signals.channels.names.index(sensor.name)] / sensor.gain
+        displacement_rows.append(_integrate(sensor_samples, sensor.measures.order, rig.sample_rate_hz))
+    is_approximate = any(s.measures.order for s in sensor_by_station.values())
+    stations, displacement_m = tuple(sensor_by_station), np.stack(displacement_rows)
     if rig.base_sensors:
-        base = stations.index(ON_GROUND)
-        displacement_m = np.delete(displacement_m - displacement_m[base], base, axis=0)
+        base_row = stations.index(ON_GROUND)
+        displacement_m = np.delete(displacement_m - displacement_m[base_row], base_row, axis=0)
         stations = tuple(s for s in stations if s != ON_GROUND)
-    return Deflection(rig, stations, displacement_m, approximate)
+    return Deflection(rig, stations, displacement_m, is_approximate)
 
 
-def _integrated(row: Float[np.ndarray, " samples"], times: int, sample_rate_hz: float) -> Float[np.ndarray, " samples"]:
+def _integrate(
+    samples: Float[np.ndarray, " samples"], order: int, sample_rate_hz: float
+) -> Float[np.ndarray, " samples"]:
     """Record, tapered at both ends, divided by (i omega)^times; zero below CORNER_HZ."""
-    if not times:
-        return row
-    omega = 2 * np.pi * np.fft.rfftfreq(row.size, 1 / sample_rate_hz)
-    tapered = np.fft.rfft(row * tukey(row.size, min(1.0, 2 * TAPER_S * sample_rate_hz / row.size)))
-    passband = omega >= 2 * np.pi * CORNER_HZ
-    factor = np.zeros(omega.size, dtype=complex)
-    factor[passband] = (1j * omega[passband]) ** -times
-    return np.fft.irfft(tapered * factor, row.size)
+    if not order:
+        return samples
+    omega = 2 * np.pi * np.fft.rfftfreq(samples.size, 1 / sample_rate_hz)
+    tapered_spectrum = np.fft.rfft(samples * tukey(samples.size, min(1.0, 2 * TAPER_S * sample_rate_hz / samples.size)))
+    is_passed = omega >= 2 * np.pi * CORNER_HZ
+    integration_factor = np.zeros(omega.size, dtype=complex)
+    integration_factor[is_passed] = (1j * omega[is_passed]) ** -order
+    return np.fft.irfft(tapered_spectrum * integration_factor, samples.size)

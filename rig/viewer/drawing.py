@@ -11,7 +11,7 @@ from rig.viewer.palette import Colour
 
 TIMELINE = "sim_time"
 DIAGNOSIS, GAP_OVER_TIME, KEY, PREDICTION = "diagnosis", "gap_over_time", "key", "prediction"
-ROWS = 8192
+ROWS_PER_BATCH = 8192
 
 LEGEND_ROWS = 9
 """Largest number of names per column of a legend."""
@@ -27,16 +27,20 @@ def legend_of(origin: str) -> str:
     return f"/legend/{origin.strip('/')}"
 
 
-def style(stream: rr.RecordingStream, path: str, layout: rr.AsComponents) -> None:
-    stream.log(path, layout, static=True)
+def send_static(stream: rr.RecordingStream, path: str, components: rr.AsComponents) -> None:
+    stream.log(path, components, static=True)
 
 
-def send(stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], kind: Any, **columns: Any) -> None:
+def send(
+    stream: rr.RecordingStream, path: str, time_s: Float[np.ndarray, " rows"], archetype: Any, **columns: Any
+) -> None:
     """Send columns of an archetype over time, in batches of ROWS."""
-    for first in range(0, time_s.size, ROWS):
-        rows = slice(first, first + ROWS)
-        index = rr.TimeColumn(TIMELINE, duration=time_s[rows])
-        stream.send_columns(path, [index], kind.columns(**{name: values[rows] for name, values in columns.items()}))
+    for first_row in range(0, time_s.size, ROWS_PER_BATCH):
+        batch_rows = slice(first_row, first_row + ROWS_PER_BATCH)
+        time_column = rr.TimeColumn(TIMELINE, duration=time_s[batch_rows])
+        stream.send_columns(
+            path, [time_column], archetype.columns(**{name: values[batch_rows] for name, values in columns.items()})
+        )
 
 
 def send_lines(
@@ -44,35 +48,38 @@ def send_lines(
     path: str,
     time_s: Float[np.ndarray, " samples"],
     values: Float[np.ndarray, "channels samples"],
-    names: Sequence[str],
+    line_names: Sequence[str],
     colours: Sequence[Colour],
 ) -> None:
     """Send the lines of a time series; zoomed out, a pixel shows the extreme values, not their mean."""
     layout = rr.SeriesLines(
-        names=names,
-        colors=[colours[i % len(colours)] for i in range(len(names))],
-        widths=[1.5] * len(names),
+        names=line_names,
+        colors=[colours[i % len(colours)] for i in range(len(line_names))],
+        widths=[1.5] * len(line_names),
         aggregation_policy=rr.components.AggregationPolicy.MinMax,
     )
-    style(stream, path, layout)
+    send_static(stream, path, layout)
     send(stream, path, time_s, rr.Scalars, scalars=np.ascontiguousarray(values.T))
 
 
 def send_labels(
-    stream: rr.RecordingStream, path: str, places: Sequence[Sequence[float]], words: Sequence[str], colour: Colour
+    stream: rr.RecordingStream, path: str, positions: Sequence[Sequence[float]], texts: Sequence[str], colour: Colour
 ) -> None:
     """Send texts centred below their positions."""
-    style(stream, path, rr.Points2D(places, colors=[colour], radii=0, labels=words, show_labels=True))
+    send_static(stream, path, rr.Points2D(positions, colors=[colour], radii=0, labels=texts, show_labels=True))
 
 
-def send_legend(stream: rr.RecordingStream, origin: str, names: Sequence[tuple[str, Colour]]) -> None:
+def send_legend(stream: rr.RecordingStream, origin: str, name_colours: Sequence[tuple[str, Colour]]) -> None:
     """Send the legend of a plot for the view beside it; in two columns beyond LEGEND_ROWS names."""
-    columns = 1 if len(names) <= LEGEND_ROWS else 2
-    rows = max(LEGEND_ROWS, -(-len(names) // columns))
-    for number, (name, colour) in enumerate(names):
-        place = [1.2 * (2 * (number % columns) - columns + 1), LEGEND_ROWS / rows * (number // columns)]
-        send_labels(stream, f"{legend_of(origin)}/{number}", [place], [name], colour)
+    column_count = 1 if len(name_colours) <= LEGEND_ROWS else 2
+    row_count = max(LEGEND_ROWS, -(-len(name_colours) // column_count))
+    for index, (name, colour) in enumerate(name_colours):
+        label_position = [
+            1.2 * (2 * (index % column_count) - column_count + 1),
+            LEGEND_ROWS / row_count * (index // column_count),
+        ]
+        send_labels(stream, f"{legend_of(origin)}/{index}", [label_position], [name], colour)
 
 
-def pixels(radius: float) -> float:
-    return float(rr.Radius.ui_points(radius))
+def pixels(radius_px: float) -> float:
+    return float(rr.Radius.ui_points(radius_px))

@@ -59,7 +59,7 @@ class Mark:
     The strengths, relative to the largest, are those of equal parts of the time; a single one is constant.
     """
 
-    place: Station
+    station: Station
     words: str
     strengths: tuple[float, ...] = (1.0,)
     in_contact: bool = False
@@ -69,14 +69,14 @@ class Mark:
 class ShownGap:
     """Diagnosis as drawn: its text, marks on the bodies, and the mismatch by station and over time.
 
-    spans are start and end (s) and share of the mismatch. horizon_s is how long null simulations can be predicted,
-    zero where that is not known.
+    share_spans are start and end (s) and share of the mismatch. horizon_s is how long null simulations can be
+    predicted, zero where that is not known.
     """
 
     text: str
     marks: tuple[Mark, ...]
-    shares: dict[Station, float]
-    spans: tuple[tuple[float, float, float], ...]
+    share_by_station: dict[Station, float]
+    share_spans: tuple[tuple[float, float, float], ...]
     horizon_s: float = 0.0
 
 
@@ -85,21 +85,25 @@ def read_gap(path: Path, rig: Rig, duration_s: float) -> ShownGap:
 
     Raises RigError if it is unreadable or invalid, or names a place or time outside the rig or the record.
     """
-    file = path / "gap.json" if path.is_dir() else path
-    report = _decoded(file)
+    gap_path = path / "gap.json" if path.is_dir() else path
+    report = _decode_gap(gap_path)
     attribution = report.attribution
-    spans = tuple((interval.begin, interval.end, interval.share) for interval in attribution.time_s)
-    shares = {
-        Station(body, x): share for body, places in attribution.positions_m.items() for x, share in places.items()
+    share_spans = tuple((interval.begin, interval.end, interval.share) for interval in attribution.time_s)
+    share_by_station = {
+        Station(body_name, position_m): share
+        for body_name, share_by_position in attribution.positions_m.items()
+        for position_m, share in share_by_position.items()
     }
-    marks = (*_of_effects(report, rig), *_of_force(report, rig))
-    _check_places(file, rig, (*shares, *(m.place for m in marks)))
-    if any(end_s > duration_s for _, end_s, _ in spans):
-        raise RigError(f"{file}: is of a record longer than {duration_s:g} s; show the one that validates")
+    marks = (*_effect_marks(report, rig), *_force_marks(report, rig))
+    _check_places(gap_path, rig, (*share_by_station, *(m.station for m in marks)))
+    if any(end_s > duration_s for _, end_s, _ in share_spans):
+        raise RigError(f"{gap_path}: is of a record longer than {duration_s:g} s; show the one that validates")
     horizon_s = report.rollout.horizon_s if report.rollout else 0.0
     if report.verdict in UNLOCATED_VERDICTS:
-        shares = {}
-    return ShownGap(_text(report), marks, shares, spans, horizon_s if 0 < horizon_s <= duration_s else 0.0)
+        share_by_station = {}
+    return ShownGap(
+        _markdown_text(report), marks, share_by_station, share_spans, horizon_s if 0 < horizon_s <= duration_s else 0.0
+    )
 
 
 def read_corrected(path: Path, rig: Rig) -> Rig | None:
@@ -107,76 +111,80 @@ def read_corrected(path: Path, rig: Rig) -> Rig | None:
 
     Raises RigError if it is unreadable or invalid, or of a rig with other bodies, contacts or forces.
     """
-    file = (path if path.is_dir() else path.parent) / "rig.json"
-    if not file.exists():
+    rig_path = (path if path.is_dir() else path.parent) / "rig.json"
+    if not rig_path.exists():
         return None
-    corrected = read_rig(file)
-    names = [([b.name for b in r.bodies], [c.name for c in r.contacts], r.forces) for r in (corrected, rig)]
-    if names[0] != names[1] or corrected.sample_rate_hz != rig.sample_rate_hz:
-        raise RigError(f"{file}: is of another rig than the recording; take the folder of its own diagnosis")
-    return corrected
+    corrected_rig = read_rig(rig_path)
+    part_names = [([b.name for b in r.bodies], [c.name for c in r.contacts], r.forces) for r in (corrected_rig, rig)]
+    if part_names[0] != part_names[1] or corrected_rig.sample_rate_hz != rig.sample_rate_hz:
+        raise RigError(f"{rig_path}: is of another rig than the recording; take the folder of its own diagnosis")
+    return corrected_rig
 
 
-def _decoded(file: Path) -> _Gap:
-    report = decoded_result(contents(file), _Gap, str(file), "gap.json", "make one by `identify gap`")
+def _decode_gap(gap_path: Path) -> _Gap:
+    report = decoded_result(contents(gap_path), _Gap, str(gap_path), "gap.json", "make one by `identify gap`")
     attribution = report.attribution
-    by_station = (share for places in attribution.positions_m.values() for share in places.values())
-    if not all(0 <= share <= 1.001 for share in (*by_station, *(interval.share for interval in attribution.time_s))):
-        raise RigError(f"{file}: is no gap.json (a share is not within 0 to 1); make one by `identify gap`")
+    station_shares = (
+        share for share_by_position in attribution.positions_m.values() for share in share_by_position.values()
+    )
+    if not all(
+        0 <= share <= 1.001 for share in (*station_shares, *(interval.share for interval in attribution.time_s))
+    ):
+        raise RigError(f"{gap_path}: is no gap.json (a share is not within 0 to 1); make one by `identify gap`")
     return report
 
 
-def _check_places(file: Path, rig: Rig, places: Iterable[Station]) -> None:
+def _check_places(gap_path: Path, rig: Rig, stations: Iterable[Station]) -> None:
     lengths_m = {b.name: b.length_m for b in rig.bodies}
-    for place in places:
-        if not 0 <= place.position_m <= lengths_m.get(place.body, -1.0) + 1e-6:
+    for station in stations:
+        if not 0 <= station.position_m <= lengths_m.get(station.body, -1.0) + 1e-6:
             raise RigError(
-                f"{file}: has {place.position_m:g} m on {place.body!r}, which the rig lacks; take its own file"
+                f"{gap_path}: has {station.position_m:g} m on {station.body!r}, which the rig lacks; take its own file"
             )
 
 
-def _of_effects(report: _Gap, rig: Rig) -> Iterator[Mark]:
+def _effect_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
     """Marks of the localised effects of the likeliest cause, if the verdict names effects."""
     if report.verdict not in EFFECT_VERDICTS or not report.causes:
         return
     cause = report.causes[0]
-    occurrences = Counter[str]()
+    effect_counts = Counter[str]()
     for effect, words in zip(cause.effects, cause.words, strict=True):
-        occurrences[effect] += 1
-        label = effect if occurrences[effect] == 1 else f"{effect}_{occurrences[effect]}"
-        position = cause.parameters.get(f"{label}.relative_position")
-        for name, place in cause.places.items():
-            station = station_named(rig, place, 0.5 if position is None else position.value)
-            if name.partition(".")[0] == label and station is not None:
+        effect_counts[effect] += 1
+        effect_label = effect if effect_counts[effect] == 1 else f"{effect}_{effect_counts[effect]}"
+        position_parameter = cause.parameters.get(f"{effect_label}.relative_position")
+        for field_name, place_name in cause.places.items():
+            station = station_named(rig, place_name, 0.5 if position_parameter is None else position_parameter.value)
+            if field_name.partition(".")[0] == effect_label and station is not None:
                 yield Mark(station, words)
 
 
-def _of_force(report: _Gap, rig: Rig) -> Iterator[Mark]:
+def _force_marks(report: _Gap, rig: Rig) -> Iterator[Mark]:
     force = report.unknown
     if force is None or report.verdict in UNLOCATED_VERDICTS:
         return
-    largest = max(force.by_time, default=0.0)
-    strengths = tuple(rms / largest for rms in force.by_time) if largest > 0 else (1.0,)
-    if named := force.contact or force.sensor:
+    largest_rms_n = max(force.by_time, default=0.0)
+    strengths = tuple(rms / largest_rms_n for rms in force.by_time) if largest_rms_n > 0 else (1.0,)
+    if part_name := force.contact or force.sensor:
         label = "clearance that swings" if force.contact else "fault of the sensor"
-        if place := station_named(rig, named, 0.5):
-            yield Mark(place, f"{named}: {label}", strengths)
+        if station := station_named(rig, part_name, 0.5):
+            yield Mark(station, f"{part_name}: {label}", strengths)
         return
     words = f"unmeasured force, {force.rms_n:.3g} N rms, {force.when}"
     force_ends = [(force.body, force.position_m, words), (force.against_body, force.against_position_m, "its opposite")]
-    for body, x, label in force_ends:
-        if body is not None and x is not None:
-            yield Mark(Station(body, x), label, strengths, in_contact=force.when == "in contact")
+    for body_name, position_m, label in force_ends:
+        if body_name is not None and position_m is not None:
+            yield Mark(Station(body_name, position_m), label, strengths, in_contact=force.when == "in contact")
 
 
-def _text(report: _Gap) -> str:
+def _markdown_text(report: _Gap) -> str:
     """Markdown text: verdict, its sentence, that of the unmeasured force, and the mismatch by contact state."""
-    states = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
+    states_text = ", ".join(f"{100 * share:.0f} % {state}" for state, share in report.attribution.contact_state.items())
     return "\n\n".join(
         [
             f"**{report.verdict.replace('_', ' ').capitalize()}**",
             report.sentence,
             *([report.unknown.sentence] if report.unknown else []),
-            *([f"Of the gap: {states}."] if states and report.verdict not in UNLOCATED_VERDICTS else []),
+            *([f"Of the gap: {states_text}."] if states_text and report.verdict not in UNLOCATED_VERDICTS else []),
         ]
     )

@@ -7,7 +7,7 @@ import rerun as rr
 from jaxtyping import Bool, Float
 
 from rig.viewer.contact_view import ContactMotion
-from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, send, send_lines, style
+from rig.viewer.drawing import DIAGNOSIS, GAP_OVER_TIME, send, send_lines, send_static
 from rig.viewer.gap import Mark, ShownGap
 from rig.viewer.palette import GAP
 from rig.viewer.stage import Stage
@@ -21,50 +21,54 @@ def send_gap(stream: rr.RecordingStream, gap: ShownGap, scene: Stage, contact_mo
 
     Marks are labelled dots whose size follows their strength over time.
     """
-    style(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
-    for number, (station, share) in enumerate(gap.shares.items()):
-        words = [f"{100 * share:.0f} %"] if share >= MIN_LABELLED_SHARE else None
-        radius = 2.0 + 6.0 * float(np.sqrt(share / max(gap.shares.values(), default=1.0)))
-        path = f"model/gap/share_{number}"
-        style(stream, path, rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius)], labels=words))
-        send(stream, path, scene.time_s, rr.Points3D, positions=scene.point(station))
-    for number, mark in enumerate(gap.marks):
-        path, positions = f"model/gap/mark_{number}", scene.point(mark.place)
-        strengths = _strengths(mark, gap, scene.time_s, _closed(scene, contact_motions))
+    send_static(stream, DIAGNOSIS, rr.TextDocument(gap.text, media_type="text/markdown"))
+    for index, (station, share) in enumerate(gap.share_by_station.items()):
+        share_label = [f"{100 * share:.0f} %"] if share >= MIN_LABELLED_SHARE else None
+        radius_px = 2.0 + 6.0 * float(np.sqrt(share / max(gap.share_by_station.values(), default=1.0)))
+        entity_path = f"model/gap/share_{index}"
+        send_static(
+            stream,
+            entity_path,
+            rr.Points3D.from_fields(colors=[GAP], radii=[rr.Radius.ui_points(radius_px)], labels=share_label),
+        )
+        send(stream, entity_path, scene.time_s, rr.Points3D, positions=scene.point(station))
+    for index, mark in enumerate(gap.marks):
+        entity_path, positions = f"model/gap/mark_{index}", scene.point(mark.station)
+        strengths = _strengths(mark, gap, scene.time_s, _closed_frames(scene, contact_motions))
         radii = -14.0 * strengths  # negative: pixels
-        style(stream, path, rr.Points3D.from_fields(colors=[GAP]))
-        send(stream, path, scene.time_s, rr.Points3D, positions=positions, radii=radii)
-        style(stream, f"{path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
-        above = positions + np.array([0, 0, (0.12 + 0.07 * number) * scene.extent_m])
+        send_static(stream, entity_path, rr.Points3D.from_fields(colors=[GAP]))
+        send(stream, entity_path, scene.time_s, rr.Points3D, positions=positions, radii=radii)
+        send_static(stream, f"{entity_path}/words", rr.Points3D.from_fields(colors=[GAP], radii=[0.0]))
+        label_positions = positions + np.array([0, 0, (0.12 + 0.07 * index) * scene.extent_m])
         send(
             stream,
-            f"{path}/words",
+            f"{entity_path}/words",
             scene.time_s,
             rr.Points3D,
-            positions=above,
+            positions=label_positions,
             labels=np.where(strengths > 0, mark.words, ""),
         )
-    edges = np.array([edge_s for start_s, end_s, _ in gap.spans for edge_s in (start_s, end_s - 1e-6)])
-    percent = np.array([100 * share for _, _, share in gap.spans for _ in range(2)])
-    send_lines(stream, GAP_OVER_TIME, edges, percent[None], ["share of the gap"], (GAP,))
+    edges_s = np.array([edge_s for start_s, end_s, _ in gap.share_spans for edge_s in (start_s, end_s - 1e-6)])
+    percent = np.array([100 * share for _, _, share in gap.share_spans for _ in range(2)])
+    send_lines(stream, GAP_OVER_TIME, edges_s, percent[None], ["share of the gap"], (GAP,))
 
 
-def _closed(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bool[np.ndarray, " frames"]:
+def _closed_frames(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bool[np.ndarray, " frames"]:
     """Frames at which a contact is closed."""
-    closed = np.zeros(scene.time_s.size, dtype=bool)
+    is_closed = np.zeros(scene.time_s.size, dtype=bool)
     for contact_motion in contact_motions:
-        closed[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frames] - 1e-9)] |= (
-            contact_motion.closed[contact_motion.frames]
+        is_closed[np.searchsorted(scene.time_s, contact_motion.time_s[contact_motion.frame_samples] - 1e-9)] |= (
+            contact_motion.is_closed[contact_motion.frame_samples]
         )
-    return closed
+    return is_closed
 
 
 def _strengths(
-    mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], closed: Bool[np.ndarray, " frames"]
+    mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], is_closed: Bool[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
     """Strength of a mark at every frame, 0.3 to 1; zero outside the diagnosed time and, if in contact, when open."""
-    start_s, end_s = (gap.spans[0][0], gap.spans[-1][1]) if gap.spans else (0.0, np.inf)
-    edges = np.linspace(start_s, end_s if np.isfinite(end_s) else time_s[-1], len(mark.strengths) + 1)
-    interval = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(mark.strengths) - 1)
-    acts = (time_s >= start_s) & (time_s <= end_s) & (closed if mark.in_contact else True)
-    return np.where(acts, 0.3 + 0.7 * np.array(mark.strengths)[interval], 0.0)
+    start_s, end_s = (gap.share_spans[0][0], gap.share_spans[-1][1]) if gap.share_spans else (0.0, np.inf)
+    edges_s = np.linspace(start_s, end_s if np.isfinite(end_s) else time_s[-1], len(mark.strengths) + 1)
+    interval_index = np.clip(np.searchsorted(edges_s, time_s, side="right") - 1, 0, len(mark.strengths) - 1)
+    is_acting = (time_s >= start_s) & (time_s <= end_s) & (is_closed if mark.in_contact else True)
+    return np.where(is_acting, 0.3 + 0.7 * np.array(mark.strengths)[interval_index], 0.0)

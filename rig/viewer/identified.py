@@ -45,50 +45,52 @@ class Curves:
     """Identified relative displacements and separated contact forces, sampled for the band of the force."""
 
     time_s: Float[np.ndarray, " rows"]
-    relative_m: Float[np.ndarray, "contacts rows"]
+    relative_displacement_m: Float[np.ndarray, "contacts rows"]
     force_n: Float[np.ndarray, "contacts rows"]
 
-    def interpolated(self, time_s: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "2 contacts samples"]:
+    def interpolate(self, time_s: Float[np.ndarray, " samples"]) -> Float[np.ndarray, "2 contacts samples"]:
         """Relative displacements and forces at other times within the curves, by cubic splines."""
-        return np.asarray(CubicSpline(self.time_s, np.stack([self.relative_m, self.force_n]), axis=2)(time_s))
+        return np.asarray(
+            CubicSpline(self.time_s, np.stack([self.relative_displacement_m, self.force_n]), axis=2)(time_s)
+        )
 
-    def covered(self, time_s: Float[np.ndarray, " samples"]) -> slice:
+    def covered_samples(self, time_s: Float[np.ndarray, " samples"]) -> slice:
         """Samples within the time of the curves."""
-        first, last = np.searchsorted(time_s, self.time_s[[0, -1]])
-        return slice(int(first), int(last))
+        first_sample, end_sample = np.searchsorted(time_s, self.time_s[[0, -1]])
+        return slice(int(first_sample), int(end_sample))
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentifiedContacts:
     """Identified laws by contact, and the curves if they were exported."""
 
     laws: Mapping[str, ContactLaw] = field(default_factory=dict)
     curves: Curves | None = None
 
 
-NOTHING_IDENTIFIED = Identified()
+NOTHING_IDENTIFIED = IdentifiedContacts()
 
 
-def read_identified(path: Path, rig: Rig, duration_s: float) -> Identified:
+def read_identified(path: Path, rig: Rig, duration_s: float) -> IdentifiedContacts:
     """Read a contact.json, given by its path or folder, and the curves that `--export` wrote beside it.
 
     Raises RigError if a file is unreadable or invalid, or belongs to another recording.
     """
-    file = path / "contact.json" if path.is_dir() else path
-    laws = identified_laws(file, rig)
+    report_path = path / "contact.json" if path.is_dir() else path
+    laws = identified_laws(report_path, rig)
     curve_files = [
         candidate
-        for candidate in (file.with_name("motion.parquet"), file.with_name("motion.csv"))
+        for candidate in (report_path.with_name("motion.parquet"), report_path.with_name("motion.csv"))
         if candidate.exists()
     ]
-    return Identified(laws, _curves(curve_files[0], rig, duration_s) if curve_files else None)
+    return IdentifiedContacts(laws, _curves(curve_files[0], rig, duration_s) if curve_files else None)
 
 
 def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
     try:
         columns = _parquet(path) if path.suffix == ".parquet" else _csv(path)
         time_s = columns["time_s"]
-        relative_m, force_n = (
+        relative_displacement_m, force_n = (
             np.array([columns[f"{c.name} {quantity}"] for c in rig.contacts]).reshape(len(rig.contacts), time_s.size)
             for quantity in ("relative displacement m", "contact force N")
         )
@@ -96,19 +98,19 @@ def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
         raise RigError(f"{path}: has no column {error}; identify this recording with --export") from error
     except (ValueError, StopIteration, csv.Error) as error:
         raise RigError(f"{path}: is no table of `identify contact --export` ({error}); make it anew") from error
-    grows = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_DURATION_S
-    if not (grows and (np.abs([*relative_m, *force_n, time_s]) < MAX_VALUE).all()):
+    is_growing = bool(time_s.size) and (np.diff(time_s) > MIN_STEP_S).all() and time_s[-1] - time_s[0] > MIN_DURATION_S
+    if not (is_growing and (np.abs([*relative_displacement_m, *force_n, time_s]) < MAX_VALUE).all()):
         raise RigError(f"{path}: has too few rows, a time that does not grow, or no number somewhere; make it anew")
     if not (time_s[0] >= 0 and time_s[-1] <= duration_s):
         raise RigError(f"{path}: goes to {time_s[-1]:g} s, the recording to {duration_s:g} s; identify this recording")
-    return Curves(time_s, relative_m, force_n)
+    return Curves(time_s, relative_displacement_m, force_n)
 
 
 def _csv(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
-    lines = contents(path).decode().splitlines()
-    names = next(csv.reader(lines[:1]))
-    values = np.loadtxt(lines[1:], delimiter=",", ndmin=2)
-    return dict(zip(names, values.T, strict=True))
+    csv_lines = contents(path).decode().splitlines()
+    column_names = next(csv.reader(csv_lines[:1]))
+    values = np.loadtxt(csv_lines[1:], delimiter=",", ndmin=2)
+    return dict(zip(column_names, values.T, strict=True))
 
 
 def _parquet(path: Path) -> dict[str, Float[np.ndarray, " rows"]]:
@@ -128,21 +130,23 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     Raises RigError if the file is unreadable or invalid, or names a contact that the rig does not have.
     """
     report = decoded_result(contents(path), _Report, str(path), "contact.json", "make one by `identify contact`")
-    names = [c.name for c in rig.contacts]
+    contact_names = [c.name for c in rig.contacts]
     for contact in report.contacts:
-        if contact.name not in names:
-            raise RigError(f"{path}: has a contact {contact.name!r}, the rig has {', '.join(names)}; take another file")
+        if contact.name not in contact_names:
+            raise RigError(
+                f"{path}: has a contact {contact.name!r}, the rig has {', '.join(contact_names)}; take another file"
+            )
     try:
-        return {c.name: _law(c) for c in report.contacts}
+        return {c.name: _dead_zone_of(c) for c in report.contacts}
     except RigError as error:
         raise RigError(f"{path}: {error}") from error
 
 
-def _law(contact: _Contact) -> DeadZone:
-    sides = contact.lower_clearance_m, contact.upper_clearance_m
+def _dead_zone_of(contact: _Contact) -> DeadZone:
+    clearances = contact.lower_clearance_m, contact.upper_clearance_m
     lower_m, upper_m = (
-        contact.clearance_m.value if sides == (None, None) else math.inf if side is None else side.value
-        for side in sides
+        contact.clearance_m.value if clearances == (None, None) else math.inf if clearance is None else clearance.value
+        for clearance in clearances
     )
     return DeadZone(
         lower_clearance_m=lower_m,

@@ -40,15 +40,15 @@ STEEL, FAINT, GRID = (140, 145, 155), (85, 90, 100), (50, 54, 62)
 """Greys on a dark screen: frames, letters and supports; rest positions; grids."""
 SOURCES: dict[str, Colour] = {"true": MACHINE, "identified": FOUND, "believed": BELIEVED}
 """Colours of contact laws by their source."""
-LIGHTEST, DARKEST = 0.6, 0.7
+LIGHTEST_WHITE_SHARE, DARKEST_BRIGHTNESS = 0.6, 0.7
 """Share of white in the lightest shade of a colour, and brightness of its darkest one."""
 
 
-def shades(colour: Colour, count: int) -> tuple[Colour, ...]:
+def shades(colour: Colour, shade_count: int) -> tuple[Colour, ...]:
     """Shades of a colour from dark to light; the colour itself if there is one."""
-    if count < 2:
-        return (colour,) * count
-    pure = np.array(colour, dtype=float)
-    dark, light = DARKEST * pure, pure + LIGHTEST * (255 - pure)
-    mixed = dark + np.linspace(0, 1, count)[:, None] * (light - dark)
-    return tuple((int(red), int(green), int(blue)) for red, green, blue in mixed.round())
+    if shade_count < 2:
+        return (colour,) * shade_count
+    pure_colour = np.array(colour, dtype=float)
+    darkest, lightest = DARKEST_BRIGHTNESS * pure_colour, pure_colour + LIGHTEST_WHITE_SHARE * (255 - pure_colour)
+    shade_colours = darkest + np.linspace(0, 1, shade_count)[:, None] * (lightest - darkest)
+    return tuple((int(red), int(green), int(blue)) for red, green, blue in shade_colours.round())

@@ -21,7 +21,7 @@ WINDOW_S = 0.2
 """Length of the windows where gap.json has no horizon of its own, s; some two contacts."""
 MAX_PREDICTED_S = 120.0
 """Longest part of a record that is predicted, s; it bounds memory and time."""
-SMOOTHED, ORDER = 9, 3
+SMOOTHED_SAMPLES, POLYNOMIAL_ORDER = 9, 3
 """Samples and order of the polynomials whose derivative is the velocity: exact to a quarter of the sampling rate."""
 
 
@@ -51,14 +51,14 @@ class PredictedMotion:
 
     def window_errors_m(self, predicted_m: Float[np.ndarray, "stations samples"]) -> Float[np.ndarray, " windows"]:
         """Root-mean-square error of all stations in each window, m; infinite for one that diverges."""
-        squares = self.errors_m(predicted_m).reshape(-1, self.window_samples) ** 2
-        return np.nan_to_num(np.sqrt(squares.mean(axis=1)), nan=np.inf)
+        squared_errors = self.errors_m(predicted_m).reshape(-1, self.window_samples) ** 2
+        return np.nan_to_num(np.sqrt(squared_errors.mean(axis=1)), nan=np.inf)
 
 
 def predicted_motion(
     recording: Recording,
     motion: Deflection,
-    corrected: Rig,
+    corrected_rig: Rig,
     predict: Predict,
     window_s: float = WINDOW_S,
     station_name: str | None = None,
@@ -71,46 +71,51 @@ def predicted_motion(
     Raises RigError if the name has no recorded station or a rig cannot be predicted.
     """
     rate_hz = recording.rig.sample_rate_hz
-    chosen = None if station_name is None else _chosen(recording.rig, motion, station_name)
-    window = max(2, round(window_s * rate_hz))
-    first = round(TAPER_S * rate_hz) if motion.approximate else 0
-    end = min(motion.displacement_m.shape[1] - first, round(MAX_PREDICTED_S * rate_hz))
-    starts = np.arange(first, end - window + 1, window)
-    if not starts.size:
+    chosen_row = None if station_name is None else _station_row(recording.rig, motion, station_name)
+    window_samples = max(2, round(window_s * rate_hz))
+    first_sample = round(TAPER_S * rate_hz) if motion.is_approximate else 0
+    end_sample = min(motion.displacement_m.shape[1] - first_sample, round(MAX_PREDICTED_S * rate_hz))
+    window_starts = np.arange(first_sample, end_sample - window_samples + 1, window_samples)
+    if not window_starts.size:
         return None
-    velocity = savgol_filter(motion.displacement_m, SMOOTHED, ORDER, deriv=1, delta=1 / rate_hz, axis=1)
-    states = np.stack([motion.displacement_m[:, starts], velocity[:, starts]]).transpose(2, 0, 1)
-    forces_n = recording.forces_n[:, : int(starts[-1]) + window]
-    believed_m, corrected_m = (
-        _joined(predict(rig, forces_n, starts, window, motion.stations, states)[:, 0])
-        for rig in (recording.rig, corrected)
+    velocity_m_per_s = savgol_filter(
+        motion.displacement_m, SMOOTHED_SAMPLES, POLYNOMIAL_ORDER, deriv=1, delta=1 / rate_hz, axis=1
     )
-    measured_m = motion.displacement_m[:, first : first + starts.size * window]
-    errors = np.nan_to_num(believed_m - measured_m).std(axis=1)
-    shown_row = int(np.argmax(errors)) if chosen is None else chosen
-    return PredictedMotion(motion.stations, window, first, measured_m, believed_m, corrected_m, shown_row)
+    states = np.stack([motion.displacement_m[:, window_starts], velocity_m_per_s[:, window_starts]]).transpose(2, 0, 1)
+    forces_n = recording.forces_n[:, : int(window_starts[-1]) + window_samples]
+    believed_m, corrected_m = (
+        _join_windows(predict(rig, forces_n, window_starts, window_samples, motion.stations, states)[:, 0])
+        for rig in (recording.rig, corrected_rig)
+    )
+    measured_m = motion.displacement_m[:, first_sample : first_sample + window_starts.size * window_samples]
+    station_errors_m = np.nan_to_num(believed_m - measured_m).std(axis=1)
+    shown_row = int(np.argmax(station_errors_m)) if chosen_row is None else chosen_row
+    return PredictedMotion(
+        motion.stations, window_samples, first_sample, measured_m, believed_m, corrected_m, shown_row
+    )
 
 
-def summary(predicted: PredictedMotion, window_s: float) -> str:
+def summary_text(prediction: PredictedMotion, window_s: float) -> str:
     """Median errors of both rigs over the windows, in Markdown."""
     believed_mm, corrected_mm = (
-        1e3 * float(np.median(predicted.window_errors_m(displacement_m)))
-        for displacement_m in (predicted.believed_m, predicted.corrected_m)
+        1e3 * float(np.median(prediction.window_errors_m(displacement_m)))
+        for displacement_m in (prediction.believed_m, prediction.corrected_m)
     )
-    change = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
+    change_text = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
     return (
         f"Every {window_s:.2g} s both rigs start anew from the measured motion and continue under the measured force. "
-        f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} mm**{change}."
+        f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} "
+        f"mm**{change_text}."
     )
 
 
-def _chosen(rig: Rig, motion: Deflection, name: str) -> int:
-    station = station_named(rig, name)
+def _station_row(rig: Rig, motion: Deflection, place_name: str) -> int:
+    station = station_named(rig, place_name)
     if station not in motion.stations:
-        allowed = ", ".join(sorted({s.name for s in rig.sensors if s.station in motion.stations}))
-        raise RigError(f"no motion is recorded at {name!r}; give one of the sensors {allowed}")
+        sensor_names = ", ".join(sorted({s.name for s in rig.sensors if s.station in motion.stations}))
+        raise RigError(f"no motion is recorded at {place_name!r}; give one of the sensors {sensor_names}")
     return motion.stations.index(station)
 
 
-def _joined(windows: Float[np.ndarray, "windows stations times"]) -> Float[np.ndarray, "stations samples"]:
+def _join_windows(windows: Float[np.ndarray, "windows stations times"]) -> Float[np.ndarray, "stations samples"]:
     return np.asarray(windows.transpose(1, 0, 2).reshape(windows.shape[1], -1))

@@ -6,67 +6,73 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
-from rig.viewer.blueprint import GHOSTS
-from rig.viewer.drawing import PREDICTION, TIMELINE, entity, pixels, send, send_legend, send_lines, style
+from rig.viewer.blueprint import PREDICTED_RIGS
+from rig.viewer.drawing import PREDICTION, TIMELINE, entity, pixels, send, send_legend, send_lines, send_static
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE, Colour
-from rig.viewer.prediction import PredictedMotion, summary
+from rig.viewer.prediction import PredictedMotion, summary_text
 from rig.viewer.stage import Stage
 
 
-def send_prediction(stream: rr.RecordingStream, predicted: PredictedMotion, scene: Stage, stride: int) -> None:
+def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, scene: Stage, stride: int) -> None:
     """Send outlines of both rigs, the displacement of the shown station, the errors over time and a summary.
 
     Every `stride`-th sample is plotted; the lines are broken where a window begins.
     """
     rate_hz = scene.sample_rate_hz
-    words = summary(predicted, predicted.window_samples / rate_hz)
-    style(stream, f"{PREDICTION}/words", rr.TextDocument(words, media_type="text/markdown"))
-    displacements = {
-        "measured": (predicted.measured_m, MACHINE),
-        "believed": (predicted.believed_m, BELIEVED),
-        "corrected": (predicted.corrected_m, FOUND),
+    summary_words = summary_text(prediction, prediction.window_samples / rate_hz)
+    send_static(stream, f"{PREDICTION}/words", rr.TextDocument(summary_words, media_type="text/markdown"))
+    displacement_by_source = {
+        "measured": (prediction.measured_m, MACHINE),
+        "believed": (prediction.believed_m, BELIEVED),
+        "corrected": (prediction.corrected_m, FOUND),
     }
-    plotted = np.arange(0, predicted.measured_m.shape[1], stride)
-    time_s = (predicted.first_sample + plotted) / rate_hz
-    begins = np.flatnonzero(np.diff(plotted // predicted.window_samples)) + 1
-    for name, (displacement_m, colour) in displacements.items():
-        breaks = begins if name != "measured" else begins[:0]
+    plotted_samples = np.arange(0, prediction.measured_m.shape[1], stride)
+    time_s = (prediction.first_sample + plotted_samples) / rate_hz
+    window_begins = np.flatnonzero(np.diff(plotted_samples // prediction.window_samples)) + 1
+    for source_name, (displacement_m, colour) in displacement_by_source.items():
+        break_positions = window_begins if source_name != "measured" else window_begins[:0]
         for origin, values_m in (
-            ("displacement", displacement_m[predicted.shown_row]),
-            ("error", predicted.errors_m(displacement_m)),
+            ("displacement", displacement_m[prediction.shown_row]),
+            ("error", prediction.errors_m(displacement_m)),
         ):
-            if origin == "error" and name == "measured":
+            if origin == "error" and source_name == "measured":
                 continue
-            values_mm = np.insert(1e3 * values_m[plotted], breaks, np.nan)
-            times_s = np.insert(time_s, breaks, time_s[breaks] - 1e-7)
-            send_lines(stream, f"{PREDICTION}/{origin}/{name}", times_s, values_mm[None], [name], (colour,))
-    legend = [(name, colour) for name, (_, colour) in displacements.items()]
+            values_mm = np.insert(1e3 * values_m[plotted_samples], break_positions, np.nan)
+            times_s = np.insert(time_s, break_positions, time_s[break_positions] - 1e-7)
+            send_lines(
+                stream, f"{PREDICTION}/{origin}/{source_name}", times_s, values_mm[None], [source_name], (colour,)
+            )
+    legend = [(source_name, colour) for source_name, (_, colour) in displacement_by_source.items()]
     send_legend(stream, f"{PREDICTION}/displacement", legend)
     send_legend(stream, f"{PREDICTION}/error", legend[1:])
-    for name in ("believed", "corrected"):
-        displacement_m, colour = displacements[name]
-        _send_ghosts(stream, f"{GHOSTS}/{name}", predicted, displacement_m, colour, scene)
+    for source_name in ("believed", "corrected"):
+        displacement_m, colour = displacement_by_source[source_name]
+        _send_ghosts(stream, f"{PREDICTED_RIGS}/{source_name}", prediction, displacement_m, colour, scene)
 
 
 def _send_ghosts(
     stream: rr.RecordingStream,
     path: str,
-    predicted: PredictedMotion,
+    prediction: PredictedMotion,
     displacement_m: Float[np.ndarray, "stations samples"],
     colour: Colour,
     scene: Stage,
 ) -> None:
     """Send the outlines of all bodies as one rig moves; there are none outside the predicted time."""
-    whole_m = scene.deflection.displacement_m.copy()
-    whole_m[:, predicted.samples] = displacement_m
-    is_predicted = (scene.frames >= predicted.samples.start) & (scene.frames < predicted.samples.stop)
-    frames = scene.frames[is_predicted]
-    ghost = replace(scene, deflection=replace(scene.deflection, displacement_m=whole_m), frames=frames)
+    record_displacement_m = scene.deflection.displacement_m.copy()
+    record_displacement_m[:, prediction.samples] = displacement_m
+    is_predicted = (scene.frame_samples >= prediction.samples.start) & (scene.frame_samples < prediction.samples.stop)
+    predicted_frames = scene.frame_samples[is_predicted]
+    ghost_stage = replace(
+        scene,
+        deflection=replace(scene.deflection, displacement_m=record_displacement_m),
+        frame_samples=predicted_frames,
+    )
     for body in scene.rig.bodies:
-        place = f"{path}/{entity(body.name)}"
-        style(stream, place, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(1.5)]))
-        send(stream, place, ghost.time_s, rr.LineStrips3D, strips=ghost.strips(body))
-    if frames.size and frames.size < scene.frames.size:
-        stream.set_time(TIMELINE, duration=float(predicted.samples.stop / scene.sample_rate_hz))
+        entity_path = f"{path}/{entity(body.name)}"
+        send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(1.5)]))
+        send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_stage.strips(body))
+    if predicted_frames.size and predicted_frames.size < scene.frame_samples.size:
+        stream.set_time(TIMELINE, duration=float(prediction.samples.stop / scene.sample_rate_hz))
         for body in scene.rig.bodies:
             stream.log(f"{path}/{entity(body.name)}", rr.Clear(recursive=False))

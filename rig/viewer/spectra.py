@@ -13,12 +13,12 @@ from rig.model.quantities import printed_unit
 from rig.model.sensing import quantities_of
 from rig.recording import Recording
 from rig.viewer.axes import Axes
-from rig.viewer.drawing import entity, pixels, style
+from rig.viewer.drawing import entity, pixels, send_static
 from rig.viewer.palette import FORCE, SENSOR, shades
 
 BLOCK_S = 4.0
 """Length of the averaged blocks, s (lines 0.25 Hz apart); at most a quarter of the record."""
-DECADES = 6
+MOST_DECADES = 6
 """Largest range of densities that is shown."""
 
 
@@ -32,35 +32,51 @@ class ShownSpectra:
     signals: Mapping[str, Float[np.ndarray, " samples"]]
 
 
-def spectra_of(recording: Recording, forces_n: Mapping[str, Float[np.ndarray, " samples"]]) -> list[ShownSpectra]:
+def spectra_of(
+    recording: Recording, contact_forces_n: Mapping[str, Float[np.ndarray, " samples"]]
+) -> list[ShownSpectra]:
     """Groups of signals for spectra: exciting forces, known contact forces, and every body's channels by quantity."""
-    exciting = dict(zip(recording.rig.force_names, recording.forces_n, strict=True))
+    exciting_forces_n = dict(zip(recording.rig.force_names, recording.forces_n, strict=True))
     spectra = [
-        ShownSpectra(entity("spectra", "force"), "Exciting force", "N", exciting),
-        ShownSpectra(entity("spectra", "contact_force"), "Contact force", "N", forces_n),
+        ShownSpectra(entity("spectra", "force"), "Exciting force", "N", exciting_forces_n),
+        ShownSpectra(entity("spectra", "contact_force"), "Contact force", "N", contact_forces_n),
     ]
     for quantity in quantities_of(recording.rig):
-        measured = recording.signals[quantity]
+        quantity_signals = recording.signals[quantity]
         for body in recording.rig.bodies:
-            rows = zip(measured.channels.stations, measured.values, strict=True)
-            signals = {f"{s.position_m:g} m": row for s, row in rows if s is not None and s.body == body.name}
+            station_samples = zip(quantity_signals.channels.stations, quantity_signals.values, strict=True)
+            samples_by_name = {
+                f"{s.position_m:g} m": samples
+                for s, samples in station_samples
+                if s is not None and s.body == body.name
+            }
             origin, unit = entity("spectra", quantity, body.name), printed_unit(UNITS[quantity])
-            spectra.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, signals))
+            spectra.append(ShownSpectra(origin, f"{body.name}: {quantity}", unit, samples_by_name))
     return [group for group in spectra if group.signals]
 
 
 def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_hz: float) -> None:
     """Send the amplitude density over frequency of every signal, on logarithmic axes."""
     frequency_hz, density = densities(np.array([*spectra.signals.values()]), sample_rate_hz)
-    high = 10.0 ** np.ceil(np.log10(density.max() or 1.0))
-    low = 10.0 ** np.floor(np.log10(max(density.min(), high / 10.0**DECADES)))
-    name = f"amplitude density, {spectra.unit}/√Hz"
-    axes = Axes((frequency_hz[0], frequency_hz[-1]), (min(low, high / 10), high), "frequency, Hz", name, True)
-    colours = dict(zip(spectra.signals, shades(FORCE if spectra.unit == "N" else SENSOR, len(density)), strict=True))
-    axes.send(stream, spectra.origin, colours)
-    lines = [axes.points(frequency_hz, row) for row in density]
-    drawn = rr.LineStrips2D(lines, colors=[*colours.values()], radii=pixels(0.75), draw_order=50.0)
-    style(stream, f"{spectra.origin}/lines", drawn)
+    highest_density = 10.0 ** np.ceil(np.log10(density.max() or 1.0))
+    lowest_density = 10.0 ** np.floor(np.log10(max(density.min(), highest_density / 10.0**MOST_DECADES)))
+    density_name = f"amplitude density, {spectra.unit}/√Hz"
+    axes = Axes(
+        (frequency_hz[0], frequency_hz[-1]),
+        (min(lowest_density, highest_density / 10), highest_density),
+        "frequency, Hz",
+        density_name,
+        True,
+    )
+    colour_by_name = dict(
+        zip(spectra.signals, shades(FORCE if spectra.unit == "N" else SENSOR, len(density)), strict=True)
+    )
+    axes.send(stream, spectra.origin, colour_by_name)
+    spectrum_lines = [axes.points(frequency_hz, densities_row) for densities_row in density]
+    line_strips = rr.LineStrips2D(
+        spectrum_lines, colors=[*colour_by_name.values()], radii=pixels(0.75), draw_order=50.0
+    )
+    send_static(stream, f"{spectra.origin}/lines", line_strips)
 
 
 def densities(
@@ -70,6 +86,6 @@ def densities(
 
     Square root of Welch's power spectral density, with Hann blocks that overlap by half, each without its mean.
     """
-    block = max(2, min(round(BLOCK_S * sample_rate_hz), values.shape[1] // 4))
-    frequency_hz, power = welch(values, sample_rate_hz, nperseg=block)
-    return frequency_hz[1:], np.sqrt(power[:, 1:])
+    block_samples = max(2, min(round(BLOCK_S * sample_rate_hz), values.shape[1] // 4))
+    frequency_hz, power_density = welch(values, sample_rate_hz, nperseg=block_samples)
+    return frequency_hz[1:], np.sqrt(power_density[:, 1:])

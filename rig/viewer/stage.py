@@ -11,16 +11,16 @@ from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
 
-FRAMES = 6000
+USUAL_FRAME_COUNT = 6000
 FRAME_RATES_HZ = (60.0, 600.0)
 MAX_FRAMES = 60_000
 """Largest number of frames; records of more than a thousand seconds have fewer than 60 per second."""
-NODES = 61
+NODE_COUNT = 61
 LARGEST_DEFLECTION = 0.25
 """Largest deflection by default, as a share of the extent."""
 MASS_PITCH_M = 0.6
 """Distance between the middles of masses that stand side by side, m."""
-JAWS = {1: [0, 1], -1: [3, 2]}
+JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
 """Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
 
@@ -28,16 +28,16 @@ JAWS = {1: [0, 1], -1: [3, 2]}
 class Stage:
     """Geometry in metres: x along the bodies, y in depth, z is the deflection times the magnification.
 
-    Bodies are arranged in depth, the last one in front; the left end of each is at x = left_m. Masses without a beam
-    stand side by side instead.
+    Bodies are arranged in depth, the last one in front; the left end of each is at x = left_ends_m. Masses without a
+    beam stand side by side instead.
     """
 
     deflection: Deflection
-    left_m: dict[str, float]
+    left_ends_m: dict[str, float]
     extent_m: float
     magnification: float
     sample_rate_hz: float
-    frames: Int[np.ndarray, " frames"]
+    frame_samples: Int[np.ndarray, " frames"]
     """Samples that are drawn."""
 
     @property
@@ -47,8 +47,8 @@ class Stage:
     @property
     def centre_m(self) -> float:
         if self.masses_alone:
-            return (min(self.left_m.values()) + max(self.left_m.values())) / 2
-        return min(self.left_m.values()) + self.extent_m / 2
+            return (min(self.left_ends_m.values()) + max(self.left_ends_m.values())) / 2
+        return min(self.left_ends_m.values()) + self.extent_m / 2
 
     @property
     def masses_alone(self) -> bool:
@@ -56,36 +56,38 @@ class Stage:
 
     @property
     def frame_rate_hz(self) -> float:
-        return self.sample_rate_hz / float(self.frames[1] - self.frames[0] if self.frames.size > 1 else 1)
+        return self.sample_rate_hz / float(
+            self.frame_samples[1] - self.frame_samples[0] if self.frame_samples.size > 1 else 1
+        )
 
     @cached_property
     def time_s(self) -> Float[np.ndarray, " frames"]:
-        return self.frames / self.sample_rate_hz
+        return self.frame_samples / self.sample_rate_hz
 
-    def depth(self, body: str) -> float:
-        return 0.0 if self.masses_alone else -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body)
+    def depth_m(self, body_name: str) -> float:
+        return 0.0 if self.masses_alone else -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body_name)
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        z = self.magnification * self.deflection.displacement_at(station)[self.frames]
-        return self._placed(np.full((z.size, 1), station.position_m), station.body, z[:, None])[:, 0]
+        z = self.magnification * self.deflection.displacement_at(station)[self.frame_samples]
+        return self._points_on_body(np.full((z.size, 1), station.position_m), station.body, z[:, None])[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
         """Neutral line of a body at rest, slightly longer than the body."""
-        reach = 0.03 * self.extent_m + self._half(body)
-        x = np.array([[-reach, body.length_m + reach]])
-        return self._placed(x, body.name, np.zeros((1, 2)))[0]
+        overhang_m = 0.03 * self.extent_m + self._half_size_m(body)
+        x = np.array([[-overhang_m, body.length_m + overhang_m]])
+        return self._points_on_body(x, body.name, np.zeros((1, 2)))[0]
 
     def strips(self, body: Body) -> Float[np.ndarray, "frames nodes 3"]:
         """Outline of a body: the neutral line of a beam, the square of a mass."""
         if body.length_m:
-            x, z = np.linspace(0, body.length_m, NODES), np.zeros(NODES)
-            deflection_m = self.deflection.of_body(body, x, self.frames).T
+            x, z = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
+            deflection_m = self.deflection.of_body(body, x, self.frame_samples).T
         else:
-            x, z = self._half(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            deflection_m = self.deflection.displacement_at(Station(body.name))[self.frames, None]
-        return self._placed(
-            np.broadcast_to(x, (self.frames.size, x.size)), body.name, z + self.magnification * deflection_m
+            x, z = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
+            deflection_m = self.deflection.displacement_at(Station(body.name))[self.frame_samples, None]
+        return self._points_on_body(
+            np.broadcast_to(x, (self.frame_samples.size, x.size)), body.name, z + self.magnification * deflection_m
         )
 
     def centre(self, body: Body) -> Float[np.ndarray, "frames 3"]:
@@ -94,31 +96,31 @@ class Stage:
 
     def half_sizes(self, body: Body) -> Float[np.ndarray, " 3"]:
         """Half the width, depth and height of the block of a mass."""
-        return self._half(body) * np.array([1.0, 0.6, 1.0])
+        return self._half_size_m(body) * np.array([1.0, 0.6, 1.0])
 
     def label(self, body: Body) -> Float[np.ndarray, "frames 3"]:
         """Position of a body's name: on the block of a mass, beyond the left or, alternately, right end of a beam.
 
         Names at one end stand one below the other and do not move.
         """
-        number = [b.name for b in self.rig.bodies].index(body.name)
+        body_index = [b.name for b in self.rig.bodies].index(body.name)
         if not body.length_m:
-            return self.centre(body) - np.array([0, 0, 0.5 * self._half(body)])
-        beyond = body.length_m + 0.07 * self.extent_m if number % 2 else -0.07 * self.extent_m
-        below = -0.07 * self.extent_m * (number // 2)
-        place = np.array([self.left_m[body.name] + beyond, self.depth(body.name), below])
-        return np.broadcast_to(place, (self.frames.size, 3))
+            return self.centre(body) - np.array([0, 0, 0.5 * self._half_size_m(body)])
+        label_x_m = body.length_m + 0.07 * self.extent_m if body_index % 2 else -0.07 * self.extent_m
+        label_z_m = -0.07 * self.extent_m * (body_index // 2)
+        label_position = np.array([self.left_ends_m[body.name] + label_x_m, self.depth_m(body.name), label_z_m])
+        return np.broadcast_to(label_position, (self.frame_samples.size, 3))
 
     def force_origin(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving point at which the arrow of a force begins: on the station, or on top of a mass."""
-        return self.point(station) + np.array([0, 0, self._half(self.rig.body(station.body))])
+        return self.point(station) + np.array([0, 0, self._half_size_m(self.rig.body(station.body))])
 
     def support(self, body: Body) -> Float[np.ndarray, "corners 3"] | None:
         """Wall at a clamped end; None for other bodies."""
         if not body.clamped:
             return None
         y, z = 0.04 * self.extent_m * np.array([[-1, 1, 1, -1, -1], [-2, -2, 2, 2, -2]])
-        return np.stack([np.full(5, self.left_m[body.name]), self.depth(body.name) + y, z], axis=1)
+        return np.stack([np.full(5, self.left_ends_m[body.name]), self.depth_m(body.name) + y, z], axis=1)
 
     def stands_beside(self, contact: Contact) -> bool:
         """True for a contact of two masses side by side: a tongue of one between two stops of the other."""
@@ -129,55 +131,64 @@ class Stage:
 
         Several contacts of two masses share the gap between them.
         """
-        tip = self.point(contact.at)
+        tip_points = self.point(contact.at)
         if contact.against is None:
-            _, depth, half = self.half_sizes(self.rig.body(contact.at.body))
-            tip += np.stack([0 * tip[:, 2], np.full(len(tip), -depth), half * np.sign(tip[:, 2])], axis=1)
+            _, half_depth_m, half_height_m = self.half_sizes(self.rig.body(contact.at.body))
+            tip_points += np.stack(
+                [
+                    0 * tip_points[:, 2],
+                    np.full(len(tip_points), -half_depth_m),
+                    half_height_m * np.sign(tip_points[:, 2]),
+                ],
+                axis=1,
+            )
         if contact.against is not None and self.masses_alone:
-            ends = {contact.at.body, contact.against.body}
-            shared = [c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == ends]
-            share = (shared.index(contact.name) + 1) / (len(shared) + 1)
-            start, across_m = self._between(contact.at.body, contact.against.body)
-            tip[:, 0] = start + share * across_m
-        return tip
+            body_names = {contact.at.body, contact.against.body}
+            sharing_contacts = [
+                c.name for c in self.rig.contacts if c.against and {c.at.body, c.against.body} == body_names
+            ]
+            share = (sharing_contacts.index(contact.name) + 1) / (len(sharing_contacts) + 1)
+            side_x_m, across_m = self._between(contact.at.body, contact.against.body)
+            tip_points[:, 0] = side_x_m + share * across_m
+        return tip_points
 
     def fork(self, contact: Contact, law: ContactLaw) -> Float[np.ndarray, "frames 4 3"]:
         """Fork with the stops of a contact, fixed to the opposite body or to the ground."""
-        tip, half = self.tip(contact), self._half(self.rig.body(contact.at.body))
-        jaws = np.repeat(tip[:, None], 4, axis=1)
+        tip_points, half_size_m = self.tip(contact), self._half_size_m(self.rig.body(contact.at.body))
+        jaw_points = np.repeat(tip_points[:, None], 4, axis=1)
         if contact.against is None:
-            open_side = -1.0 if self.left_m[contact.at.body] > self.centre_m else 1.0  # towards the other masses
-            jaws[..., 0] += open_side * (half + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
-            carrier = np.zeros(self.frames.size)
+            open_side = -1.0 if self.left_ends_m[contact.at.body] > self.centre_m else 1.0  # towards the other masses
+            jaw_points[..., 0] += open_side * (half_size_m + 0.05 * self.extent_m) * np.array([1, -1, -1, 1])
+            carrier_z_m = np.zeros(self.frame_samples.size)
         else:
-            carrier = self.point(contact.against)[:, 2]
+            carrier_z_m = self.point(contact.against)[:, 2]
             if self.masses_alone:
-                start, across_m = self._between(contact.at.body, contact.against.body)
-                jaws[:, 1:3, 0], half = start + across_m, 0.0
-                jaws[:, [0, 3], 0] -= 0.1 * across_m
+                side_x_m, across_m = self._between(contact.at.body, contact.against.body)
+                jaw_points[:, 1:3, 0], half_size_m = side_x_m + across_m, 0.0
+                jaw_points[:, [0, 3], 0] -= 0.1 * across_m
             else:
-                jaws[:, 1:3, 1] = self.depth(contact.against.body)
-        jaws[..., 2] = carrier[:, None]
+                jaw_points[:, 1:3, 1] = self.depth_m(contact.against.body)
+        jaw_points[..., 2] = carrier_z_m[:, None]
         for wall_m, side in walls_m(law):
-            jaws[:, JAWS[side], 2] += self.magnification * wall_m + side * half
+            jaw_points[:, JAW_CORNERS[side], 2] += self.magnification * wall_m + side * half_size_m
         for side in {-1, 1} - set(law.sides):  # drawn without a jaw, up to its carrier
-            tip_corner, carrier_corner = JAWS[side]
-            jaws[:, tip_corner] = jaws[:, carrier_corner]
-        return jaws
+            tip_corner, carrier_corner = JAW_CORNERS[side]
+            jaw_points[:, tip_corner] = jaw_points[:, carrier_corner]
+        return jaw_points
 
     def _between(self, body_name: str, other_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
-        middle_m, to_other_m = self.left_m[body_name], self.left_m[other_name] - self.left_m[body_name]
-        half = np.copysign(self._half(self.rig.body(body_name)), to_other_m)
-        return middle_m + half, to_other_m - 2 * half
+        middle_m, to_other_m = self.left_ends_m[body_name], self.left_ends_m[other_name] - self.left_ends_m[body_name]
+        half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), to_other_m)
+        return middle_m + half_size_m, to_other_m - 2 * half_size_m
 
-    def _half(self, body: Body) -> float:
+    def _half_size_m(self, body: Body) -> float:
         return 0.0 if body.length_m else 0.12 * self.extent_m
 
-    def _placed(
-        self, x_m: Float[np.ndarray, "frames nodes"], body: str, z_m: Float[np.ndarray, "frames nodes"]
+    def _points_on_body(
+        self, x_m: Float[np.ndarray, "frames nodes"], body_name: str, z_m: Float[np.ndarray, "frames nodes"]
     ) -> Float[np.ndarray, "frames nodes 3"]:
-        return np.stack([self.left_m[body] + x_m, np.full(z_m.shape, self.depth(body)), z_m], axis=2)
+        return np.stack([self.left_ends_m[body_name] + x_m, np.full(z_m.shape, self.depth_m(body_name)), z_m], axis=2)
 
 
 def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | None) -> Stage:
@@ -187,25 +198,28 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
     """
     rig = deflection.rig
     if _masses_alone(rig):
-        left_m = {body.name: MASS_PITCH_M * number for number, body in enumerate(rig.bodies)}
+        left_ends_m = {body.name: MASS_PITCH_M * body_index for body_index, body in enumerate(rig.bodies)}
         extent_m = max(1.0, MASS_PITCH_M * len(rig.bodies))
     else:
-        left_m = left_ends(rig)
-        extent_m = max(left_m[b.name] + b.length_m for b in rig.bodies) - min(left_m.values())
-    largest = float(np.abs(deflection.displacement_m).max(initial=0.0))
+        left_ends_m = left_ends(rig)
+        extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
+    largest_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
-        magnification = _rounded_down(LARGEST_DEFLECTION * extent_m / largest) if largest > 0 else 1.0
-    samples = deflection.displacement_m.shape[1]
-    rate = min(np.clip(FRAMES * sample_rate_hz / samples, *FRAME_RATES_HZ), MAX_FRAMES * sample_rate_hz / samples)
-    frames = np.arange(0, samples, max(1, round(sample_rate_hz / rate)))
-    return Stage(deflection, left_m, extent_m, magnification, sample_rate_hz, frames)
+        magnification = _round_down(LARGEST_DEFLECTION * extent_m / largest_m) if largest_m > 0 else 1.0
+    sample_count = deflection.displacement_m.shape[1]
+    frame_rate_hz = min(
+        np.clip(USUAL_FRAME_COUNT * sample_rate_hz / sample_count, *FRAME_RATES_HZ),
+        MAX_FRAMES * sample_rate_hz / sample_count,
+    )
+    frame_samples = np.arange(0, sample_count, max(1, round(sample_rate_hz / frame_rate_hz)))
+    return Stage(deflection, left_ends_m, extent_m, magnification, sample_rate_hz, frame_samples)
 
 
 def _masses_alone(rig: Rig) -> bool:
     return not any(body.length_m for body in rig.bodies)
 
 
-def _rounded_down(value: float) -> float:
+def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
+    power_of_ten = 10.0 ** np.floor(np.log10(value))
+    return float(power_of_ten * max(m for m in (1, 2, 5) if m * power_of_ten <= value * (1 + 1e-9)))

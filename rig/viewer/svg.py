@@ -22,23 +22,25 @@ class Drawing:
     def line(self, *points: Point, colour: str = INK, width: float = 1.5, dashed: bool = False, fill: str = "") -> None:
         """Draw a polyline; closed if it is filled."""
         self.corners += points
-        kind, dashes = ("polygon" if fill else "polyline"), ' stroke-dasharray="4 3"' if dashed else ""
-        path = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
-        style = f'fill="{fill or "none"}" stroke="{colour}" stroke-width="{width}"{dashes}'
-        self.elements.append(f'<{kind} points="{path}" {style}/>')
+        tag, dash_attribute = ("polygon" if fill else "polyline"), ' stroke-dasharray="4 3"' if dashed else ""
+        points_text = " ".join(f"{x:.1f},{y:.1f}" for x, y in points)
+        style_attributes = f'fill="{fill or "none"}" stroke="{colour}" stroke-width="{width}"{dash_attribute}'
+        self.elements.append(f'<{tag} points="{points_text}" {style_attributes}/>')
 
     def text(
         self, x: float, y: float, words: str, colour: str = INK, anchor: str = "start", turned: int = 0, size: int = 12
     ) -> None:
-        reach = 0.6 * size * len(words)  # of a letter, about
-        offset = {"start": 0.0, "middle": -reach / 2, "end": -reach}[anchor]
+        text_length = 0.6 * size * len(words)  # of a letter, about
+        offset = {"start": 0.0, "middle": -text_length / 2, "end": -text_length}[anchor]
         self.corners += (
-            [(x, y - reach), (x + reach, y)] if turned else [(x + offset, y - size), (x + offset + reach, y)]
+            [(x, y - text_length), (x + text_length, y)]
+            if turned
+            else [(x + offset, y - size), (x + offset + text_length, y)]
         )
-        turn = f' transform="rotate({turned} {x:.1f} {y:.1f})"' if turned else ""
-        place = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{turn}'
-        halo = 'paint-order="stroke" stroke="white" stroke-width="3"'
-        self.elements.append(f'<text {place} fill="{colour}" {halo}>{escape(words)}</text>')
+        rotation_attribute = f' transform="rotate({turned} {x:.1f} {y:.1f})"' if turned else ""
+        text_attributes = f'x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" font-size="{size}"{rotation_attribute}'
+        halo_attributes = 'paint-order="stroke" stroke="white" stroke-width="3"'
+        self.elements.append(f'<text {text_attributes} fill="{colour}" {halo_attributes}>{escape(words)}</text>')
 
     def box(
         self, left: float, top: float, right: float, bottom: float, fill: str = STEEL, dashed: bool = False
@@ -52,13 +54,16 @@ class Drawing:
     def arrow(self, tail: Point, tip: Point, colour: str = INK, width: float = 2.0) -> None:
         """Draw a vertical or horizontal arrow."""
         (x0, y0), (x, y) = tail, tip
-        size = 4 + 2 * width
+        head_length = 4 + 2 * width
         direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
-        base = (x - size * direction[0], y - size * direction[1])
-        across = (size / 2 * direction[1], size / 2 * direction[0])
-        self.line(tail, base, colour=colour, width=width)
-        wings = ((base[0] - across[0], base[1] - across[1]), (base[0] + across[0], base[1] + across[1]))
-        self.line(tip, *wings, colour=colour, width=1.0, fill=colour)
+        head_base = (x - head_length * direction[0], y - head_length * direction[1])
+        head_half_width = (head_length / 2 * direction[1], head_length / 2 * direction[0])
+        self.line(tail, head_base, colour=colour, width=width)
+        head_wings = (
+            (head_base[0] - head_half_width[0], head_base[1] - head_half_width[1]),
+            (head_base[0] + head_half_width[0], head_base[1] + head_half_width[1]),
+        )
+        self.line(tip, *head_wings, colour=colour, width=1.0, fill=colour)
 
     def ground(self, x: float, y: float, width: float = 36.0, upwards: bool = False) -> None:
         """Draw a horizontal line hatched on its outer side."""
@@ -76,29 +81,29 @@ class Drawing:
             self.line((x, hatch_y - 7), (x - 8, hatch_y), width=1.0, colour=GREY)
 
     def spring(self, x: float, top: float, bottom: float) -> None:
-        step = (bottom - top) / 8
-        turns: Sequence[Point] = [(x + (7 if k % 2 else -7), top + step * (k + 0.5)) for k in range(1, 7)]
-        self.line((x, top), (x, top + step), *turns, (x, bottom - step), (x, bottom))
+        coil_step = (bottom - top) / 8
+        coil_points: Sequence[Point] = [(x + (7 if k % 2 else -7), top + coil_step * (k + 0.5)) for k in range(1, 7)]
+        self.line((x, top), (x, top + coil_step), *coil_points, (x, bottom - coil_step), (x, bottom))
 
     def pin(self, x: float, top: float, bottom: float) -> None:
         """Draw a support, the triangle of a pin."""
         self.line((x, top), (x - 12, bottom), (x + 12, bottom), (x, top))
 
     def damper(self, x: float, top: float, bottom: float) -> None:
-        middle = (top + bottom) / 2
-        self.line((x, top), (x, middle))
-        self.line((x - 7, middle), (x + 7, middle), width=2.5)
-        self.line((x - 9, middle - 8), (x - 9, middle + 8), (x + 9, middle + 8), (x + 9, middle - 8))
-        self.line((x, middle + 8), (x, bottom))
+        piston_y = (top + bottom) / 2
+        self.line((x, top), (x, piston_y))
+        self.line((x - 7, piston_y), (x + 7, piston_y), width=2.5)
+        self.line((x - 9, piston_y - 8), (x - 9, piston_y + 8), (x + 9, piston_y + 8), (x + 9, piston_y - 8))
+        self.line((x, piston_y + 8), (x, bottom))
 
     def write(self, path: Path, margin: float = 20.0) -> None:
         """Write the SVG file, sized to its content; raise RigError if it cannot be written."""
         xs, ys = zip(*self.corners, strict=True)
         left, top = min(xs) - margin, min(ys) - margin
         width, height = max(xs) + margin - left, max(ys) + margin - top
-        head = (
+        svg_head = (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="{left:.1f} {top:.1f} {width:.1f} {height:.1f}" '
             f'width="{width:.0f}" height="{height:.0f}" font-family="sans-serif">'
         )
         background = f'<rect x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" height="{height:.1f}" fill="white"/>'
-        write_bytes("\n".join([head, background, *self.elements, "</svg>", ""]).encode(), path)
+        write_bytes("\n".join([svg_head, background, *self.elements, "</svg>", ""]).encode(), path)

@@ -17,7 +17,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, Station
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
-from rig.viewer.blueprint import Layout, blueprint, plotted
+from rig.viewer.blueprint import Layout, blueprint, plotted_quantities
 from rig.viewer.contact_view import (
     ContactMotion,
     LawSource,
@@ -31,7 +31,7 @@ from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import entity, send_legend, send_lines
 from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
-from rig.viewer.identified import NOTHING_IDENTIFIED, Identified
+from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
 from rig.viewer.palette import FORCE, SENSOR, Colour, shades
 from rig.viewer.prediction import PredictedMotion
@@ -39,7 +39,7 @@ from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import stage
 
-SCALARS = 1_000_000
+MOST_SCALARS = 1_000_000
 """Number of plotted values above which the time series are decimated away from contacts."""
 
 
@@ -49,18 +49,18 @@ def write_rrd(
     path: Path,
     magnification: float | None = None,
     *,
-    identified: Identified = NOTHING_IDENTIFIED,
+    identified_contacts: IdentifiedContacts = NOTHING_IDENTIFIED,
     gap: ShownGap | None = None,
-    predicted: PredictedMotion | None = None,
+    prediction: PredictedMotion | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Write a recording for the rerun viewer; `truth`, if given, adds the simulated truth.
 
     The motion comes from the truth file, else from the displacement sensors, else from integrated accelerations, which
-    lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves that
-    were `identified`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen. The
-    walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
-    them. A diagnosed `gap` is marked on the bodies. `predicted` adds a tab with the believed and the corrected rig
+    lack everything below 1 Hz; relative displacements and contact forces from the truth file, else from the curves of
+    `identified_contacts`. `magnification` is that of the deflection in the 3D view; without it a round one is chosen.
+    The walls are the true ones, else those identified, else those that rig.json believes in; the others are drawn over
+    them. A diagnosed `gap` is marked on the bodies. `prediction` adds a tab with the believed and the corrected rig
     beside the measured one.
 
     Raises RigError if the truth belongs to another recording, a body has no sensor, the magnification is not above
@@ -68,12 +68,12 @@ def write_rrd(
     """
     if magnification is not None and not 0 < magnification < np.inf:
         raise RigError(f"magnification is {magnification}; give a finite value above zero")
-    if truth is not None and not _belongs(truth, recording):
+    if truth is not None and not _belongs_to(truth, recording):
         raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
     motion = deflection(recording, truth)
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
-    stride = max(1, -(-_series_scalars(recording, truth) // SCALARS))
-    contact_motions = _contact_motions(recording, truth, motion, identified, scene.frames, stride)
+    stride = max(1, -(-_series_scalars(recording, truth) // MOST_SCALARS))
+    contact_motions = _contact_motions(recording, truth, motion, identified_contacts, scene.frame_samples, stride)
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
         contact_force=None
@@ -82,7 +82,7 @@ def write_rrd(
         if truth is None
         else "true",
         magnification=scene.magnification,
-        approximate=motion.approximate,
+        is_approximate=motion.is_approximate,
         stride=stride,
         centre_m=scene.centre_m,
         extent_m=scene.extent_m,
@@ -91,81 +91,98 @@ def write_rrd(
         spectra=tuple(
             spectra_of(recording, {p.contact.name: p.force_n for p in contact_motions if p.force_n is not None})
         ),
-        diagnosis=gap is not None,
+        has_diagnosis=gap is not None,
         masses_alone=scene.masses_alone,
-        predicted_at=station_words(recording.rig, predicted.stations[predicted.shown_row]) if predicted else None,
+        predicted_station_name=station_words(recording.rig, prediction.stations[prediction.shown_row])
+        if prediction
+        else None,
     )
-    with rr.RecordingStream("rig") as stream, _drained(stream) as encoded:
+    with rr.RecordingStream("rig") as stream, _drained_stream(stream) as encoded_stream:
         stream.send_blueprint(blueprint(layout))
         stream.send_recording_name(f"{recording.rig.name}, {recording.duration_s:g} s")
         send_key(stream)
         send_model(stream, scene, recording, contact_motions)
         progress(0.3)
-        for count, contact_motion in enumerate(contact_motions, start=1):
+        for contact_number, contact_motion in enumerate(contact_motions, start=1):
             send_close_up(stream, contact_motion)
             send_over_time(stream, contact_motion)
             send_phase(stream, contact_motion)
             send_histogram(stream, contact_motion)
             send_events(stream, contact_motion)
-            progress(0.3 + 0.5 * count / len(contact_motions))
+            progress(0.3 + 0.5 * contact_number / len(contact_motions))
         if gap is not None:
             send_gap(stream, gap, scene, contact_motions)
-        if predicted is not None:
-            send_prediction(stream, predicted, scene, stride)
+        if prediction is not None:
+            send_prediction(stream, prediction, scene, stride)
         _send_series(stream, recording, contact_motions, stride)
         for spectra in layout.spectra:
             send_spectra(stream, spectra, recording.rig.sample_rate_hz)
-        write_bytes(encoded.read() or b"", path)
+        write_bytes(encoded_stream.read() or b"", path)
 
 
 @contextmanager
-def _drained(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
+def _drained_stream(stream: rr.RecordingStream) -> Iterator[rr.BinaryStream]:
     """Encoded bytes of a stream; rerun's own file writer hangs if the disk is full.
 
     The stream is drained at the end, as rerun would otherwise print a warning.
     """
-    encoded = stream.binary_stream()
+    encoded_stream = stream.binary_stream()
     try:
-        yield encoded
+        yield encoded_stream
     finally:
-        encoded.read()
+        encoded_stream.read()
 
 
 def _contact_motions(
     recording: Recording,
     truth: Recording | None,
     motion: Deflection,
-    identified: Identified,
-    frames: Int[np.ndarray, " frames"],
+    identified_contacts: IdentifiedContacts,
+    frame_samples: Int[np.ndarray, " frames"],
     stride: int,
 ) -> list[ContactMotion]:
     """Motion of every contact from the best source: the truth, else the identification, else the sensors."""
     time_s = recording.signals["force"].time_s
-    relative_m, force_n = motion.relative(), None
+    relative_displacement_m, force_n = motion.relative_displacement_m(), None
     if truth is not None:
-        relative_m, force_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
-    span = slice(0, time_s.size)
-    if truth is None and identified.curves is not None:
-        span = identified.curves.covered(time_s)
-        relative_m, force_n = identified.curves.interpolated(time_s[span])
+        relative_displacement_m, force_n = (
+            truth.signals[source_name].values for source_name in ("relative_displacement", "contact_force")
+        )
+    known_samples = slice(0, time_s.size)
+    if truth is None and identified_contacts.curves is not None:
+        known_samples = identified_contacts.curves.covered_samples(time_s)
+        relative_displacement_m, force_n = identified_contacts.curves.interpolate(time_s[known_samples])
     contact_motions = []
-    for j, believed in enumerate(recording.rig.contacts):
-        laws: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[j].law}
-        laws |= {"identified": identified.laws[believed.name]} if believed.name in identified.laws else {}
-        laws["believed"] = believed.law
-        wall_source = next(iter(laws))
-        overlaid = {name: law for name, law in laws.items() if name == "identified" or law != laws[wall_source]}
+    for index, believed_contact in enumerate(recording.rig.contacts):
+        law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
+        law_by_source |= (
+            {"identified": identified_contacts.laws[believed_contact.name]}
+            if believed_contact.name in identified_contacts.laws
+            else {}
+        )
+        law_by_source["believed"] = believed_contact.law
+        wall_source = next(iter(law_by_source))
+        overlaid_laws = {
+            source_name: contact_law
+            for source_name, contact_law in law_by_source.items()
+            if source_name == "identified" or contact_law != law_by_source[wall_source]
+        }
         contact_motion = ContactMotion(
-            contact=replace(believed, law=laws[wall_source]),
+            contact=replace(believed_contact, law=law_by_source[wall_source]),
             wall_source=wall_source,
-            overlaid={name: law for name, law in overlaid.items() if name != wall_source},
-            time_s=time_s[span],
-            until_s=float(time_s[span.stop]) if span.stop < time_s.size else None,
-            relative_m=relative_m[j],
-            force_n=None if force_n is None else force_n[j],
-            frames=frames[(frames >= span.start) & (frames < span.stop)] - span.start,
+            overlaid_laws={
+                source_name: contact_law
+                for source_name, contact_law in overlaid_laws.items()
+                if source_name != wall_source
+            },
+            time_s=time_s[known_samples],
+            until_s=float(time_s[known_samples.stop]) if known_samples.stop < time_s.size else None,
+            eta_m=relative_displacement_m[index],
+            force_n=None if force_n is None else force_n[index],
+            frame_samples=frame_samples[(frame_samples >= known_samples.start) & (frame_samples < known_samples.stop)]
+            - known_samples.start,
             stride=stride,
-            is_identified=truth is None and identified.curves is not None,
+            is_identified=truth is None and identified_contacts.curves is not None,
         )
         contact_motions.append(contact_motion)
     return contact_motions
@@ -181,41 +198,51 @@ def station_words(rig: Rig, station: Station) -> str:
     return station.body if rig.body(station.body).is_mass else f"{station.body} at {station.position_m:g} m"
 
 
-def _belongs(truth: Recording, recording: Recording) -> bool:
-    contacts = [[c.name for c in r.rig.contacts] for r in (truth, recording)]
+def _belongs_to(truth: Recording, recording: Recording) -> bool:
+    contact_names = [[c.name for c in r.rig.contacts] for r in (truth, recording)]
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
-    return has_truth and truth.samples == recording.samples and contacts[0] == contacts[1]
+    return has_truth and truth.samples == recording.samples and contact_names[0] == contact_names[1]
 
 
 def _series_scalars(recording: Recording, truth: Recording | None) -> int:
     """Number of values in the time series at full rate."""
     rig = recording.rig
-    channels = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted(rig))
-    return recording.samples * (channels + len(rig.contacts) * (1 if truth is None else 2))
+    channel_count = len(rig.forces) + sum(len(sensors_of(rig, name)) for name in plotted_quantities(rig))
+    return recording.samples * (channel_count + len(rig.contacts) * (1 if truth is None else 2))
 
 
 def _send_series(
     stream: rr.RecordingStream, recording: Recording, contact_motions: Sequence[ContactMotion], stride: int
 ) -> None:
     time_s = recording.signals["force"].time_s
-    exciting = recording.rig.force_names
-    colours = shades(FORCE, len(exciting))
-    send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], exciting, colours)
-    send_legend(stream, "exciting_force", list(zip(exciting, colours, strict=True)))
+    force_names = recording.rig.force_names
+    colours = shades(FORCE, len(force_names))
+    send_lines(stream, "exciting_force", time_s[::stride], recording.forces_n[:, ::stride], force_names, colours)
+    send_legend(stream, "exciting_force", list(zip(force_names, colours, strict=True)))
     legend: list[tuple[str, Colour]] = []
     for contact_motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if contact_motion.force_n is not None:
-            name, plotted_samples = contact_motion.contact.name, contact_motion.plotted_samples
-            plotted_s, force_n = contact_motion.time_s[plotted_samples], contact_motion.force_n[None, plotted_samples]
-            send_lines(stream, entity("contact_force", name), plotted_s, force_n, [name], (colour,))
-            legend.append((name, colour))
+            contact_name, plotted_samples = contact_motion.contact.name, contact_motion.plotted_samples
+            plotted_time_s, force_n = (
+                contact_motion.time_s[plotted_samples],
+                contact_motion.force_n[None, plotted_samples],
+            )
+            send_lines(
+                stream, entity("contact_force", contact_name), plotted_time_s, force_n, [contact_name], (colour,)
+            )
+            legend.append((contact_name, colour))
     send_legend(stream, "contact_force", legend)
-    for quantity in plotted(recording.rig):
-        measured = recording.signals[quantity]
+    for quantity in plotted_quantities(recording.rig):
+        signals = recording.signals[quantity]
         for body in recording.rig.bodies:
-            places = [(i, s) for i, s in enumerate(measured.channels.stations) if s is not None and s.body == body.name]
-            values = measured.values[[i for i, _ in places], ::stride]
-            names, path = [f"{s.position_m:g} m" for _, s in places], entity(quantity, body.name)
-            colours = shades(SENSOR, len(names))
-            send_lines(stream, path, time_s[::stride], values, names, colours)
-            send_legend(stream, path, list(zip(names, colours, strict=True)))
+            channel_stations = [
+                (i, s) for i, s in enumerate(signals.channels.stations) if s is not None and s.body == body.name
+            ]
+            values = signals.values[[i for i, _ in channel_stations], ::stride]
+            station_names, entity_path = (
+                [f"{s.position_m:g} m" for _, s in channel_stations],
+                entity(quantity, body.name),
+            )
+            colours = shades(SENSOR, len(station_names))
+            send_lines(stream, entity_path, time_s[::stride], values, station_names, colours)
+            send_legend(stream, entity_path, list(zip(station_names, colours, strict=True)))

@@ -24,8 +24,8 @@ from urllib.request import urlopen
 from rig.errors import RigError
 
 LOOPBACK = "127.0.0.1"
-RECORDING = "/recording.rrd"
-PAGE = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
+RECORDING_PATH = "/recording.rrd"
+PAGE_PATHS = ("/", "/re_viewer.js", "/re_viewer_bg.wasm", "/favicon.ico")
 FETCH_S = 60.0
 """Time limit for rerun to start and deliver its page, s."""
 
@@ -38,27 +38,27 @@ class Asset:
     content: bytes
 
 
-def serve(path: Path, say: Callable[[str], None]) -> None:
-    """Serve the file to browsers on this computer until interrupted; `say` receives the address to open.
+def serve(path: Path, show_address: Callable[[str], None]) -> None:
+    """Serve the file to browsers on this computer until interrupted; `show_address` receives the address to open.
 
     Raises RigError if rerun does not deliver its page.
     """
     assets = fetch_page()
     with ThreadingHTTPServer((LOOPBACK, 0), _handler(path, assets)) as server:
         origin = f"http://{LOOPBACK}:{server.server_port}"
-        say(f"{origin}/?url={quote(origin + RECORDING, safe='')}")
+        show_address(f"{origin}/?url={quote(origin + RECORDING_PATH, safe='')}")
         server.serve_forever()
 
 
 def fetch_page() -> dict[str, Asset]:
     """Fetch rerun's page, by path, from its own server, which is then stopped; raise RigError if that fails."""
     deadline_s = time.monotonic() + FETCH_S
-    with _rerun_serving() as (port, running):
+    with _rerun_server() as (port, process):
         while True:
             try:
-                return {path: _fetched(f"http://{LOOPBACK}:{port}{path}") for path in PAGE}
+                return {path: _fetch(f"http://{LOOPBACK}:{port}{path}") for path in PAGE_PATHS}
             except (URLError, OSError) as error:
-                if running.poll() is None and time.monotonic() < deadline_s:
+                if process.poll() is None and time.monotonic() < deadline_s:
                     time.sleep(0.1)
                     continue
                 raise RigError(
@@ -66,37 +66,37 @@ def fetch_page() -> dict[str, Asset]:
                 ) from error
 
 
-def _fetched(address: str) -> Asset:
-    with urlopen(address, timeout=FETCH_S) as answer:
-        return Asset(answer.headers["Content-Type"] or "application/octet-stream", answer.read())
+def _fetch(address: str) -> Asset:
+    with urlopen(address, timeout=FETCH_S) as response:
+        return Asset(response.headers["Content-Type"] or "application/octet-stream", response.read())
 
 
 @contextmanager
-def _rerun_serving() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+def _rerun_server() -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
     """Run rerun's web server on the loopback address; yields its port and process."""
-    page, data = _free_ports()
-    words = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page), "--port", str(data)]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "rerun_cli", *words],
+    page_port, data_port = _free_ports()
+    arguments = ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(page_port), "--port", str(data_port)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rerun_cli", *arguments],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,  # it starts a program of its own, which is to end with it
     )
     try:
-        yield page, running
+        yield page_port, process
     finally:
         with suppress(ProcessLookupError):
-            os.killpg(running.pid, signal.SIGKILL) if hasattr(os, "killpg") else running.kill()
-        running.wait()
+            os.killpg(process.pid, signal.SIGKILL) if hasattr(os, "killpg") else process.kill()
+        process.wait()
 
 
 def _free_ports() -> tuple[int, int]:
-    with socket.create_server((LOOPBACK, 0)) as first, socket.create_server((LOOPBACK, 0)) as second:
-        return first.getsockname()[1], second.getsockname()[1]
+    with socket.create_server((LOOPBACK, 0)) as page_socket, socket.create_server((LOOPBACK, 0)) as data_socket:
+        return page_socket.getsockname()[1], data_socket.getsockname()[1]
 
 
-def _handler(recording: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPRequestHandler]:
+def _handler(recording_path: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPRequestHandler]:
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             port = self.connection.getsockname()[1]
@@ -107,17 +107,17 @@ def _handler(recording: Path, assets: Mapping[str, Asset]) -> type[BaseHTTPReque
                 self._send_headers(assets[path].content_type, len(assets[path].content))
                 with suppress(ConnectionError):  # the browser may leave at any time
                     self.wfile.write(assets[path].content)
-            elif path == RECORDING and recording.is_file():
-                with recording.open("rb") as stream, suppress(ConnectionError):
-                    self._send_headers("application/octet-stream", recording.stat().st_size)
+            elif path == RECORDING_PATH and recording_path.is_file():
+                with recording_path.open("rb") as stream, suppress(ConnectionError):
+                    self._send_headers("application/octet-stream", recording_path.stat().st_size)
                     shutil.copyfileobj(stream, self.wfile)
             else:
                 self.send_error(404)
 
-        def _send_headers(self, content_type: str, length: int) -> None:
+        def _send_headers(self, content_type: str, content_length: int) -> None:
             self.send_response(200)
             self.send_header("Content-Type", content_type)
-            self.send_header("Content-Length", str(length))
+            self.send_header("Content-Length", str(content_length))
             self.end_headers()
 
         def log_message(self, *_: object) -> None:

@@ -20,7 +20,7 @@ from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import Forces, Motion, Plant, joined
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.sensors import digitised
+from rig.simulation.sensors import digitise
 
 SMALL = 0.01
 """Of the reference's clearance and force: with slopes so small the beams of both plants are linear."""
@@ -78,7 +78,7 @@ def statistics(plant: Plant, settings: BarrelCradle, seed: int, description: str
     force_n = force_history(excitation, settings.duration_s, settings.step_s)
     closed, force_squares, acceleration_squares = [], [], []
     with progress_bar(description) as progress:
-        for part in digitised(rig, plant(rig, force_n, settings.step_s, progress), np.random.default_rng(seed)):
+        for part in digitise(rig, plant(rig, force_n, settings.step_s, progress), np.random.default_rng(seed)):
             contact_n, acceleration = part.truth["contact_force"], part.sensed["acceleration"]
             closed.append(np.count_nonzero(contact_n) / len(contact_n))
             force_squares.append(np.sum(contact_n**2) / len(contact_n))

@@ -204,9 +204,9 @@ def viewed_contact_json(rng: np.random.Generator, folder: Path) -> str:
             assert isinstance(law, DeadZone)
             assert law.stiffness_n_per_m == said[name]["stiffness_n_per_m"]["value"]
         if found.curves is not None:
-            assert np.isfinite(found.curves.interpolated(found.curves.time_s)).all()
+            assert np.isfinite(found.curves.interpolate(found.curves.time_s)).all()
         if drawn:
-            write_rrd(sound_recording(), None, folder / "r.rrd", identified=found)
+            write_rrd(sound_recording(), None, folder / "r.rrd", identified_contacts=found)
 
     return refused_or_right(folder, work)
 
@@ -220,7 +220,7 @@ def viewed_gap_json(rng: np.random.Generator, folder: Path) -> str:
     def work() -> None:
         found = read_gap(folder, RIGS[name], 61.0)
         said = json.loads(path.read_text(errors="replace"))
-        assert [share for *_, share in found.spans] == [part["share"] for part in said["attribution"]["time_s"]]
+        assert [share for *_, share in found.share_spans] == [part["share"] for part in said["attribution"]["time_s"]]
         if drawn:
             write_rrd(sound_recording(), None, folder / "r.rrd", gap=found)
 

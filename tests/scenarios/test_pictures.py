@@ -32,7 +32,7 @@ def recording(tmp_path_factory):
 def test_a_stop_is_red_while_its_contact_is_closed(recording):
     motion = deflection(read(recording), read_truth(truth_path(recording)))
     clearance_m = SETTINGS.clearance_1_m
-    depth_m = np.abs(motion.relative()).max(axis=0) - clearance_m
+    depth_m = np.abs(motion.relative_displacement_m()).max(axis=0) - clearance_m
     red = np.array([int(pictures.COLOURS["closed"][k : k + 2], 16) for k in (1, 3, 5)])
     for sample, closed in ((int(np.argmax(depth_m)), True), (int(np.argmin(depth_m)), False)):
         frame = np.asarray(pictures._frame(motion, sample, 0.0, 40.0)).astype(int)

@@ -23,7 +23,7 @@ from identify.gaps.page.sections import (
 from identify.gaps.results import Gap
 from identify.gaps.wording import verdict
 from identify.pages import page
-from identify.pages.machine import machine
+from identify.pages.machine import rig_drawing
 from identify.pages.style import Picture
 from identify.pages.tables import Table
 from rig.files import make_folder, write_bytes, write_json
@@ -54,7 +54,7 @@ def write_all(
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    drawing = machine(corrected, {}, marks(gap, corrected))
+    drawing = rig_drawing(corrected, {}, marks(gap, corrected))
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected), folder / "rig.json")
     write_json(gap, folder / "gap.json")
@@ -75,12 +75,12 @@ def write_page(
     """
     figures = dict(figures)
     decisive = next((name for name in DECISIVE_FIGURES[gap.verdict] if name in figures), None)
-    first_column = page.listed(findings) if findings else ""
+    first_column = page.list_html(findings) if findings else ""
     if drawing:
         first_column += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
     second_column = (
-        page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PX) if decisive else ""
+        page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PLOT_PX) if decisive else ""
     )
     unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
     experiments = _figures_html(figures, "next")
@@ -100,10 +100,10 @@ def write_page(
         answer=page.Answer(
             "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), sentences(gap)
         ),
-        first=[first_column, second_column],
+        top_blocks=[first_column, second_column],
         sections=[("Which further recording?", experiments)] if experiments else [],
-        folded=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in folded],
-        foot="Every number of this page stands in gap.json, unrounded.",
+        folded_sections=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in folded],
+        foot_text="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
     )
 

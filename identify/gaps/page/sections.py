@@ -55,7 +55,7 @@ PREDICTION_WORDS = {
 
 def next_steps_list(gap: Gap) -> str:
     """Numbered list of the next steps."""
-    return "<ol>" + "".join(f"<li>{page.unbroken(escape(step))}</li>" for step in next_steps(gap)) + "</ol>"
+    return "<ol>" + "".join(f"<li>{page.unbroken_html(escape(step))}</li>" for step in next_steps(gap)) + "</ol>"
 
 
 def mismatch_size(gap: Gap) -> str:
@@ -102,7 +102,7 @@ def cause_tables(gap: Gap) -> str:
     text += page.table(header, [*(_cause_row(c) for c in top_causes), *remaining_rows])
     if alternatives := wording.look_alikes_of(gap):
         text += "<h3>What these records hardly tell apart</h3>"
-        text += page.listed(" / ".join([words, *look_alikes]) for words, look_alikes in alternatives)
+        text += page.list_html(" / ".join([words, *look_alikes]) for words, look_alikes in alternatives)
     effective_causes = [c for c in top_causes if is_effective(c)]
     if effective_causes:
         text += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"

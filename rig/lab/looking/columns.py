@@ -16,22 +16,22 @@ from rig.limits import MAX_ITEMS
 class SeenColumn:
     """A column: its number from 1, and its name, unit, rate and date as the file has them.
 
-    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; resolution is the last
+    stamps are its values if they never decrease, in its unit, or in seconds if they are dates; last_digit is the last
     digit written of them. fault says in words why no channel can be made of it; empty if one can.
     """
 
     number: int
     name: str
     unit: str | None
-    samples: int
+    sample_count: int
     lowest: float
     highest: float
-    distinct: int
+    distinct_count: int
     """Different values, counted to three."""
     rate_hz: float | None = None
     recorded: str = ""
     stamps: Float[np.ndarray, " samples"] | None = None
-    resolution: float = 0.0
+    last_digit: float = 0.0
     is_date: bool = False
     fault: str = ""
 
@@ -55,32 +55,34 @@ class SeenFile:
 
 
 def seen_column(
-    number: int, column: Column, resolution: float = 0.0, is_date: bool = False, fault: str = ""
+    column_number: int, column: Column, last_digit: float = 0.0, is_date: bool = False, fault: str = ""
 ) -> SeenColumn:
     """Column with its range and, if they never decrease, its values."""
     values = column.values
-    finite = values[np.isfinite(values)]
-    if not fault and finite.size < values.size:
+    finite_values = values[np.isfinite(values)]
+    if not fault and finite_values.size < values.size:
         fault = (
             f"it has no finite number at sample {int(np.argmin(np.isfinite(values)))}"
-            if finite.size
+            if finite_values.size
             else "it has no numbers"
         )
-    increases = not fault and values.size > 1 and values[-1] > values[0] and bool((np.diff(values) >= 0).all())
-    lowest, highest = (float(finite.min()), float(finite.max())) if finite.size else (np.nan, np.nan)
-    distinct = 1 + (highest > lowest) + bool(((finite > lowest) & (finite < highest)).any())
+    is_increasing = not fault and values.size > 1 and values[-1] > values[0] and bool((np.diff(values) >= 0).all())
+    lowest, highest = (
+        (float(finite_values.min()), float(finite_values.max())) if finite_values.size else (np.nan, np.nan)
+    )
+    distinct_count = 1 + (highest > lowest) + bool(((finite_values > lowest) & (finite_values < highest)).any())
     return SeenColumn(
-        number=number,
+        number=column_number,
         name=column.name,
         unit=column.unit,
-        samples=values.size,
+        sample_count=values.size,
         lowest=lowest,
         highest=highest,
-        distinct=distinct,
+        distinct_count=distinct_count,
         rate_hz=column.sample_rate_hz,
         recorded=column.recorded,
-        stamps=values if increases else None,
-        resolution=resolution,
+        stamps=values if is_increasing else None,
+        last_digit=last_digit,
         is_date=is_date,
         fault=fault,
     )
@@ -89,19 +91,19 @@ def seen_column(
 def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
     """Columns of any format but CSV, decoded one by one; a single number named as a rate is the rate."""
     columns: list[SeenColumn] = []
-    refused: list[str] = []
+    refusal_facts: list[str] = []
     rate_hz, rate_origin = None, ""
     for block in blocks:
         if isinstance(block, Refused):
-            refused.append(f"left out: {block.sentence}")
-        elif block.samples == 1 and len(block.names) == 1:
+            refusal_facts.append(f"left out: {block.sentence}")
+        elif block.sample_count == 1 and len(block.names) == 1:
             (column,) = block.read([0])
             stated_hz = rate_in([[column.name.rpartition(".")[2], repr(float(column.values[0]))]], ".")
             if stated_hz is not None and rate_hz is None:
                 rate_hz, rate_origin = stated_hz, repr(column.name)
         else:
-            for k in range(len(block.names)):
-                columns.append(seen_column(len(columns) + 1, block.read([k])[0]))
+            for column_index in range(len(block.names)):
+                columns.append(seen_column(len(columns) + 1, block.read([column_index])[0]))
                 if len(columns) > MAX_ITEMS:
                     raise UnreadableError(f"it has more than {MAX_ITEMS} columns")
-    return SeenFile(path, tuple(columns), tuple(refused), rate_hz=rate_hz, rate_origin=rate_origin)
+    return SeenFile(path, tuple(columns), tuple(refusal_facts), rate_hz=rate_hz, rate_origin=rate_origin)

@@ -18,7 +18,7 @@ from rig.lab.looking.roles import Role, candidates_in, roles_of
 from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
-from rig.lab.units import plainly, quantity_of
+from rig.lab.units import canonical_unit, quantity_of
 from rig.limits import MAX_NAME
 from rig.model.description import Rig
 from rig.recording import RIG_NAME
@@ -40,44 +40,49 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
     the file.
     """
     file = with_blocks(source, TextForm(), lambda blocks: _file_content(source, blocks))
-    channels, left_out = candidates_in(file.columns)
+    channels, left_out_reasons = candidates_in(file.columns)
     if not channels:
-        reasons = "; ".join(f"{_label(c)}: {reason}" for c, reason in left_out[:6]) or "it has no columns of numbers"
+        reasons = (
+            "; ".join(f"{_column_label(c)}: {reason}" for c, reason in left_out_reasons[:6])
+            or "it has no columns of numbers"
+        )
         raise RigError(f"{source}: no column of it is a measured channel ({reasons}); check what was exported")
     clock = clock_in(file, channels, rig.sample_rate_hz if rig else None)
     if clock.column is not None:
         channels = tuple(c for c in channels if c.number != clock.column.number)
-        left_out = tuple((c, reason) for c, reason in left_out if c.number != clock.column.number)
+        left_out_reasons = tuple((c, reason) for c, reason in left_out_reasons if c.number != clock.column.number)
     roles = roles_of(channels)
-    date, origin = recorded_date(source, file.form, [column.recorded for column in channels])
+    date, date_origin = recorded_date(source, file.form, [column.recorded for column in channels])
     facts = (
         *file.facts,
-        f"{channels[0].samples if channels else 0} samples of {len(channels)} channels; {clock.note}",
-        f"recorded {date} by {origin}",
+        f"{channels[0].sample_count if channels else 0} samples of {len(channels)} channels; {clock.note}",
+        f"recorded {date} by {date_origin}",
         *_rate_advice(clock, rig, rig_name),
     )
-    keys = _keys(file)
-    lines = [
+    key_by_number = _key_by_number(file)
+    map_lines = [
         f"rig = {json.dumps(rig_name)}" + ("" if rig else "  # the machine and its contacts; rig init writes it"),
-        *_clock_lines(clock, keys, rig),
+        *_clock_lines(clock, key_by_number, rig),
         *_form_lines(file.form),
-        *_force_lines(roles, keys, rig),
+        *_force_lines(roles, key_by_number, rig),
         "",
         "[sensors]",
-        *_sensor_lines(roles, keys, rig),
-        *(f"# left out: {_label(column)} ({reason})" for column, reason in left_out),
+        *_sensor_lines(roles, key_by_number, rig),
+        *(f"# left out: {_column_label(column)} ({reason})" for column, reason in left_out_reasons),
     ]
     placeholder_count = sum(
-        line.partition("  # ")[0].count(f'= "{PLACEHOLDER}"') for line in lines if not line.startswith("#")
+        map_line.partition("  # ")[0].count(f'= "{PLACEHOLDER}"')
+        for map_line in map_lines
+        if not map_line.startswith("#")
     )
-    heading = [f"{source.name}: {facts[0]}", *facts[1:]]
+    heading_facts = [f"{source.name}: {facts[0]}", *facts[1:]]
     if placeholder_count:
-        heading.append(
+        heading_facts.append(
             f'{placeholder_count} values are left to fill in, marked "{PLACEHOLDER}"; '
             "delete a sensor that is not needed"
         )
-    text = "\n".join([*(f"# {one_line(fact)}" for fact in heading), *map(one_line, lines), ""])
-    return Proposal(text, tuple(map(one_line, facts)), placeholder_count)
+    map_text = "\n".join([*(f"# {one_line(fact)}" for fact in heading_facts), *map(one_line, map_lines), ""])
+    return Proposal(map_text, tuple(map(one_line, facts)), placeholder_count)
 
 
 def _file_content(source: Path, blocks: Blocks) -> SeenFile:
@@ -89,12 +94,12 @@ def _file_content(source: Path, blocks: Blocks) -> SeenFile:
     return seen_blocks(source, blocks)
 
 
-def _keys(file: SeenFile) -> dict[int, str | int]:
+def _key_by_number(file: SeenFile) -> dict[int, str | int]:
     """Name of each column for the map, or its number if the name does not tell it from the others."""
-    times = Counter(column.name for column in file.columns)
+    name_counts = Counter(column.name for column in file.columns)
     return {
         c.number: c.name
-        if times[c.name] == 1
+        if name_counts[c.name] == 1
         and is_plain(c.name)
         and c.name == c.name.strip()
         and 0 < len(c.name) <= MAX_NAME
@@ -104,90 +109,97 @@ def _keys(file: SeenFile) -> dict[int, str | int]:
     }
 
 
-def _label(column: SeenColumn) -> str:
+def _column_label(column: SeenColumn) -> str:
     return one_line(f"column {column.number} {column.name!r}" if column.name else f"column {column.number}")
 
 
 def _rate_advice(clock: SeenClock, rig: Rig | None, rig_name: str) -> Iterator[str]:
     if rig is None or clock.rate_hz is None:
         return
-    ratio = clock.rate_hz / rig.sample_rate_hz
-    if ratio < 1 - RATE_TOLERANCE or ratio > MAX_DECIMATION:
+    rate_ratio = clock.rate_hz / rig.sample_rate_hz
+    if rate_ratio < 1 - RATE_TOLERANCE or rate_ratio > MAX_DECIMATION:
         yield f"sample_rate_hz of {rig_name} is {rig.sample_rate_hz:g}; correct it to {clock.rate_hz:.9g}"
 
 
-def _clock_lines(clock: SeenClock, keys: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _clock_lines(clock: SeenClock, key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     if clock.column is not None:
-        yield f"time = {_entry(keys[clock.column.number], {'unit': clock.unit or PLACEHOLDER})}"
+        yield f"time = {_entry_text(key_by_number[clock.column.number], {'unit': clock.unit or PLACEHOLDER})}"
     elif clock.rate_hz is None:
         yield f'sample_rate_hz = "{PLACEHOLDER}"'
     elif not clock.note.endswith("itself"):
         yield f"sample_rate_hz = {clock.rate_hz!r}  # {clock.note}"
-    higher = rig is not None and clock.rate_hz is not None and clock.rate_hz / rig.sample_rate_hz > 1 + RATE_TOLERANCE
+    is_faster = (
+        rig is not None and clock.rate_hz is not None and clock.rate_hz / rig.sample_rate_hz > 1 + RATE_TOLERANCE
+    )
     if clock.fault:
         yield f"resample = true  # {clock.fault}"
-    elif higher and rig is not None:
+    elif is_faster and rig is not None:
         yield f"resample = true  # to the {rig.sample_rate_hz:g} Hz of the rig"
 
 
 def _form_lines(form: TextForm) -> Iterator[str]:
     """Line of the CSV form, with what differs from the default."""
-    default = TextForm()
-    changed = {
-        field: value for field in form.__struct_fields__ if (value := getattr(form, field)) != getattr(default, field)
+    default_form = TextForm()
+    changed_fields = {
+        field: value
+        for field in form.__struct_fields__
+        if (value := getattr(form, field)) != getattr(default_form, field)
     }
-    if changed:
-        yield "csv = { " + ", ".join(f"{k} = {json.dumps(v)}" for k, v in changed.items()) + " }"
+    if changed_fields:
+        yield "csv = { " + ", ".join(f"{k} = {json.dumps(v)}" for k, v in changed_fields.items()) + " }"
 
 
-def _force_lines(roles: Sequence[Role], keys: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
-    forces = [role for role in roles if role.quantity == "force"]
-    if not forces:
+def _force_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+    force_roles = [role for role in roles if role.quantity == "force"]
+    if not force_roles:
         yield (
             f'force = "{PLACEHOLDER}"  # no column says that it is one: move its entry here from below, '
             '{ column = ..., unit = "N", body = ..., position_m = ... }, or give "none" of a free decay'
         )
         return
-    placed = rig is not None and len(rig.forces) == len(forces)
-    entries = [_entry(keys[role.column.number], _unit_keys(role) | ({} if placed else _place(rig))) for role in forces]
-    note = "; ".join(f"{_label(role.column)} is {_range(role)}" for role in forces)
-    if placed and rig is not None:
+    is_placed = rig is not None and len(rig.forces) == len(force_roles)
+    entry_texts = [
+        _entry_text(key_by_number[role.column.number], _unit_fields(role) | ({} if is_placed else _place_fields(rig)))
+        for role in force_roles
+    ]
+    note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
+    if is_placed and rig is not None:
         note += ", and acts at " + ", ".join(f"{s.position_m:g} m of {s.body}" for s in rig.forces)
-    yield f"force = {entries[0] if len(entries) == 1 else '[' + ', '.join(entries) + ']'}  # {note}"
+    yield f"force = {entry_texts[0] if len(entry_texts) == 1 else '[' + ', '.join(entry_texts) + ']'}  # {note}"
 
 
-def _sensor_lines(roles: Sequence[Role], keys: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
+def _sensor_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
-    sensors = [role for role in roles if role.quantity != "force"]
-    if rig is not None and any(role.name not in sensor_by_name for role in sensors):
-        places = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
-        named = (
+    sensor_roles = [role for role in roles if role.quantity != "force"]
+    if rig is not None and any(role.name not in sensor_by_name for role in sensor_roles):
+        places_text = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
+        names_hint = (
             f"; sensors of rig.json need no place if they are named as there: {', '.join(sensor_by_name)}"
             if sensor_by_name
             else ""
         )
-        yield f"# bodies: {places}{named}"
-    for role in sensors:
-        name = json.dumps(role.name, ensure_ascii=False)
-        fields = _unit_keys(role)
-        note = _range(role)
+        yield f"# bodies: {places_text}{names_hint}"
+    for role in sensor_roles:
+        sensor_key = json.dumps(role.name, ensure_ascii=False)
+        entry_fields = _unit_fields(role)
+        note = _range_text(role)
         if role.name in sensor_by_name:
             station = sensor_by_name[role.name].station
             note += f", at {station.position_m:g} m of {station.body}"
         else:
-            fields |= {"quantity": role.quantity or PLACEHOLDER} | _place(rig)
-        yield f"{name} = {_entry(keys[role.column.number], fields)}  # {note}"
+            entry_fields |= {"quantity": role.quantity or PLACEHOLDER} | _place_fields(rig)
+        yield f"{sensor_key} = {_entry_text(key_by_number[role.column.number], entry_fields)}  # {note}"
 
 
-def _unit_keys(role: Role) -> dict[str, object]:
+def _unit_fields(role: Role) -> dict[str, object]:
     """Unit of an entry, with a scale where the file's unit is of no quantity."""
     unit = role.column.unit
     if quantity_of(unit):
-        return {"unit": plainly(unit or "")}
+        return {"unit": canonical_unit(unit or "")}
     return dict.fromkeys(("unit", "scale") if unit else ("unit",), PLACEHOLDER)
 
 
-def _place(rig: Rig | None) -> dict[str, object]:
+def _place_fields(rig: Rig | None) -> dict[str, object]:
     """Body and place, as far as a rig with one body states them."""
     if rig is None or len(rig.bodies) != 1:
         return {"body": PLACEHOLDER, "position_m": PLACEHOLDER}
@@ -195,15 +207,15 @@ def _place(rig: Rig | None) -> dict[str, object]:
     return {"body": body.name, "position_m": 0.0 if body.is_mass else PLACEHOLDER}
 
 
-def _entry(column: str | int, fields: dict[str, object]) -> str:
-    content = {"column": column, **fields}
-    return "{ " + ", ".join(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in content.items()) + " }"
+def _entry_text(column_key: str | int, entry_fields: dict[str, object]) -> str:
+    all_fields = {"column": column_key, **entry_fields}
+    return "{ " + ", ".join(f"{k} = {json.dumps(v, ensure_ascii=False)}" for k, v in all_fields.items()) + " }"
 
 
-def _range(role: Role) -> str:
+def _range_text(role: Role) -> str:
     column = role.column
-    unit = f" {column.unit}" if column.unit else ""
-    text = f"{column.lowest:.4g} to {column.highest:.4g}{unit}"
-    if unit and not quantity_of(column.unit):
-        return f"{text}; unit is what it measures, scale how much of it one {column.unit} is"
-    return text if unit else f"{text}, without a unit in the file"
+    unit_text = f" {column.unit}" if column.unit else ""
+    range_text = f"{column.lowest:.4g} to {column.highest:.4g}{unit_text}"
+    if unit_text and not quantity_of(column.unit):
+        return f"{range_text}; unit is what it measures, scale how much of it one {column.unit} is"
+    return range_text if unit_text else f"{range_text}, without a unit in the file"

@@ -9,7 +9,7 @@ from rig.lab.looking.clock import is_time
 from rig.lab.looking.columns import SeenColumn
 from rig.lab.units import SCALED_UNITS, name_and_unit, quantity_of
 
-_NAMED = {
+_WORDS_BY_QUANTITY = {
     "force": r"force|kraft|load|last|hammer|shaker|impact|(?<![a-z])f(?![a-z])|(?<![a-z])f[xyz]?\d*(?![a-z])",
     "acceleration": r"acc|beschl|accel",
     "velocity": r"vel|geschw|speed",
@@ -26,47 +26,55 @@ class Role:
     column: SeenColumn
     name: str
     quantity: str | None
-    by_name: bool
+    is_by_name: bool
 
 
 def candidates_in(columns: Sequence[SeenColumn]) -> tuple[tuple[SeenColumn, ...], tuple[tuple[SeenColumn, str], ...]]:
     """Columns that vary over the samples most of them have, and the others with the reason in words."""
-    left_out = {column.number: reason for column in columns if (reason := _unfit(column))}
-    usable = [column for column in columns if column.number not in left_out]
-    shapes = Counter((column.samples, column.rate_hz) for column in usable)
-    if shapes:
-        (samples, rate_hz), _ = shapes.most_common(1)[0]
-        for column in usable:
-            if column.samples != samples:
-                left_out[column.number] = f"it has {column.samples} samples, most have {samples}"
-            elif column.rate_hz != rate_hz:
-                left_out[column.number] = f"it is sampled at {column.rate_hz or 0:g} Hz, most at {rate_hz or 0:g}"
+    reason_by_number = {column.number: reason for column in columns if (reason := _unfit_reason(column))}
+    usable_columns = [column for column in columns if column.number not in reason_by_number]
+    counts_by_length_and_rate = Counter((column.sample_count, column.rate_hz) for column in usable_columns)
+    if counts_by_length_and_rate:
+        (usual_samples, usual_rate_hz), _ = counts_by_length_and_rate.most_common(1)[0]
+        for column in usable_columns:
+            if column.sample_count != usual_samples:
+                reason_by_number[column.number] = f"it has {column.sample_count} samples, most have {usual_samples}"
+            elif column.rate_hz != usual_rate_hz:
+                reason_by_number[column.number] = (
+                    f"it is sampled at {column.rate_hz or 0:g} Hz, most at {usual_rate_hz or 0:g}"
+                )
     return (
-        tuple(column for column in usable if column.number not in left_out),
-        tuple((column, left_out[column.number]) for column in columns if column.number in left_out),
+        tuple(column for column in usable_columns if column.number not in reason_by_number),
+        tuple((column, reason_by_number[column.number]) for column in columns if column.number in reason_by_number),
     )
 
 
 def roles_of(columns: Sequence[SeenColumn]) -> tuple[Role, ...]:
     """Role of each column that is none of time; names are distinct."""
-    used: set[str] = set()
-    return tuple(_role(column, used) for column in columns)
+    used_names: set[str] = set()
+    return tuple(_role(column, used_names) for column in columns)
 
 
-def _role(column: SeenColumn, used: set[str]) -> Role:
-    bare = name_and_unit(column.name, guess=True)[0].strip()
-    plain = bare if bare.isprintable() and 0 < len(bare) <= 200 else f"channel_{column.number}"
-    name = next(candidate for candidate in _variants(plain) if candidate not in used)
-    used.add(name)
+def _role(column: SeenColumn, used_names: set[str]) -> Role:
+    name_without_unit = name_and_unit(column.name, guess=True)[0].strip()
+    printable_name = (
+        name_without_unit
+        if name_without_unit.isprintable() and 0 < len(name_without_unit) <= 200
+        else f"channel_{column.number}"
+    )
+    name = next(candidate for candidate in _name_variants(printable_name) if candidate not in used_names)
+    used_names.add(name)
     if quantity := quantity_of(column.unit):
-        return Role(column, name, quantity, by_name=False)
+        return Role(column, name, quantity, is_by_name=False)
     if column.unit in SCALED_UNITS:
-        return Role(column, name, None, by_name=False)
-    suggested = next((q for q, words in _NAMED.items() if re.search(words, bare, re.IGNORECASE)), None)
-    return Role(column, name, suggested, by_name=True)
+        return Role(column, name, None, is_by_name=False)
+    suggested_quantity = next(
+        (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, name_without_unit, re.IGNORECASE)), None
+    )
+    return Role(column, name, suggested_quantity, is_by_name=True)
 
 
-def _variants(name: str) -> Iterator[str]:
+def _name_variants(name: str) -> Iterator[str]:
     yield name
     number = 2
     while True:
@@ -74,16 +82,16 @@ def _variants(name: str) -> Iterator[str]:
         number += 1
 
 
-def _unfit(column: SeenColumn) -> str:
+def _unfit_reason(column: SeenColumn) -> str:
     """Reason why a column is no measured channel; empty if it may be one."""
-    foreign = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
+    is_foreign_unit = quantity_of(column.unit) in (None, "time") and column.unit not in (None, *SCALED_UNITS)
     reasons = (
         (column.is_date, "dates"),
         (bool(column.fault), column.fault),
-        (column.distinct == 1, f"it is {column.lowest:g} throughout"),
-        (column.distinct == 2, f"it is {column.lowest:g} or {column.highest:g}, as a trigger is"),
+        (column.distinct_count == 1, f"it is {column.lowest:g} throughout"),
+        (column.distinct_count == 2, f"it is {column.lowest:g} or {column.highest:g}, as a trigger is"),
         (column.stamps is not None and column.is_counter, "it counts the samples"),
         (column.stamps is not None and is_time(column), "it is a time"),
-        (foreign, f"it is in {column.unit}, which no sensor of a rig measures"),
+        (is_foreign_unit, f"it is in {column.unit}, which no sensor of a rig measures"),
     )
     return next((reason for applies, reason in reasons if applies), "")

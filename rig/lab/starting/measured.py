@@ -9,10 +9,10 @@ import msgspec
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.lab.clock import even
+from rig.lab.clock import evenly_sampled
 from rig.lab.csv_text import TextForm
 from rig.lab.import_map import Source
-from rig.lab.importing import clock_of, rows_in_si, source_columns
+from rig.lab.importing import rows_in_si, sample_times_of, source_columns
 from rig.lab.modal.record import MeasuredResponse, fit_record
 from rig.lab.starting.base import Start, contacts_of
 from rig.lab.tables import read_table
@@ -141,9 +141,9 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         try:
             columns, factors = source_columns(table, sources)
             time = _source(self.time_column, "s") if self.time_column else None
-            clock = clock_of(table, list(columns.values()), time, self.sample_rate_hz)
+            clock = sample_times_of(table, list(columns.values()), time, self.sample_rate_hz)
             rate_hz = self.sample_rate_hz or float(f"{clock.rate_hz:.9g}")
-            rows, _ = even(rows_in_si(columns, factors), clock, rate_hz, resample=False)
+            rows, _ = evenly_sampled(rows_in_si(columns, factors), clock, rate_hz, resample=False)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
         return MeasuredResponse(rows[0], rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)

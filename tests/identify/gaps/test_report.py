@@ -28,7 +28,7 @@ from identify.gaps.wording import (
     removed_share_words,
     unexplained_words,
 )
-from identify.pages.page import unbroken
+from identify.pages.page import unbroken_html
 from identify.pages.wording import number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
@@ -178,7 +178,7 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
 
 def test_numbers_stay_on_a_line_with_their_units():
     broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg at 0.99 m in 3 machines")
-    assert unbroken(broken).split(" ") == [
+    assert unbroken_html(broken).split(" ") == [
         *("1.2\xa0%", "of", "the", "motion,", "&lt;\xa00.1\xa0%", "(p\xa0=\xa00.31),"),
         *("0.141\xa0kg", "at", "0.99\xa0m", "in", "3", "machines"),
     ]

@@ -99,7 +99,9 @@ def test_its_standard_errors_are_those_of_the_noise():
     for seed in range(4):
         noise = 0.3 * np.random.default_rng(seed).standard_normal(clean.size)
         friction = sliding_friction(ForceSamples(eta[::fine], clean + noise, 4096.0, 16), slice(64, -64))
-        scores += [(getattr(friction, n) - getattr(LAW, n)) / e for n, e in zip(NAMES, friction.errors, strict=True)]
+        scores += [
+            (getattr(friction, n) - getattr(LAW, n)) / e for n, e in zip(NAMES, friction.standard_errors, strict=True)
+        ]
     assert 0.5 < np.std(scores) < 1.7
 
 

@@ -18,7 +18,7 @@ from identify.commands.cli import app
 from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law, symbolic
 from identify.laws.report import write_page
 from identify.laws.results import LawReport
-from identify.laws.symbolic import Formula, search, simplified
+from identify.laws.symbolic import Formula, search, simplify
 from identify.pages.wording import interval
 from identify.signals.spectra import decimated
 from rig.errors import RigError
@@ -125,7 +125,7 @@ X = np.linspace(-1.5, 2.0, 101)
 @pytest.mark.parametrize("seed", range(40))
 def test_a_formula_keeps_its_values_when_simplified_and_scaled(seed):
     as_it_is = random_formula(np.random.default_rng(seed), 4, plain)
-    simple = random_formula(np.random.default_rng(seed), 4, simplified)
+    simple = random_formula(np.random.default_rng(seed), 4, simplify)
     size = max(1.0, float(np.abs(as_it_is(X)).max()))
     # constants left away are below NEGLIGIBLE and at most multiplied by what the rest of a formula comes to
     assert np.allclose(simple(X), as_it_is(X), atol=1e-9 * size)
@@ -134,7 +134,7 @@ def test_a_formula_keeps_its_values_when_simplified_and_scaled(seed):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_text_of_a_formula_says_what_it_computes(seed):
-    formula = random_formula(np.random.default_rng(seed), 4, simplified)
+    formula = random_formula(np.random.default_rng(seed), 4, simplify)
     said = formula.text("eta").replace(" eta", " * eta")
     for operation in "+-*,":
         said = said.replace(f"{operation} * eta", f"{operation} eta")
@@ -143,12 +143,12 @@ def test_the_text_of_a_formula_says_what_it_computes(seed):
 
 
 def test_the_search_finds_a_dead_zone_and_repeats_itself(monkeypatch):
-    monkeypatch.setattr(symbolic, "GENERATIONS", 60)
+    monkeypatch.setattr(symbolic, "GENERATION_COUNT", 60)
     rng = np.random.default_rng(3)
     x = np.linspace(-1, 1, 1000)
     noise = 1e-3
     y = 1.5 * penetration_m(x, 0.3, 0.45) + noise * rng.standard_normal(x.size)
-    first, repeated = (search(x, y, 60.0, seed=1, threads=threads) for threads in (1, 2))
+    first, repeated = (search(x, y, 60.0, seed=1, thread_count=threads) for threads in (1, 2))
     assert not first.out_of_time
     assert [f.text("x") for f in first.formulas] == [f.text("x") for f in repeated.formulas]
     errors = [float(np.std(f(x) - y)) for f in first.formulas]

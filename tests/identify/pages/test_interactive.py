@@ -10,7 +10,7 @@ import pytest
 
 from identify.pages import page
 from identify.pages.artists import MOST_POINTS
-from identify.pages.interactive import interactive
+from identify.pages.interactive import interactive_html
 from identify.pages.style import picture
 
 PHONE_PX = 375
@@ -53,7 +53,7 @@ def everything(figure):
 
 
 def test_curves_can_be_switched_and_panels_move_together():
-    by_type = models(interactive(picture(curves).figure))
+    by_type = models(interactive_html(picture(curves).figure))
     assert [len(legend["items"]) for legend in by_type["Legend"]] == [2, 2]
     assert {legend["click_policy"] for legend in by_type["Legend"]} == {"hide"}
     assert len(by_type["Range1d"]) == 3  # one for both ordinates
@@ -67,7 +67,7 @@ def logarithmic(figure):
 
 
 def test_titles_fit_a_phone():
-    by_type = models(interactive(picture(logarithmic).figure))
+    by_type = models(interactive_html(picture(logarithmic).figure))
     titles = {title["text"]["attributes"]["text"] for title in by_type["Title"]}
     assert titles == {"histogram of the relative\ndisplacement of contact_1"}
 
@@ -80,7 +80,7 @@ def test_long_curves_keep_their_peaks():
 
     ((_, y),) = [line.get_data() for line in picture(draw).figure.axes[0].get_lines()]
     assert y.size == 50_000
-    html = interactive(picture(draw).figure)
+    html = interactive_html(picture(draw).figure)
     assert len(html) < 20 * MOST_POINTS
     (source,) = models(html)["ColumnDataSource"]
     y_entry = dict(source["data"]["entries"])["y"]
@@ -101,7 +101,7 @@ def named_bars(figure):
 
 
 def test_bars_have_their_names_and_labels():
-    by_type = models(interactive(picture(named_bars).figure))
+    by_type = models(interactive_html(picture(named_bars).figure))
     overrides = [
         dict(axis["major_label_overrides"]["entries"])
         for axis in by_type["LinearAxis"]
@@ -122,7 +122,7 @@ def test_cells_without_a_value_are_left_out():
         values = np.array([[1.0, np.nan], [3.0, 4.0], [5.0, 6.0]])
         figure.colorbar(axes.pcolormesh([0.0, 1.0, 2.0], [0.0, 1.0, 2.0, 3.0], values), label="share, %")
 
-    by_type = models(interactive(picture(draw).figure))
+    by_type = models(interactive_html(picture(draw).figure))
     (source,) = by_type["ColumnDataSource"]
     columns = dict(source["data"]["entries"])
     assert columns["value"] == [1.0, 3.0, 4.0, 5.0, 6.0]
@@ -142,7 +142,7 @@ def test_cells_without_a_value_are_left_out():
 )
 def test_what_it_cannot_draw_stays_a_picture(draw):
     image = picture(draw)
-    assert interactive(image.figure) == ""
+    assert interactive_html(image.figure) == ""
     assert "<img" in page.figure("a", image, "said")
 
 
@@ -150,7 +150,7 @@ def test_a_browser_draws_them(opened, tmp_path):
     odd = "</script><b>$$x$$ <!--<script>"
     html = page.figure("a", picture(lambda figure: curves(figure, odd)), odd) + page.figure("b", picture(everything))
     html += page.figure("c", picture(logarithmic))
-    page.write(tmp_path / "p.html", title=odd, answer=page.Answer("red", "", ""), sections=[("A", html)], foot="")
+    page.write(tmp_path / "p.html", title=odd, answer=page.Answer("red", "", ""), sections=[("A", html)], foot_text="")
     browser_page = opened(tmp_path / "p.html", PHONE_PX)
     assert browser_page.console == ()
     assert browser_page.scroll_px == PHONE_PX

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
-from identify.pages.machine import LETTER, WIDTH, DrawnMark, machine
+from identify.pages.machine import LETTER_WIDTH, WIDTH, DrawnMark, rig_drawing
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
@@ -17,13 +17,13 @@ WORDS = "5.003 ± 0.024 mm", "100100 ± 1000 N/m"
 
 
 def drawing(rig, *marks):
-    return ElementTree.fromstring(machine(rig, {c.name: WORDS for c in rig.contacts}, marks))
+    return ElementTree.fromstring(rig_drawing(rig, {c.name: WORDS for c in rig.contacts}, marks))
 
 
 def boxes(svg):
     """Left, right and baseline of every text but the names of masses, which lie in their blocks."""
     for text in svg.iter("text"):
-        x, y, half = float(text.get("x")), float(text.get("y")), LETTER * len(text.text) / 2
+        x, y, half = float(text.get("x")), float(text.get("y")), LETTER_WIDTH * len(text.text) / 2
         middle = x + {"start": half, "middle": 0.0, "end": -half}[text.get("text-anchor")]
         yield text.text, middle - half, middle + half, y
 

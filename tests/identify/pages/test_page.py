@@ -8,13 +8,15 @@ PHONE_PX = 375
 
 
 def written(path, html):
-    page.write(path, title="A page", answer=page.Answer("green", "so", "It is."), sections=[("One", html)], foot="")
+    page.write(
+        path, title="A page", answer=page.Answer("green", "so", "It is."), sections=[("One", html)], foot_text=""
+    )
     return path
 
 
 def test_a_wide_table_and_a_long_word_need_no_sideways_scrolling(opened, tmp_path):
     wide = page.table([f"column {i}" for i in range(12)], [[f"{i:.12f}" for i in range(12)], ["word" * 40] * 12])
-    browser_page = opened(written(tmp_path / "page.html", wide + page.listed(["word" * 100])), PHONE_PX)
+    browser_page = opened(written(tmp_path / "page.html", wide + page.list_html(["word" * 100])), PHONE_PX)
     assert (browser_page.scroll_px, browser_page.console) == (PHONE_PX, ())
 
 

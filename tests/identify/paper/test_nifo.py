@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identify.linear.modal import ModalEquation, modal_equations, receptance
-from identify.paper.nifo import Nifo, fitted_mode, nifo
+from identify.paper.nifo import Nifo, fit_mode, nifo
 from identify.paper.surface import clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
@@ -120,8 +120,8 @@ def test_inputs_that_are_copies_are_refused():
 def test_a_modes_frequency_and_damping_from_its_frf():
     result = nifo(*transient(), cut_of(30_000))
     exact = replace(result, frf=receptance(13.0, 0.07, result.frequency_hz))
-    assert fitted_mode(exact) == pytest.approx((13.0, 0.07))
-    assert fitted_mode(result) == pytest.approx((NATURAL_HZ, ZETA), rel=1e-3)
+    assert fit_mode(exact) == pytest.approx((13.0, 0.07))
+    assert fit_mode(result) == pytest.approx((NATURAL_HZ, ZETA), rel=1e-3)
 
 
 def test_a_rigid_modes_frf_is_a_masses():
@@ -167,7 +167,7 @@ def test_one_mass_as_in_the_paper(measured):
         assert result.averages == 40
         assert result.mean_n_per_m[0] == pytest.approx(TRUE.stiffness_n_per_m, rel=4.8e-4)
         assert frf_error(result) <= frf_share
-    assert fitted_mode(result) == pytest.approx((TRUE.frequency_hz, TRUE.damping_ratio), rel=1e-3)
+    assert fit_mode(result) == pytest.approx((TRUE.frequency_hz, TRUE.damping_ratio), rel=1e-3)
 
 
 def test_the_standard_error_of_the_mean_is_its_scatter(measured):

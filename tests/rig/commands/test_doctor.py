@@ -61,9 +61,9 @@ def test_another_program_of_the_same_name_is_found(tmp_path, monkeypatch):
 
 def test_extras_are_those_of_the_installation():
     assert doctor.packages_of("simulate") == ["exudyn"]
-    assert all(doctor.packages_of(extra) for extra in doctor.PURPOSES)
-    assert doctor.installed("numpy")
-    assert doctor.installed("no-such-package") is None
+    assert all(doctor.packages_of(extra) for extra in doctor.PURPOSE_BY_EXTRA)
+    assert doctor.installed_version("numpy")
+    assert doctor.installed_version("no-such-package") is None
 
 
 @pytest.mark.parametrize("package", LACKING)

@@ -32,7 +32,7 @@ def test_blocks_in_any_order_and_room_make_the_same_samples(order, room, first):
         memory = pieces[k].values.copy()
         held.add(Block(pieces[k].time_ns, pieces[k].first_sample, 10.0, memory))
         memory[:] = np.nan  # the file's next record is read into the same memory
-    start_s, values = held.finished()
+    start_s, values = held.finish()
     assert start_s == pytest.approx(first / 10.0)
     np.testing.assert_array_equal(values, VALUES)
 
@@ -44,7 +44,7 @@ def test_a_gap_is_named(missing, sentence):
         if k != missing:
             held.add(block)
     with pytest.raises(RigError, match=sentence):
-        held.finished()
+        held.finish()
 
 
 def test_a_value_that_is_not_finite_is_named_by_its_place_in_the_record():
@@ -54,7 +54,7 @@ def test_a_value_that_is_not_finite_is_named_by_its_place_in_the_record():
     for block in blocks(values, first=100):
         held.add(block)
     with pytest.raises(RigError, match=r"channel 'b' is not a finite number at sample 130 \(13.0000 s\)"):
-        held.finished()
+        held.finish()
 
 
 def test_a_value_that_nothing_measures_is_named():
@@ -62,11 +62,11 @@ def test_a_value_that_nothing_measures_is_named():
     for block in blocks(np.where(VALUES[1, 7] == VALUES, -2e30, VALUES)):
         held.add(block)
     with pytest.raises(RigError, match=r"channel 'b' is -2e\+30, which nothing measures, at sample 7 \(0.7000 s\)"):
-        held.finished()
+        held.finish()
 
 
 def test_values_that_are_only_too_large_together_are_kept():
     held = assembly()
     for block in blocks(np.full((2, 20), 1e30)):
         held.add(block)
-    np.testing.assert_array_equal(held.finished()[1], np.full((2, 20), 1e30))
+    np.testing.assert_array_equal(held.finish()[1], np.full((2, 20), 1e30))

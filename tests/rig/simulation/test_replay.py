@@ -17,7 +17,7 @@ from rig.simulation.motion import joined
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
-from rig.simulation.sensors import digitised, needed_duration_s
+from rig.simulation.sensors import digitise, needed_duration_s
 
 SETTINGS = BarrelCradle(rms_n=40.0, stations=4)
 RIG = SETTINGS.rig()
@@ -53,7 +53,7 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
     force_n = force_history(SETTINGS.force(), needed_duration_s(rig, duration_s), STEP_S)
     motion = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
     assert motion.contact_force_n.any()
-    segments = list(digitised(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
+    segments = list(digitise(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
     for quantity in ("displacement", "acceleration"):
         delivered = np.concatenate([p.sensed[quantity] for p in segments], axis=1)[:, : round(duration_s * RATE_HZ)]
         rows = [k for k, s in enumerate(rig.sensors) if s.quantity == quantity]
@@ -106,7 +106,7 @@ def test_a_replay_asks_for_no_truth():
             yield replace(block, displacement_m=NotAsked(), eta_m=NotAsked())
 
     force_n = force_history(SETTINGS.force(), 1.1, 1 / RATE_HZ)
-    made, expected = (replay.replayed(RIG, RIG, force_n, p, STEP_S, 1) for p in (plant, modal.simulate))
+    made, expected = (replay.replayed_recording(RIG, RIG, force_n, p, STEP_S, 1) for p in (plant, modal.simulate))
     np.testing.assert_array_equal(made.signals["displacement"].values, expected.signals["displacement"].values)
 
 
@@ -123,7 +123,7 @@ def recorded(folder, plant):
 
 
 def replayed(_folder, plant):
-    replay.replayed(RIG, RIG, force_history(SETTINGS.force(), 1.1, 1 / RATE_HZ), plant, STEP_S, 1)
+    replay.replayed_recording(RIG, RIG, force_history(SETTINGS.force(), 1.1, 1 / RATE_HZ), plant, STEP_S, 1)
 
 
 @pytest.mark.parametrize("made", [recorded, replayed])

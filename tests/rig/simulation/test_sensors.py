@@ -15,7 +15,7 @@ from rig.model.description import Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.sensing import PASSBAND
 from rig.simulation.motion import Motion
-from rig.simulation.sensors import decimated, decimator, digitised, needed_duration_s
+from rig.simulation.sensors import decimate, decimator, digitise, needed_duration_s
 
 RATE_HZ = 1000.0
 FACTOR = 4
@@ -44,7 +44,7 @@ def motion_of(signal, rows, step_s=STEP_S):
 
 def deliver(signal, *sensors, seed=1):
     rig = rig_with(*sensors)
-    blocks = list(digitised(rig, iter([motion_of(signal, len(sensors))]), np.random.default_rng(seed)))
+    blocks = list(digitise(rig, iter([motion_of(signal, len(sensors))]), np.random.default_rng(seed)))
     return np.concatenate([b.sensed["displacement"] for b in blocks], axis=1)
 
 
@@ -78,7 +78,7 @@ def test_what_would_alias_is_gone(fraction):
 def test_force_passes_the_same_filter_and_the_truth_none():
     frequency_hz = 0.1 * RATE_HZ
     signal = tone(frequency_hz) + tone(0.8 * RATE_HZ)
-    (samples,) = digitised(rig_with(PERFECT), iter([motion_of(signal, 1)]), np.random.default_rng(1))
+    (samples,) = digitise(rig_with(PERFECT), iter([motion_of(signal, 1)]), np.random.default_rng(1))
     np.testing.assert_array_equal(samples.force_n, samples.sensed["displacement"][0])
     for truth in samples.truth.values():
         np.testing.assert_array_equal(truth[0], signal[::FACTOR][: truth.shape[1]])
@@ -153,7 +153,7 @@ def test_blocks_do_not_show(sizes, factor):
     ]
     results = []
     for blocks in ([single_block], pieces):
-        segments = list(digitised(rig, iter(blocks), np.random.default_rng(1)))
+        segments = list(digitise(rig, iter(blocks), np.random.default_rng(1)))
         results.append([np.concatenate([p.sensed["displacement"] for p in segments], axis=1)] if segments else [])
         results[-1] += [np.concatenate([p.truth["displacement"] for p in segments], axis=1)] if segments else []
     for expected, delivered in zip(*results, strict=True):
@@ -172,7 +172,7 @@ def test_the_needed_duration_is_enough_for_the_record(duration_s, delay_s):
 def test_a_step_that_does_not_divide_the_sampling_interval_is_refused(step_s):
     blocks = iter([motion_of(np.zeros(1000), 1, step_s=step_s)])
     with pytest.raises(RigError, match=r"sample_rate_hz is 1000\.0 .* must be a whole multiple"):
-        list(digitised(rig_with(PERFECT), blocks, np.random.default_rng(1)))
+        list(digitise(rig_with(PERFECT), blocks, np.random.default_rng(1)))
 
 
 def by_convolution(taps, signals, factor, samples):
@@ -195,7 +195,7 @@ def test_it_is_a_convolution_decimated(factor, used, before, behind, samples, se
     signals = rng.standard_normal((3, needed))
     filter_ = decimator(taps, factor)
     room = np.pad(signals, ((0, 0), (0, max(0, filter_.reach(samples) - needed))))
-    filtered = decimated(filter_, room, samples)
+    filtered = decimate(filter_, room, samples)
     expected = by_convolution(taps, signals, factor, samples)
     np.testing.assert_allclose(filtered, expected, rtol=0, atol=1e-13 * np.abs(taps).sum())
 
@@ -210,4 +210,4 @@ def test_taps_of_zero_cost_nothing(late):
 
 def test_no_taps_give_nothing():
     filter_ = decimator(np.zeros(33), 4)
-    assert not decimated(filter_, np.ones((2, filter_.reach(20))), 20).any()
+    assert not decimate(filter_, np.ones((2, filter_.reach(20))), 20).any()

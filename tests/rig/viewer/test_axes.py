@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.viewer.axes import HEIGHT, MAX_FIGURES, WIDTH, Axes, decades, figures
+from rig.viewer.axes import HEIGHT, MAX_TICKS, WIDTH, Axes, decades, tick_values
 from rig.viewer.blueprint import axis_reach
 
 
@@ -11,9 +11,9 @@ from rig.viewer.blueprint import axis_reach
     ("low", "high"), [(-8.5, 8.5), (0.0, 1.0), (-2.8e-3, 2.8e-3), (3.1, 3.2), (-250.0, 1000.0), (0.0, 60.0)]
 )
 def test_figures_are_few_round_and_within(low, high):
-    values = figures(low, high)
+    values = tick_values(low, high)
     step = np.diff(values)
-    assert 3 <= values.size <= MAX_FIGURES
+    assert 3 <= values.size <= MAX_TICKS
     np.testing.assert_allclose(step, step[0])
     assert round(step[0] / 10 ** np.floor(np.log10(step[0]) + 1e-9), 6) in {1, 2, 5}
     np.testing.assert_allclose(values / step[0], np.round(values / step[0]), atol=1e-6)
@@ -32,7 +32,7 @@ def test_places_go_up_and_are_kept_within_the_frame():
         axes.points(np.array([0.0, 5.0, 20.0]), np.array([-1.0, 0.0, 3.0])),
         [[0, 0], [WIDTH / 2, -HEIGHT / 2], [WIDTH, -HEIGHT]],
     )
-    axes = Axes((1.0, 100.0), (1e-3, 10.0), "x", "y", logarithmic=True)
+    axes = Axes((1.0, 100.0), (1e-3, 10.0), "x", "y", is_logarithmic=True)
     np.testing.assert_allclose(
         axes.points(np.array([10.0, 0.0]), np.array([0.1, 0.0])), [[WIDTH / 2, -HEIGHT / 2], [0, 0]]
     )

@@ -40,9 +40,9 @@ MARKS = {
 def test_what_acts_is_marked_at_its_place(tmp_path, name):
     (tmp_path / "gap.json").write_bytes(msgspec.json.encode(GAPS[name]))
     gap = read_gap(tmp_path, RIGS[name], 61.0)
-    assert [(m.place, m.words) for m in gap.marks] == MARKS[name]
+    assert [(m.station, m.words) for m in gap.marks] == MARKS[name]
     assert GAPS[name].sentence in gap.text
-    assert bool(gap.shares) == (name not in ("consistent", "cannot_tell"))
+    assert bool(gap.share_by_station) == (name not in ("consistent", "cannot_tell"))
 
 
 @pytest.mark.parametrize(
@@ -80,8 +80,8 @@ def test_a_force_in_contact_shows_while_one_is_closed_and_as_strong_as_it_is_the
     gap = ShownGap(
         text="words",
         marks=(Mark(Station("mass"), "a force", (0.5, 1.0), in_contact=True),),
-        shares={Station("mass"): 1.0},
-        spans=((0.0, 2.0, 0.25), (2.0, 4.0, 0.75)),
+        share_by_station={Station("mass"): 1.0},
+        share_spans=((0.0, 2.0, 0.25), (2.0, 4.0, 0.75)),
     )
     write_rrd(recording, truth, tmp_path / "r.rrd", gap=gap)
     times, radii = column(tmp_path / "r.rrd", "/model/gap/mark_0", "Points3D:radii")

@@ -16,7 +16,7 @@ from rig.simulation.reference import Sdof
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.gap import read_corrected
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE
-from rig.viewer.prediction import predicted_motion, summary
+from rig.viewer.prediction import predicted_motion, summary_text
 from rig.viewer.viewing import write_rrd
 from tests.rig.viewer.test_viewing import column, series, static
 
@@ -46,7 +46,7 @@ def test_each_window_continues_from_the_measured_displacement_and_velocity(chang
     recording, _, true = changed
     amplitude_m, omega = 1e-3, 2 * np.pi * 3.0
     time_s = np.arange(recording.samples) / recording.rig.sample_rate_hz
-    motion = Deflection(recording.rig, (MASS,), amplitude_m * np.sin(omega * time_s)[None], approximate=False)
+    motion = Deflection(recording.rig, (MASS,), amplitude_m * np.sin(omega * time_s)[None], is_approximate=False)
     predicted = predicted_motion(recording, motion, true, coasting, 0.125)
     window = predicted.window_samples
     assert window / recording.rig.sample_rate_hz == pytest.approx(0.125)
@@ -65,13 +65,13 @@ def test_the_rig_as_it_is_predicts_the_motion_and_the_believed_one_does_not(chan
     )
     assert corrected < 0.02 * np.std(predicted.measured_m)
     assert believed > 10 * corrected
-    assert f"corrected {1e3 * corrected:.2g} mm" in summary(predicted, 0.2)
+    assert f"corrected {1e3 * corrected:.2g} mm" in summary_text(predicted, 0.2)
 
 
 def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(changed, tmp_path):
     recording, truth, true = changed
     predicted = predicted_motion(recording, deflection(recording, truth), true, modal_predictor)
-    write_rrd(recording, truth, tmp_path / "r.rrd", predicted=predicted)
+    write_rrd(recording, truth, tmp_path / "r.rrd", prediction=predicted)
     for name, values_m, colour in (
         ("measured", predicted.measured_m, MACHINE),
         ("believed", predicted.believed_m, BELIEVED),

@@ -21,7 +21,7 @@ from rig.simulation.reference import BarrelCradle, Sdof
 from rig.viewer.axes import WIDTH
 from rig.viewer.deflection import deflection
 from rig.viewer.drawing import entity
-from rig.viewer.identified import Identified, identified_laws, read_identified
+from rig.viewer.identified import IdentifiedContacts, identified_laws, read_identified
 from rig.viewer.stage import stage
 from rig.viewer.viewing import write_rrd
 
@@ -131,8 +131,8 @@ def test_accelerometers_alone_give_the_motion_above_one_hertz(beams, tmp_path):
     poor = only_accelerometers(recording)
     write_rrd(poor, None, tmp_path / "r.rrd")
     motion, true_motion = deflection(poor, None), deflection(recording, truth)
-    assert motion.approximate
-    assert not true_motion.approximate
+    assert motion.is_approximate
+    assert not true_motion.is_approximate
     station = recording.rig.contacts[0].against
     middle = slice(recording.samples // 3, 2 * recording.samples // 3)
     error = (motion.displacement_at(station) - true_motion.displacement_at(station))[middle]
@@ -164,7 +164,7 @@ def test_the_bodies_lie_over_each_other_at_their_contacts_and_move_magnified(bea
     for contact in recording.rig.contacts:
         station, against = scene.point(contact.at), scene.point(contact.against)
         np.testing.assert_allclose(station[:, 0], against[:, 0])
-        eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frames]
+        eta = truth.signals["relative_displacement"].values[recording.rig.contacts.index(contact), scene.frame_samples]
         np.testing.assert_allclose(station[:, 2] - against[:, 2], 3.0 * eta, atol=1e-12)
         jaws = scene.fork(contact, contact.law)[..., 2]
         outside = (station[:, 2] > jaws[:, 0]) | (station[:, 2] < jaws[:, 3])
@@ -252,7 +252,7 @@ def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
     value = {"value": 1.2e-3, "standard_error": 1e-6}
     contact = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
     file.write_text(json.dumps({"rig": "sdof", "contacts": [contact]}))
-    write_rrd(recording, truth, tmp_path / "r.rrd", identified=read_identified(file, recording.rig, 8.0))
+    write_rrd(recording, truth, tmp_path / "r.rrd", identified_contacts=read_identified(file, recording.rig, 8.0))
     _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
     np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
 
@@ -270,7 +270,9 @@ def test_the_figures_of_every_wall_stand_beyond_it_in_a_column_of_their_own(mass
     true_recording = replace(truth, rig=with_clearances(truth.rig, scale))
     recording = replace(recording, rig=with_clearances(recording.rig, 1.3 * scale))
     identified_law = with_clearances(recording.rig, 1.1).contacts[0].law
-    write_rrd(recording, true_recording, tmp_path / "r.rrd", identified=Identified({"stop": identified_law}))
+    write_rrd(
+        recording, true_recording, tmp_path / "r.rrd", identified_contacts=IdentifiedContacts({"stop": identified_law})
+    )
     laws = {
         "true": true_recording.rig.contacts[0].law,
         "identified": identified_law,
@@ -316,7 +318,7 @@ def test_without_truth_the_identified_curves_are_shown_as_long_as_they_go(mass, 
     contact = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": value}
     (tmp_path / "contact.json").write_text(json.dumps({"contacts": [contact]}))
     np.savetxt(tmp_path / "motion.csv", table, delimiter=",", header=CURVES.strip(), comments="")
-    write_rrd(poor, None, tmp_path / "r.rrd", identified=read_identified(tmp_path, poor.rig, 8.0))
+    write_rrd(poor, None, tmp_path / "r.rrd", identified_contacts=read_identified(tmp_path, poor.rig, 8.0))
     for origin, expected, scale in (
         (entity("relative_displacement", "stop", "value"), eta, 1e3),
         (entity("contact_force", "stop"), force, 1.0),

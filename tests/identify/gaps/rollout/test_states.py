@@ -10,7 +10,7 @@ from rig.model.modes import modes_of
 from rig.simulation import prediction
 from rig.simulation.motion import joined
 from rig.simulation.plants.modal import simulate
-from rig.simulation.replay import finer, step_s_of
+from rig.simulation.replay import forces_at_steps, step_s_of
 from tests.identify.gaps.rollout.conftest import BELIEVED, Case, recorded
 
 
@@ -21,7 +21,7 @@ def exact():
     step_s = step_s_of(BELIEVED, 2.0**15)
     factor = round(1 / (step_s * BELIEVED.sample_rate_hz))
     samples = round(9.0 * BELIEVED.sample_rate_hz)
-    fine = finer(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
+    fine = forces_at_steps(case.recording.forces_n[:, :samples], BELIEVED.sample_rate_hz, step_s, samples * factor)
     blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes_per_beam=24))
     coordinates_m = np.concatenate([b.displacement_m.coordinates for b in blocks])[::factor].T
     rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
