@@ -112,12 +112,12 @@ def recording(quantity, force_n, moved, seed, rate_hz=RATE_HZ):
 def fitted(record, effect=None):
     """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
     reference = nominal_variances_of(linearized(record, record.rig))
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     context = Search(reference, *fit_nuisance(record, record.rig), tuple(known))
     if effect is None:
         return context.nominal_fit().hypothesis
     asked = mode_screening(record, record.rig, [one for one in known if one.kind.name == effect])
-    briefly = [fit_briefly(context, (one.candidate,), one.values, None) for one in asked]
+    briefly = [fit_briefly(context, (one.candidate,), one.start_values, None) for one in asked]
     return refined(context, min(briefly, key=lambda one: one.cost)).hypothesis
 
 
@@ -135,7 +135,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     """And a frequency that is off within its tolerance, by a seventh of the resonance's width."""
     record = record_of(hit(quantity, (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.003))
     nothing = fitted(record)
-    assert record.forced
+    assert record.has_force
     assert not nothing.is_incomplete
     assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
@@ -147,9 +147,9 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     context = Search(reference, *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
-    found = fit_effects(context, (modulus,), modulus.default, context.residual).hypothesis
+    found = fit_effects(context, (modulus,), modulus.typical_values, context.residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
-    assert context.nominal_fit().hypothesis.misfit.share > 0.3
+    assert context.nominal_fit().hypothesis.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 
@@ -177,9 +177,9 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
 
 def test_the_record_tells_every_mode_from_its_first_sample_on():
     record = record_of(decay("acceleration", 3.0))
-    assert record.time_s[0] == 0
-    assert [m.frequency_hz for m in record.modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
-    assert [m.damping_ratio for m in record.modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
+    assert record.residual_times_s[0] == 0
+    assert [m.frequency_hz for m in record.measured_modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
+    assert [m.damping_ratio for m in record.measured_modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
 
 
 @pytest.mark.parametrize("quantity", NOISE)

@@ -43,7 +43,7 @@ def recorded(folder, machine, seed, *effects):
 
 def likeliest(record):
     """Likeliest hypothesis of a search among effects of several kinds."""
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     known = [candidate for candidate in known if candidate.kind.name in TRIED]
     search = Search(
         nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), tuple(known)

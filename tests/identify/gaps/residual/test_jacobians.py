@@ -48,15 +48,17 @@ def test_effects_by_differences(believed):
     unknowns, errors = unknowns_of(residual), {}
     names = [s.name for s in linearization.record.sensors]
     for candidate in candidates(scale_of(linearization.record, RIG), names, linearization.record.zero_known):
-        if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.default)):
+        if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.typical_values)):
             continue
-        neutral = np.append(candidate.neutral, candidate.default[1:])
-        changed_rig = candidate.applied(RIG, neutral + np.append(1e-3 * candidate.steps[0], np.zeros(neutral.size - 1)))
+        neutral = np.append(candidate.neutral_strength, candidate.typical_values[1:])
+        changed_rig = candidate.applied(
+            RIG, neutral + np.append(1e-3 * candidate.derivative_steps[0], np.zeros(neutral.size - 1))
+        )
         changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns)
         linear, contacts = derivative(linearization, changed_rig, residual)
         expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         errors[candidate.name] = largest_relative_error(
-            [linear, *contacts], [residual.linear - changed.linear, *expected]
+            [linear, *contacts], [residual.linear - changed.linear_residual, *expected]
         )
     assert len(errors) > 40
     assert {name: error for name, error in errors.items() if error > EXACT} == {}
@@ -104,7 +106,7 @@ def test_nuisance_parameters_by_another_rig(believed):
         changed_rig = with_nuisance(RIG, residual.parameters, values, linearization.record.tolerances)
         changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns_of(residual))
         linear[parameter.name] = largest_relative_error(
-            [linearization.columns.residual_decrease(values)], [residual.linear - changed.linear]
+            [linearization.columns.residual_decrease(values)], [residual.linear - changed.linear_residual]
         )
         if parameter.of not in coarse:
             expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
