@@ -96,11 +96,7 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     """Named effects of the likeliest cause that have look-alikes, each with these, in words."""
     if not gap.causes:
         return []
-    effect_words = {
-        effect_strength.effect: effect_phrase
-        for cause in reversed(gap.causes)
-        for effect_strength, effect_phrase in zip(cause.strengths, cause.words, strict=True)
-    }
+    effect_words = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
     likeliest = gap.causes[0]
     return [
         (effect_phrases, [effect_words.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
@@ -151,11 +147,7 @@ def is_effective(cause: Cause) -> bool:
 def unexplained_words(unexplained: UnexplainedShares) -> str:
     """Unexplained shares: "0.3 % of the motion, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
     share_words = [f"{percent(unexplained.share)} of the motion"]
-    for contact_number, (name, share) in enumerate(
-        (contact_name, contact_share)
-        for contact_name, contact_share in unexplained.contact_shares.items()
-        if contact_share > 0
-    ):
+    for contact_number, (name, share) in enumerate((n, s) for n, s in unexplained.contact_shares.items() if s > 0):
         share_words.append(f"{percent(share)} of {'that' if contact_number else 'the force'} of {name}")
     return joined(share_words)
 
@@ -200,7 +192,7 @@ def level_words(level_dependence: LevelDependence) -> str:
 
 def difference_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    value_words = ", ".join(number(estimate.value) for estimate in comparison.values)
+    value_words = ", ".join(number(v.value) for v in comparison.values)
     unit_words = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
     place_words = f" ({comparison.place})" if comparison.place else ""
     return f"{comparison.parameter}{place_words} {comparison.trend} ({value_words}{unit_words})"

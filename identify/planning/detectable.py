@@ -178,7 +178,7 @@ def _named_step(information: float, by_contacts: float, log_odds: float) -> floa
 
 def _size(term: CandidateTerm, step: float) -> float:
     """Size of a strength; infinite beyond the effect's range."""
-    if step > max(-float(term.least_theta[0]), float(term.greatest_theta[0])):
+    if step > max(-float(term.theta_min[0]), float(term.theta_max[0])):
         return np.inf
     return step * abs(float(term.candidate.derivative_steps[term.strength_indices[0]]))
 

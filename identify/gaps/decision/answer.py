@@ -123,7 +123,7 @@ def describe(
         probability_nothing=decision.probability_nothing,
         probability_unknown=decision.probability_unmeasured,
         nothing_minus_two_log=decision.nominal_hypothesis.misfit.minus_two_log,
-        unknown_gain=judgement.unmeasured.minus_two_log_decrease,
+        unknown_gain=judgement.unmeasured.cost_decrease,
         unknown=side_analyses.unknown,
         bands=bands_of(decision.nominal_hypothesis.misfit, decision.named_misfit, prepared.null_reference),
         separate_by=confirming_tests(
@@ -168,9 +168,7 @@ def _side_analyses(
     experiments_attempt = _next_experiments(prepared, rival_pair)
     attribution_attempt = attempted(
         "attribution",
-        lambda: attribution(
-            judgement.nominal_linearization, judgement.nominal_residual, decision.nominal_hypothesis.misfit
-        ),
+        lambda: attribution(judgement.linearization, judgement.nominal_residual, decision.nominal_hypothesis.misfit),
     )
     progress(1.0)
     return SideAnalyses(

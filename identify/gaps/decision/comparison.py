@@ -91,7 +91,7 @@ def validate_hypotheses(
     nominal_variances: NominalVariances,
     nominal_residual: Residual,
     hypotheses: Sequence[Hypothesis],
-    log_prior_by_names: Mapping[tuple[str, ...], float],
+    priors: Mapping[tuple[str, ...], float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> list[ValidatedHypothesis]:
     """Validate hypotheses on a record that was not fitted; the likeliest first, without those that it cannot hold.
@@ -126,7 +126,7 @@ def validate_hypotheses(
                 corrected_rig,
                 effects_misfit,
                 nominal_misfit,
-                log_prior_by_names[hypothesis.effect_names],
+                priors[hypothesis.effect_names],
             )
         )
         progress((hypothesis_index + 1) / len(hypotheses))

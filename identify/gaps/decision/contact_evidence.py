@@ -50,9 +50,9 @@ def with_contact_evidence(
     if contact_hypothesis is not None and all(
         contact_hypothesis.effect_names != item.hypothesis.effect_names for item in ranked_hypotheses
     ):
-        log_prior_by_names = log_priors([contact_hypothesis], candidates)
+        priors = log_priors([contact_hypothesis], candidates)
         validated += validate_hypotheses(
-            record, validation.nominal_variances, nominal_residual, [contact_hypothesis], log_prior_by_names
+            record, validation.nominal_variances, nominal_residual, [contact_hypothesis], priors
         )
     with_evidence = []
     for hypothesis in validated:

@@ -54,16 +54,13 @@ class EffectValues:
     def effect_names(self) -> list[str]:
         return [candidate.name for candidate in self.candidates]
 
-    def columns_of(self, effect_name: str) -> list[int]:
+    def columns_of(self, name: str) -> list[int]:
         """Columns of an effect's parameters."""
-        return parameters_of(self.candidates).places_of(effect_name)
+        return parameters_of(self.candidates).places_of(name)
 
-    def strength_columns(self, effect_name: str) -> list[int]:
+    def strength_columns(self, name: str) -> list[int]:
         """Columns of an effect's strengths."""
-        return [
-            self.columns_of(effect_name)[strength_index]
-            for strength_index in self.candidates[self.effect_names.index(effect_name)].parameters.strengths
-        ]
+        return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
     def with_effect(self, candidate: Candidate, effect_values: Float[np.ndarray, "records own"]) -> "EffectValues":
         """Effects with these values of one of them, which is replaced or added."""
@@ -123,9 +120,9 @@ class VaryingParameters:
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
-        pooled_values = np.clip(estimate.values.reshape(self.record_values.shape), *self.parameter_bounds)
+        values = np.clip(estimate.values.reshape(self.record_values.shape), *self.parameter_bounds)
         return VaryingParameters(
-            self.effects.with_values(slice(None), self.column_indices, pooled_values), self.column_indices
+            self.effects.with_values(slice(None), self.column_indices, values), self.column_indices
         )
 
 
@@ -134,15 +131,13 @@ class HomogeneityTest:
     """Fit of an effect with each record's own strength, and the log p-value of one strength for all records."""
 
     candidate: Candidate
-    varying_parameters: VaryingParameters
+    own_values: VaryingParameters
     cost: float
     log_p_value: float
 
     @property
     def effect_values(self) -> Float[np.ndarray, "records own"]:
-        return self.varying_parameters.effects.values_by_record[
-            :, self.varying_parameters.effects.columns_of(self.candidate.name)
-        ]
+        return self.own_values.effects.values_by_record[:, self.own_values.effects.columns_of(self.candidate.name)]
 
 
 @dataclass(frozen=True)
@@ -157,7 +152,7 @@ class _RecordSet:
         record, nominal_variances = self.records[record_index], self.variances_by_record[record_index]
         return linearized_record(record, nominal_variances, effects.rig(record_index))
 
-    def linearized_tests(self, effects: EffectValues, excluded_names: Sequence[str]) -> list[HomogeneityTest]:
+    def screened_tests(self, effects: EffectValues, excluded_names: Sequence[str]) -> list[HomogeneityTest]:
         """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
         varying_trials = [
             (candidate, effects.varying_strengths(candidate))
@@ -165,74 +160,55 @@ class _RecordSet:
             if candidate.name not in excluded_names
         ]
         for candidate in self.candidates:
-            for start_values in candidate.start_values() if candidate.name not in effects.effect_names else ():
-                with_candidate = effects.with_effect(candidate, np.tile(start_values, (len(self.records), 1)))
+            for start in candidate.start() if candidate.name not in effects.effect_names else ():
+                with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
                 varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
-        information_by_trial: list[list[Information]] = [[] for _ in varying_trials]
+        trial_information: list[list[Information]] = [[] for _ in varying_trials]
         for record_index in range(len(self.records)):
             linearised_record = self.linearized_record(effects, record_index)
-            for record_information, (_, varying_parameters) in zip(information_by_trial, varying_trials, strict=True):
+            for record_information, (_, values) in zip(trial_information, varying_trials, strict=True):
                 with suppress(RigError):
-                    record_information.append(varying_parameters.information(record_index, linearised_record))
-        best_test_by_name: dict[str, HomogeneityTest] = {}
-        for record_information, (candidate, varying_parameters) in zip(
-            information_by_trial, varying_trials, strict=True
-        ):
+                    record_information.append(values.information(record_index, linearised_record))
+        best_tests: dict[str, HomogeneityTest] = {}
+        for record_information, (candidate, values) in zip(trial_information, varying_trials, strict=True):
             if len(record_information) == len(self.records):
-                estimate = varying_parameters.pooled(record_information)
-                if candidate.name not in best_test_by_name or estimate.cost < best_test_by_name[candidate.name].cost:
-                    best_test_by_name[candidate.name] = _homogeneity_test(
-                        candidate, varying_parameters.at_estimate(estimate), estimate
-                    )
-        return sorted(best_test_by_name.values(), key=lambda test: test.cost)
+                estimate = values.pooled(record_information)
+                if candidate.name not in best_tests or estimate.cost < best_tests[candidate.name].cost:
+                    best_tests[candidate.name] = _homogeneity_test(candidate, values.at_estimate(estimate), estimate)
+        return sorted(best_tests.values(), key=lambda test: test.cost)
 
-    def joint_fit(self, initial_parameters: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+    def joint_fit(self, initial_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
         """Fit of each record's own values, linearised about the estimate."""
 
-        def refit(varying_parameters: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
-            estimate = self.pooled_estimate(varying_parameters)
-            return varying_parameters.at_estimate(estimate), estimate
+        def refit(own_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+            estimate = self.pooled_estimate(own_values)
+            return own_values.at_estimate(estimate), estimate
 
-        return refit_until_settled(
-            refit(initial_parameters),
-            lambda parameters_and_estimate: refit(parameters_and_estimate[0]),
-            rounds=ROUNDS - 1,
-        )
+        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=ROUNDS - 1)
 
-    def pooled_estimate(self, varying_parameters: VaryingParameters) -> PooledEstimate:
+    def pooled_estimate(self, own_values: VaryingParameters) -> PooledEstimate:
         """Pooled estimate from all records, each linearised about its own values."""
-        record_indices = range(len(self.records))
-        return varying_parameters.pooled(
-            [
-                varying_parameters.information(
-                    record_index, self.linearized_record(varying_parameters.effects, record_index)
-                )
-                for record_index in record_indices
-            ]
+        records = range(len(self.records))
+        return own_values.pooled(
+            [own_values.information(k, self.linearized_record(own_values.effects, k)) for k in records]
         )
 
-    def most_different(
-        self, effects: EffectValues, excluded_names: Sequence[str]
-    ) -> tuple[HomogeneityTest | None, int]:
+    def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
-        linearized_tests = self.linearized_tests(effects, excluded_names)
-        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(linearized_tests))))
+        screened_tests = self.screened_tests(effects, excluded)
+        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
         fitted_tests = []
-        for linearized_test in [
-            effect_test for effect_test in linearized_tests if effect_test.log_p_value < log_threshold
-        ][:FITTED_EFFECTS]:
+        for screened in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                varying_parameters, estimate = self.joint_fit(linearized_test.varying_parameters)
-                fitted_tests.append(_homogeneity_test(linearized_test.candidate, varying_parameters, estimate))
-        significant_tests = (effect_test for effect_test in fitted_tests if effect_test.log_p_value < log_threshold)
-        return min(significant_tests, key=lambda effect_test: effect_test.cost, default=None), len(linearized_tests)
+                own_values, estimate = self.joint_fit(screened.own_values)
+                fitted_tests.append(_homogeneity_test(screened.candidate, own_values, estimate))
+        significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
+        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
 
 
-def _homogeneity_test(
-    candidate: Candidate, varying_parameters: VaryingParameters, estimate: PooledEstimate
-) -> HomogeneityTest:
-    log_p_value = _homogeneity_log_p(estimate, varying_parameters.record_values.shape)
-    return HomogeneityTest(candidate, varying_parameters, estimate.cost, log_p_value)
+def _homogeneity_test(candidate: Candidate, own_values: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
+    log_p_value = _homogeneity_log_p(estimate, own_values.record_values.shape)
+    return HomogeneityTest(candidate, own_values, estimate.cost, log_p_value)
 
 
 def differences(
@@ -250,32 +226,26 @@ def differences(
     records. Effects known by their spectrum alone, or with parameters of every record's own (the phase of a tone), are
     not compared.
     """
-    comparable_candidates = [
-        candidate for candidate in candidates if not (candidate.kind.stochastic or candidate.kind.of_a_record)
-    ]
-    record_set = _RecordSet(records, variances_by_record, comparable_candidates)
+    comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
+    record_set = _RecordSet(records, variances_by_record, comparable)
     initial_effects = _initial_effects(records, cause)
-    differing_tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
+    tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
     records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
-    varying_parameters, differing_parameters = _fit_differing_values(
-        record_set, initial_effects, differing_tests, tested_effect_count, records_by_level
+    own_values, differing_rows = _fit_differing_values(
+        record_set, initial_effects, tests, tested_effect_count, records_by_level
     )
-    differing_names = [test.candidate.name for test in differing_tests]
-    shared_fit = _pool_shared_values(
-        record_set, varying_parameters.effects, initial_effects.effect_names, differing_names
-    )
+    differing_names = [test.candidate.name for test in tests]
+    shared = _pool_shared_values(record_set, own_values.effects, initial_effects.effect_names, differing_names)
     progress(1.0)
-    rig_by_record = [varying_parameters.effects.rig(record) for record in range(len(records))]
+    rig_by_record = [own_values.effects.rig(record) for record in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
         records=tuple(record_titles),
-        cause=tuple(_parameters_by_record(shared_fit[0], shared_fit[1], 0)) if shared_fit else (),
-        cause_p_value=float(np.exp(_homogeneity_log_p(shared_fit[1], shared_fit[0].record_values.shape)))
-        if shared_fit
-        else None,
-        differing=tuple(differing_parameters),
+        cause=tuple(_parameters_by_record(shared[0], shared[1], 0)) if shared else (),
+        cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
+        differing=tuple(differing_rows),
         looked_at=tested_effect_count,
-        level_dependence=level_dependence(rig_by_record, force_levels_n, differing_parameters, highest_hz),
+        level_dependence=level_dependence(rig_by_record, force_levels_n, differing_rows, highest_hz),
     )
 
 
@@ -290,13 +260,13 @@ def _differing_effects(
     progress(0.3)
     if first_test is None:
         return (), tested_effect_count
-    second_test, _ = record_set.most_different(first_test.varying_parameters.effects, [first_test.candidate.name])
+    second_test, _ = record_set.most_different(first_test.own_values.effects, [first_test.candidate.name])
     progress(0.6)
     if second_test is None:
         return (first_test,), tested_effect_count
     second_only = initial_effects.with_effect(second_test.candidate, second_test.effect_values)
-    first_test_again, _ = record_set.most_different(second_only, [second_test.candidate.name])
-    return (second_test, first_test_again) if first_test_again and first_test_again.cost < second_test.cost else (
+    first_again, _ = record_set.most_different(second_only, [second_test.candidate.name])
+    return (second_test, first_again) if first_again and first_again.cost < second_test.cost else (
         first_test,
         second_test,
     ), tested_effect_count
@@ -314,13 +284,11 @@ def _fit_differing_values(
     for test in differing_tests:
         effects = effects.with_effect(test.candidate, test.effect_values)
     strength_columns = [column for test in differing_tests for column in effects.strength_columns(test.candidate.name)]
-    varying_parameters = VaryingParameters(effects, strength_columns)
+    own_values = VaryingParameters(effects, strength_columns)
     if not differing_tests:
-        return varying_parameters, []
-    varying_parameters, estimate = record_set.joint_fit(varying_parameters)
-    return varying_parameters, _parameters_by_record(
-        varying_parameters, estimate, tested_effect_count, records_by_level
-    )
+        return own_values, []
+    own_values, estimate = record_set.joint_fit(own_values)
+    return own_values, _parameters_by_record(own_values, estimate, tested_effect_count, records_by_level)
 
 
 def _pool_shared_values(
@@ -328,12 +296,8 @@ def _pool_shared_values(
 ) -> tuple[VaryingParameters, PooledEstimate] | None:
     """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
     shared_names = [name for name in cause_effects if name not in differing_names]
-    shared_parameters = VaryingParameters(
-        effects, [column for name in shared_names for column in effects.columns_of(name)]
-    )
-    return (
-        (shared_parameters, record_set.pooled_estimate(shared_parameters)) if shared_parameters.column_indices else None
-    )
+    shared_values = VaryingParameters(effects, [column for name in shared_names for column in effects.columns_of(name)])
+    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.column_indices else None
 
 
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
@@ -341,16 +305,14 @@ def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | Non
     candidates = cause.hypothesis.candidates if cause else ()
     if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         values_by_record = np.tile(cause.hypothesis.values, (len(records), 1))
-        return EffectValues(tuple(record.rig for record in records), candidates, values_by_record)
-    rig_by_record = tuple(record_specific_rig(record, cause.hypothesis) if cause else record.rig for record in records)
+        return EffectValues(tuple(r.rig for r in records), candidates, values_by_record)
+    rig_by_record = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
     return EffectValues(rig_by_record, (), np.zeros((len(records), 0)))
 
 
-def _homogeneity_log_p(
-    estimate: PooledEstimate, record_values_shape: tuple[int, ...], parameter_index: int | None = None
-) -> float:
+def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], parameter_index: int | None = None) -> float:
     """Log p-value of one value for all records (tempered Wald test): of all varying parameters, or of one."""
-    record_count, parameter_count = record_values_shape
+    record_count, parameter_count = shape
     parameter_rows = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
     contrasts = np.kron(np.diff(np.eye(record_count), axis=0), parameter_rows)
     value_differences = contrasts @ estimate.values
@@ -359,33 +321,28 @@ def _homogeneity_log_p(
 
 
 def _parameters_by_record(
-    varying_parameters: VaryingParameters,
+    own_values: VaryingParameters,
     estimate: PooledEstimate,
     comparison_count: int,
     records_by_level: Int[np.ndarray, " records"] | None = None,
 ) -> list[ParameterByRecord]:
     """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
-    record_count, parameter_count = varying_parameters.record_values.shape
-    effects_and_parameters = [
-        (effect, parameter) for effect in varying_parameters.effects.candidates for parameter in effect.parameters
-    ]
+    record_count, parameter_count = own_values.record_values.shape
+    labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
     parameter_results = []
-    for parameter_index, column_index in enumerate(varying_parameters.column_indices):
-        candidate, parameter = effects_and_parameters[column_index]
+    for parameter_index, column_index in enumerate(own_values.column_indices):
+        candidate, parameter = labelled[column_index]
         value_indices = np.arange(record_count) * parameter_count + parameter_index
         covariance = TEMPERATURE * estimate.covariance[np.ix_(value_indices, value_indices)]
         values = estimate.values[value_indices]
         centring_matrix = np.eye(record_count) - 1 / record_count
-        standard_errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
-        p_value = float(np.exp(_homogeneity_log_p(estimate, varying_parameters.record_values.shape, parameter_index)))
+        errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
+        p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, parameter_index)))
         parameter_results.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
-                values=tuple(
-                    Value(float(value), float(standard_error), parameter.unit)
-                    for value, standard_error in zip(values, standard_errors, strict=True)
-                ),
+                values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
                 trend=_trend_over_records(values, covariance) if comparison_count else "none",
                 by_level="none"

@@ -56,13 +56,13 @@ CONFIRMING_SIMULATIONS = 3
 class PredictedDecision:
     """Decision among hypotheses, and the prediction with its named effects.
 
-    ruled_out_hypotheses are likelier hypotheses whose effects do not improve the prediction of the motion.
+    ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion.
     """
 
-    ranked_hypotheses: Sequence[ValidatedHypothesis]
+    ranked: Sequence[ValidatedHypothesis]
     decision: Decision
     rollout_attempt: Attempt[Rollout] = field(default_factory=Attempt)
-    ruled_out_hypotheses: tuple[ValidatedHypothesis, ...] = ()
+    ruled_out: tuple[ValidatedHypothesis, ...] = ()
 
     @property
     def is_vetoed(self) -> bool:
@@ -73,13 +73,13 @@ class PredictedDecision:
 class UnmeasuredCauses:
     """Unmeasured force or modulated clearance, in the nominal rig or beside named effects that explain a part.
 
-    minus_two_log_decrease is that of the nominal rig's -2 ln p by the force that explains it best; None where none was
+    cost_decrease is that of the nominal rig's -2 ln p by the force that explains it best; None where none was
     looked for.
     """
 
     force_fit: UnmeasuredForceFit | None = None
     clearance_swing: ClearanceModulation | None = None
-    minus_two_log_decrease: float | None = None
+    cost_decrease: float | None = None
     notes: tuple[Note, ...] = ()
 
 
@@ -87,13 +87,13 @@ class UnmeasuredCauses:
 class Judgement:
     """Decision on the validation record, and the predicted decision before an unmeasured force was looked for.
 
-    nominal_linearization and nominal_residual are on that record.
+    linearization and nominal_residual are on that record.
     """
 
     decision: Decision
     prediction: PredictedDecision
     unmeasured: UnmeasuredCauses
-    nominal_linearization: Linearization
+    linearization: Linearization
     nominal_residual: Residual
 
 
@@ -107,37 +107,24 @@ def judge(
 
     Where named effects do not suffice, an unmeasured force and a modulated clearance are looked for.
     """
-    validation_recording = prepared.validation_recording
-    record = validation_recording.record
-    nominal_linearization, nominal_residual = fit_nuisance(record, record.rig)
-    log_prior_by_names = log_priors(search_result.hypotheses, search_result.candidates)
-    ranked_hypotheses = validate_hypotheses(
-        record,
-        validation_recording.nominal_variances,
-        nominal_residual,
-        search_result.hypotheses,
-        log_prior_by_names,
-        progress,
+    validation = prepared.validation_recording
+    record = validation.record
+    linearization, residual = fit_nuisance(record, record.rig)
+    priors = log_priors(search_result.hypotheses, search_result.candidates)
+    ranked = validate_hypotheses(
+        record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress
     )
-    ranked_hypotheses = _refit_contact_laws(prepared, ranked_hypotheses, nominal_residual)
-    difference = difference_of(
-        prepared, search_result.nominal_misfit, nominal_residual, matters, split_p_value(ranked_hypotheses)
-    )
-    ranked_hypotheses = with_contact_evidence(
-        prepared, search_result.candidates, ranked_hypotheses, difference, nominal_residual
-    )
-    decision_basis = _DecisionBasis(prepared, difference, nominal_residual, matters)
+    ranked = _refit_contact_laws(prepared, ranked, residual)
+    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
+    ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
+    basis = _DecisionBasis(prepared, difference, residual, matters)
     predicted = predicted_decision(
-        ranked_hypotheses,
-        decision_basis.decide,
-        lambda named_hypothesis: attempted(
-            "rollout", lambda: predicted_rollout(prepared, nominal_residual, named_hypothesis)
-        ),
+        ranked, basis.decide, lambda named: attempted("rollout", lambda: predicted_rollout(prepared, residual, named))
     )
     decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
     if decision.verdict in INCOMPLETE_VERDICTS:
-        decision, unmeasured_causes = _decide_with_force(decision_basis, predicted.ranked_hypotheses, decision)
-    return Judgement(decision, predicted, unmeasured_causes, nominal_linearization, nominal_residual)
+        decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
+    return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
 
 
 @dataclass(frozen=True)
@@ -150,164 +137,107 @@ class _DecisionBasis:
     matters: Matters
 
     def decide(
-        self,
-        ranked_hypotheses: Sequence[ValidatedHypothesis],
-        is_vetoed: bool = False,
-        force_rivals: ForceRivals | None = None,
+        self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
     ) -> Decision:
-        return decide(
-            ranked_hypotheses, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed
-        )
+        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
 
 
-def split_p_value(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> float:
+def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
     """p-value of the nominal rig against n hypotheses that were fitted on another record.
 
     With S = -2 ln p on the record that was not fitted, the split likelihood ratio gives p <= n exp((S_hypothesis -
     S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc. Natl. Acad. Sci. 117, 2020).
     """
-    nominal_minus_two_log = nominal_of(ranked_hypotheses).misfit.minus_two_log
-    minus_two_log_gains = [
-        nominal_minus_two_log - validated.misfit.minus_two_log
-        for validated in ranked_hypotheses
-        if validated.hypothesis.candidates
-    ]
-    return (
-        float(min(1.0, len(minus_two_log_gains) * np.exp(-max(minus_two_log_gains, default=0.0) / (2 * TEMPERATURE))))
-        if minus_two_log_gains
-        else 1.0
-    )
+    nominal = nominal_of(ranked).misfit.minus_two_log
+    gains = [nominal - item.misfit.minus_two_log for item in ranked if item.hypothesis.candidates]
+    return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
 
 
 def difference_of(
-    prepared: PreparedRecordings,
-    searched_misfit: Misfit,
-    validation_residual: Residual,
-    matters: Matters,
-    split_bound: float,
+    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, p_split: float
 ) -> Difference:
-    """Difference of the nominal rig and all records; `validation_residual` is that of the validation record, `searched_misfit` the
+    """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
     nominal rig's on the one that was searched.
 
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
-    validation_recording = prepared.validation_recording
+    validation = prepared.validation_recording
 
     def nominal_misfit(observation: PreparedRecording) -> Misfit:
-        if observation is prepared.searched_recording and observation is not validation_recording:
+        if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
-        fitted_residual = (
-            validation_residual
-            if observation is validation_recording
-            else fit_nuisance(observation.record, observation.record.rig)[1]
-        )
-        return misfit(observation.record, observation.nominal_variances, fitted_residual)
+        fit = residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
+        return misfit(observation.record, observation.nominal_variances, fit)
 
     nominal_misfits = [nominal_misfit(observation) for observation in prepared.observations]
     p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
-    p_value = with_bound(combined_p_value(p_value_parts), split_bound)
-    rig = validation_recording.record.rig
-    contact_force_names = [f"force of {contact.name}" for contact in joined(rig).contacts]
-    motion_bound, *contact_bounds = share_bounds(
-        nominal_misfits[prepared.validation_index], contact_force_names, matters
-    )
+    p_value = with_bound(combined_p_value(p_value_parts), p_split)
+    rig = validation.record.rig
+    force_names = [f"force of {contact.name}" for contact in joined(rig).contacts]
+    motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
         return Difference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
-    contact_parameter_distances = contact_distances(recordings, rig, validation_recording.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_value_parts, contact_parameter_distances.p_values)), split_bound)
-    return Difference(
-        p_value,
-        motion_bound,
-        tuple(contact_bounds),
-        contact_parameter_distances.parameter_bounds,
-        contact_parameter_distances.law_estimates,
-    )
+    distances = contact_distances(recordings, rig, validation.record.tolerances)
+    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), p_split)
+    return Difference(p_value, motion_bound, tuple(contact_bounds), distances.parameter_bounds, distances.law_estimates)
 
 
 def _refit_contact_laws(
-    prepared: PreparedRecordings, ranked_hypotheses: list[ValidatedHypothesis], nominal_residual: Residual
+    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
     rig.
     """
-    likeliest, *lower_ranked = ranked_hypotheses
+    likeliest, *lower_ranked = ranked
     recordings, record = (
         [observation.recording for observation in prepared.fitted_recordings],
         prepared.validation_recording.record,
     )
-    refitted_hypothesis = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
-    if refitted_hypothesis is likeliest.hypothesis:
-        return ranked_hypotheses
-    log_prior_by_names = {refitted_hypothesis.effect_names: likeliest.log_prior}
-    validated_refits = validate_hypotheses(
-        record,
-        prepared.validation_recording.nominal_variances,
-        nominal_residual,
-        [refitted_hypothesis],
-        log_prior_by_names,
-    )
-    kept_refits = [
-        validated
-        for validated in validated_refits
-        if validated.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN
-    ]
-    return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda validated: -validated.log_posterior)
+    refitted = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
+    if refitted is likeliest.hypothesis:
+        return ranked
+    priors = {refitted.effect_names: likeliest.log_prior}
+    refits = validate_hypotheses(record, prepared.validation_recording.nominal_variances, residual, [refitted], priors)
+    kept = [item for item in refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN]
+    return sorted([*(kept or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
 
 
 def _decide_with_force(
-    decision_basis: _DecisionBasis, ranked_hypotheses: Sequence[ValidatedHypothesis], decision: Decision
+    basis: _DecisionBasis, ranked: Sequence[ValidatedHypothesis], decision: Decision
 ) -> tuple[Decision, UnmeasuredCauses]:
     """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
-    prepared, residual, validation_recording = (
-        decision_basis.prepared,
-        decision_basis.nominal_residual,
-        decision_basis.prepared.validation_recording,
-    )
-    record, is_vetoed = validation_recording.record, decision.evidence.vetoed
-    force_in_nominal_rig = attempted(
+    prepared, residual, validation = (basis.prepared, basis.nominal_residual, basis.prepared.validation_recording)
+    record, is_vetoed = validation.record, decision.evidence.vetoed
+    force_in_nominal = attempted(
         "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, record.rig, record)
     )
-    nominal_hypothesis = nominal_of(ranked_hypotheses)
-    force_minus_two_log = (
-        minus_two_log_with_force(
-            validation_recording, record.rig, force_in_nominal_rig.result, nominal_hypothesis.misfit
-        )
-        if force_in_nominal_rig.result
+    nominal_hypothesis = nominal_of(ranked)
+    force_cost = (
+        minus_two_log_with_force(validation, record.rig, force_in_nominal.result, nominal_hypothesis.misfit)
+        if force_in_nominal.result
         else None
     )
-    minus_two_log_decrease = (
-        None if force_minus_two_log is None else nominal_hypothesis.misfit.minus_two_log - force_minus_two_log
-    )
-    decision = decision_basis.decide(ranked_hypotheses, is_vetoed, ForceRivals(force_minus_two_log))
-    force_attempt, named_hypothesis = force_in_nominal_rig, decision.named_hypothesis
-    if (
-        named_hypothesis
-        and explained_share(named_hypothesis.nominal_misfit, named_hypothesis.misfit, decision_basis.matters)
-        >= PARTLY_EXPLAINED_SHARE
-    ):
-        named_rig = named_hypothesis.rig
-        force_beside_named = attempted(
-            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, named_rig, record)
+    cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
+    decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
+    force_attempt, named = force_in_nominal, decision.named_hypothesis
+    if named and explained_share(named.nominal_misfit, named.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE:
+        rig = named.rig
+        force_beside = attempted(
+            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, rig, record)
         )
-        companion_force = force_beside_named.result
-        if companion_force and acts_at_effects(companion_force.on_fit.force_place, record.rig, named_rig):
-            companion_force = None
-        companion_minus_two_log = (
-            minus_two_log_with_force(validation_recording, named_rig, companion_force, named_hypothesis.misfit)
-            if companion_force
-            else None
-        )
-        decision = decision_basis.decide(
-            ranked_hypotheses, is_vetoed, ForceRivals(force_minus_two_log, named_hypothesis, companion_minus_two_log)
-        )
+        companion = force_beside.result
+        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, rig):
+            companion = None
+        companion_cost = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
+        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force_attempt, residual = force_beside_named, fit_nuisance(record, named_rig)[1]
+            force_attempt, residual = force_beside, fit_nuisance(record, rig)[1]
     swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, UnmeasuredCauses(
-        force_attempt.result, swing_attempt.result, minus_two_log_decrease, (*force_attempt.notes, *swing_attempt.notes)
+        force_attempt.result, swing_attempt.result, cost_decrease, (*force_attempt.notes, *swing_attempt.notes)
     )
 
 
@@ -323,52 +253,39 @@ def minus_two_log_with_force(
     if not force_fit.same_place:
         return misfit_without.minus_two_log
     record = validation_recording.record
-    record_without_force = replace(
-        record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals()
-    )
-    misfit_with = misfit(
-        record_without_force, validation_recording.nominal_variances, fit_nuisance(record_without_force, rig)[1]
-    )
+    cleared = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
+    misfit_with = misfit(cleared, validation_recording.nominal_variances, fit_nuisance(cleared, rig)[1])
     followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
     )
 
 
-def predicted_rollout(
-    prepared: PreparedRecordings, nominal_residual: Residual, named_hypothesis: ValidatedHypothesis
-) -> Rollout:
+def predicted_rollout(prepared: PreparedRecordings, nominal_residual: Residual, named: ValidatedHypothesis) -> Rollout:
     """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
     effects."""
     if prepared.predict is None:
         return Rollout(code="not_simulated")
-    validation_recording, predict = prepared.validation_recording, prepared.predict
-    corrected_residual = fit_nuisance(validation_recording.record, named_hypothesis.rig)[1]
-    null_predictions = prepared.null_reference.predictions
-    rollout = judge_correction(
-        validation_recording.recording, nominal_residual, corrected_residual, null_predictions, predict
-    )
+    validation, predict = prepared.validation_recording, prepared.predict
+    corrected_residual = fit_nuisance(validation.record, named.rig)[1]
+    nulls = prepared.null_reference.predictions
+    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
         return rollout
-    horizon_samples = round(rollout.horizon_s * validation_recording.recording.rig.sample_rate_hz)
+    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
     log_ratios = []
     for seed in range(CONFIRMING_SIMULATIONS):
-        simulated_recording = prepared.simulate(
-            validation_recording.recording.rig,
-            named_hypothesis.corrected_rig,
-            validation_recording.recording.forces_n,
-            seed,
+        simulation = prepared.simulate(
+            validation.recording.rig, named.corrected_rig, validation.recording.forces_n, seed
         )
-        simulated_record = record_of(simulated_recording, tolerances=validation_recording.record.tolerances)
-        nominal_fit, corrected_fit = (
-            fit_nuisance(simulated_record, rig)[1] for rig in (simulated_record.rig, named_hypothesis.rig)
-        )
-        log_ratios.append(log_ratio_of(simulated_recording, nominal_fit, corrected_fit, horizon_samples, predict))
+        record = record_of(simulation, tolerances=validation.record.tolerances)
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named.rig))
+        log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 
 
 def predicted_decision(
-    ranked_hypotheses: Sequence[ValidatedHypothesis],
+    ranked: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
@@ -378,41 +295,29 @@ def predicted_decision(
     whose strengths exclude their neutral values, until one is not vetoed. If all are, the first decision stays, with
     its veto. decide takes hypotheses, and whether their named effects are vetoed.
     """
-    first_decision = latest_decision = _decision_with_rollout(ranked_hypotheses, decide, predict)
-    rival_hypotheses = [
-        weighted_hypothesis.validated
-        for weighted_hypothesis in first_decision.decision.weighted_hypotheses
-        if weighted_hypothesis.probability > RIVAL_PROBABILITY
+    first_decision = latest = _decision_with_rollout(ranked, decide, predict)
+    rivals = [
+        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
     ]
-    rival_hypotheses = [rival for rival in rival_hypotheses if strengths_exclude_neutral(rival.hypothesis)]
-    ruled_out_hypotheses: list[ValidatedHypothesis] = []
-    while latest_decision.is_vetoed:
-        vetoed_hypothesis = latest_decision.decision.named_hypothesis
-        ruled_out_hypotheses += [
-            hypothesis for hypothesis in latest_decision.ranked_hypotheses if hypothesis is vetoed_hypothesis
-        ]
-        rival_hypotheses = [rival for rival in rival_hypotheses if rival is not vetoed_hypothesis]
-        if not rival_hypotheses:
+    rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
+    ruled_out: list[ValidatedHypothesis] = []
+    while latest.is_vetoed:
+        vetoed_set = latest.decision.named_hypothesis
+        ruled_out += [hypothesis for hypothesis in latest.ranked if hypothesis is vetoed_set]
+        rivals = [rival for rival in rivals if rival is not vetoed_set]
+        if not rivals:
             return first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked_hypotheses), *rival_hypotheses], decide, predict)
-    return (
-        replace(latest_decision, ruled_out_hypotheses=tuple(ruled_out_hypotheses))
-        if latest_decision.decision.corrects_rig
-        else first_decision
-    )
+        latest = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
+    return replace(latest, ruled_out=tuple(ruled_out)) if latest.decision.corrects_rig else first_decision
 
 
 def _decision_with_rollout(
-    ranked_hypotheses: Sequence[ValidatedHypothesis],
+    ranked: Sequence[ValidatedHypothesis],
     decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
-    decision = decide(ranked_hypotheses, False)
+    decision = decide(ranked, False)
     if not decision.corrects_rig or decision.named_hypothesis is None:
-        return PredictedDecision(ranked_hypotheses, decision)
-    predicted = PredictedDecision(ranked_hypotheses, decision, predict(decision.named_hypothesis))
-    return (
-        PredictedDecision(ranked_hypotheses, decide(ranked_hypotheses, True), predicted.rollout_attempt)
-        if predicted.is_vetoed
-        else predicted
-    )
+        return PredictedDecision(ranked, decision)
+    outcome = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+    return PredictedDecision(ranked, decide(ranked, True), outcome.rollout_attempt) if outcome.is_vetoed else outcome

@@ -50,7 +50,7 @@ class ForceRivals:
 
     nominal_minus_two_log: float | None = None
     accompanied_hypothesis: ValidatedHypothesis | None = None
-    accompanied_minus_two_log: float | None = None
+    accompanied_cost: float | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ def decide(
     ]
     for hypothesis_index, validated in enumerate(ranked_hypotheses):
         if validated is force_rivals.accompanied_hypothesis:
-            force_log_posterior = _force_log_posterior(validated.log_prior, force_rivals.accompanied_minus_two_log)
+            force_log_posterior = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
             log_posteriors[hypothesis_index] = float(
                 np.logaddexp(log_posteriors[hypothesis_index], force_log_posterior)
             )

@@ -62,29 +62,27 @@ def mismatch_size(gap: Gap) -> str:
     """Unexplained shares before and after, the thresholds of what matters, and the p-values."""
     signal_names = ["the motion", *(f"the force of {name}" for name in gap.before.contact_shares)]
     share_limits = [gap.matters.motion, *([gap.matters.contact] * len(gap.before.contact_shares))]
-    share_columns = [_share_words(gap.before)]
-    header_cells = ["unexplained share of", "believed rig"]
-    has_effective_cause = bool(gap.causes) and is_effective(gap.causes[0])
-    if has_effective_cause:
-        header_cells.append("with the likeliest cause")
-        share_columns.append(_share_words(gap.after))
-    table_rows = list(zip(signal_names, *share_columns, [percent(limit) for limit in share_limits], strict=True))
+    columns = [_share_words(gap.before)]
+    header = ["unexplained share of", "believed rig"]
+    is_explained = bool(gap.causes) and is_effective(gap.causes[0])
+    if is_explained:
+        header.append("with the likeliest cause")
+        columns.append(_share_words(gap.after))
+    rows = list(zip(signal_names, *columns, [percent(limit) for limit in share_limits], strict=True))
     section_html = (
         "<p>The share of a signal's rms that the rig does not explain, beyond sensor noise, on the validation record: "
         "a recording that no parameter was fitted to.</p>"
     )
-    section_html += page.table((*header_cells, "what matters"), table_rows)
+    section_html += page.table((*header, "what matters"), rows)
     section_html += f"<p>{escape(_p_value_sentence('The believed rig', gap.before))}"
     section_html += (
-        f" {escape(_p_value_sentence('With the likeliest cause, the rig', gap.after))}</p>"
-        if has_effective_cause
-        else "</p>"
+        f" {escape(_p_value_sentence('With the likeliest cause, the rig', gap.after))}</p>" if is_explained else "</p>"
     )
     if ranges_hz := unexplained_ranges_hz(gap)[:3]:
         band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
-        sentence_subject = "What is left" if has_effective_cause else "It"
+        subject = "What is left" if is_explained else "It"
         section_html += (
-            f"<p>{sentence_subject} is more than what matters, and than null simulations leave, from {band_words}.</p>"
+            f"<p>{subject} is more than what matters, and than null simulations leave, from {band_words}.</p>"
         )
     if gap.channel_faults:
         section_html += "<h3>Channels left out</h3>" + page.table(("channel", "fault"), gap.channel_faults.items())
@@ -95,43 +93,36 @@ def cause_tables(gap: Gap) -> str:
     """Tables of the causes: probabilities, removed and unexplained shares, parameters and places."""
     top_causes, remaining_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
     contact_names = list(gap.before.contact_shares)
-    header_cells = (
+    header = (
         "cause",
         "probability",
         "closes",
         "leaves of the motion",
         *(f"leaves of {row_name}" for row_name in contact_names),
     )
-    remaining_words = remaining_probabilities(gap)
+    remaining = remaining_probabilities(gap)
     if remaining_causes:
-        remaining_words.insert(
-            0, (f"{len(remaining_causes)} further causes", sum(cause.probability for cause in remaining_causes))
-        )
-    remaining_rows = [
-        (row_name, probability(cause_probability), *[""] * (2 + len(contact_names)))
-        for row_name, cause_probability in remaining_words
-    ]
+        remaining.insert(0, (f"{len(remaining_causes)} further causes", sum(c.probability for c in remaining_causes)))
+    remaining_rows = [(row_name, probability(p), *[""] * (2 + len(contact_names))) for row_name, p in remaining]
     section_html = (
         "<p>Sets of effects of the library, beside no effect and something unmeasured. The probabilities of "
         "sets sum to one. A cause closes the share by which its effects alone make the difference smaller on the "
         "validation record, what the tolerances leave open held (95 % interval in brackets).</p>"
     )
-    section_html += page.table(header_cells, [*(_cause_row(cause) for cause in top_causes), *remaining_rows])
+    section_html += page.table(header, [*(_cause_row(c) for c in top_causes), *remaining_rows])
     if alternatives := wording.look_alikes_of(gap):
         section_html += "<h3>What these records hardly tell apart</h3>"
         section_html += page.listed(
             " / ".join([effect_words, *look_alikes]) for effect_words, look_alikes in alternatives
         )
-    effective_causes = [cause for cause in top_causes if is_effective(cause)]
+    effective_causes = [c for c in top_causes if is_effective(c)]
     if effective_causes:
         section_html += "<h3>Parameters and places</h3><p>Value ± 1.96 standard errors: the 95 % interval.</p>"
-        section_html += "".join(_parameter_table(cause) for cause in effective_causes)
-    ineffective_causes = [cause for cause in top_causes if not is_effective(cause)]
+        section_html += "".join(_parameter_table(c) for c in effective_causes)
+    ineffective_causes = [c for c in top_causes if not is_effective(c)]
     if ineffective_causes or remaining_causes:
-        remaining_table = (
-            page.table(header_cells, [_cause_row(cause) for cause in remaining_causes]) if remaining_causes else ""
-        )
-        parameter_tables = "".join(_parameter_table(cause) for cause in (*ineffective_causes, *remaining_causes))
+        remaining_table = page.table(header, [_cause_row(c) for c in remaining_causes]) if remaining_causes else ""
+        parameter_tables = "".join(_parameter_table(c) for c in (*ineffective_causes, *remaining_causes))
         section_html += (
             f"<details><summary>Other causes that were judged</summary>{remaining_table}{parameter_tables}</details>"
         )
@@ -164,15 +155,13 @@ def decision(gap: Gap) -> str:
         ("", "", ""), question_rows
     )
     section_html += "<h3>What matters</h3>" + page.table(
-        ("quantity", "found", "at most (97.5 %)", "limit", ""),
-        [_quantity_row(quantity) for quantity in evidence.quantities],
+        ("quantity", "found", "at most (97.5 %)", "limit", ""), [_quantity_row(q) for q in evidence.quantities]
     )
     if gap.causes:
         likeliest = gap.causes[0]
         words_and_strengths = zip(likeliest.words, likeliest.strengths, strict=True)
         effect_rows = [
-            (effect_words, probability(strength.inclusion_probability), "named" if strength.is_named else "")
-            for effect_words, strength in words_and_strengths
+            (w, probability(s.inclusion_probability), "named" if s.is_named else "") for w, s in words_and_strengths
         ]
         section_html += "<h3>Effects</h3>" + page.table(("effect", "probability", ""), effect_rows)
     return section_html
@@ -188,17 +177,10 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     mark_words = "" if quantity.holds else "not seen" if quantity.not_seen else "beyond"
     quantity_values = (quantity.value, quantity.upper, quantity.threshold)
     if quantity.unit == "1":
-        return (
-            quantity.name,
-            *("no bound" if quantity_value is None else percent(quantity_value) for quantity_value in quantity_values),
-            mark_words,
-        )
+        return (quantity.name, *("no bound" if v is None else percent(v) for v in quantity_values), mark_words)
     return (
         quantity.name,
-        *(
-            "no bound" if quantity_value is None else f"{number(quantity_value, 3)} {quantity.unit}"
-            for quantity_value in quantity_values
-        ),
+        *("no bound" if v is None else f"{number(v, 3)} {quantity.unit}" for v in quantity_values),
         mark_words,
     )
 
@@ -232,16 +214,10 @@ def prediction(rollout: Rollout) -> str:
 def record_differences(between: RecordDifferences) -> str:
     """Estimates of each record for the parameters that differ and for those of the likeliest cause."""
     section_html = f"<p>{escape(wording.between_records(between))}</p>"
-    compared_parameters = [*between.differing, *between.cause]
-    if compared_parameters:
-        header_cells = (
-            "parameter",
-            "place",
-            *(f"record {record_title}" for record_title in between.records),
-            "",
-            "p-value",
-        )
-        section_html += page.table(header_cells, [_comparison_row(comparison) for comparison in compared_parameters])
+    compared = [*between.differing, *between.cause]
+    if compared:
+        header = ("parameter", "place", *(f"record {record_title}" for record_title in between.records), "", "p-value")
+        section_html += page.table(header, [_comparison_row(comparison) for comparison in compared])
         section_html += (
             "<p>Each record's own value ± 1.96 standard errors beside the mean of all records: tolerances of the rig "
             "are shared and not in them. p-value: how often records of an unchanged machine differ as much; of what "
@@ -258,35 +234,33 @@ def record_differences(between: RecordDifferences) -> str:
 def unknown_force(unknown: UnmeasuredForce) -> str:
     """Unmeasured force: a sentence and a table."""
     description = unknown.sentence[:1].upper() + unknown.sentence[1:]
-    table_rows: list[tuple[str, str]] = [("what", _KINDS[unknown.kind])]
+    rows: list[tuple[str, str]] = [("what", _KINDS[unknown.kind])]
     if unknown.body is not None:
-        table_rows.append(("where", place(unknown)))
+        rows.append(("where", place(unknown)))
     if unknown.position_m is not None and unknown.position_error_m is not None:
-        table_rows.append(("from the left end", interval(Value(unknown.position_m, unknown.position_error_m, "m"))))
-        table_rows.append(
-            ("second record alone", "the same place" if unknown.same_place else "another place: doubt it")
-        )
-    table_rows += [
+        rows.append(("from the left end", interval(Value(unknown.position_m, unknown.position_error_m, "m"))))
+        rows.append(("second record alone", "the same place" if unknown.same_place else "another place: doubt it"))
+    rows += [
         (f"stiffness of the {body_name}, change", _growth_percent(modulus_growth))
         for body_name, modulus_growth in unknown.growth.items()
     ]
     force_unit = "m/s²" if unknown.kind == "sensor" else "N"
     if unknown.frequency_hz is not None:
-        table_rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
+        rows.append(("frequency", f"{number(unknown.frequency_hz)} Hz"))
     low_hz, high_hz = unknown.band_hz
-    table_rows.append(("90 % of its power lies from", f"{low_hz:.3g} to {high_hz:.3g} Hz"))
-    table_rows.append(("size", f"{number(unknown.rms_n, 3)} {force_unit} rms"))
+    rows.append(("90 % of its power lies from", f"{low_hz:.3g} to {high_hz:.3g} Hz"))
+    rows.append(("size", f"{number(unknown.rms_n, 3)} {force_unit} rms"))
     if unknown.amplitude_n is not None:
-        table_rows.append(("amplitude", f"{number(unknown.amplitude_n, 3)} {force_unit}"))
-    table_rows.append(("when", WHEN[unknown.when]))
+        rows.append(("amplitude", f"{number(unknown.amplitude_n, 3)} {force_unit}"))
+    rows.append(("when", WHEN[unknown.when]))
     if unknown.against != "none":
-        table_rows.append(("grows with", unknown.against))
+        rows.append(("grows with", unknown.against))
     if unknown.law:
-        table_rows.append(("formula", unknown.law))
-    table_rows.append(("explains, of the linear residual's mean square", percent(unknown.explained)))
+        rows.append(("formula", unknown.law))
+    rows.append(("explains, of the linear residual's mean square", percent(unknown.explained)))
     if unknown.explained < wording.DESCRIPTION_EXPLAINED:
         description = f"It has no simple form. The nearest is {unknown.sentence}"
-    section_html = f"<p>{escape(description)}.</p>" + page.table(("", ""), table_rows)
+    section_html = f"<p>{escape(description)}.</p>" + page.table(("", ""), rows)
     if unknown.law:
         section_html += (
             '<p class="dim">The formula gives the force against the motion at that place: w is its displacement in m, '
@@ -297,31 +271,28 @@ def unknown_force(unknown: UnmeasuredForce) -> str:
 
 def location(attribution: Attribution) -> str:
     """Location of the mismatch: the largest share by each way of dividing the record, and all shares."""
-    shares_by_division: dict[str, Mapping[str, float]] = {
+    divisions: dict[str, Mapping[str, float]] = {
         "channel": attribution.channels,
         "linear or contact": attribution.parts,
         "modal equation": attribution.modal_equations,
         "station": {
-            f"{body_name}, {position_m:g} m": station_share
+            f"{body_name}, {position_m:g} m": s
             for body_name, share_by_station in attribution.positions_m.items()
-            for position_m, station_share in share_by_station.items()
+            for position_m, s in share_by_station.items()
         },
         "band": _shares_by_range(attribution.band_hz, "Hz"),
         "contact state": attribution.contact_state,
         "time": _shares_by_range(attribution.time_s, "s"),
     }
-    shares_by_division = {
-        division: share_by_part for division, share_by_part in shares_by_division.items() if any(share_by_part.values())
-    }
+    divisions = {division: part_shares for division, part_shares in divisions.items() if any(part_shares.values())}
     largest_categories = {
-        division: max(share_by_part.items(), key=lambda item: item[1])
-        for division, share_by_part in shares_by_division.items()
+        division: max(part_shares.items(), key=lambda item: item[1]) for division, part_shares in divisions.items()
     }
     largest_rows = [(division, category, percent(share)) for division, (category, share) in largest_categories.items()]
     all_share_rows = [
         (division, category, percent(share))
-        for division, share_by_part in shares_by_division.items()
-        for category, share in share_by_part.items()
+        for division, part_shares in divisions.items()
+        for category, share in part_shares.items()
     ]
     return (
         "<p>Of what the believed rig leaves unexplained: the largest share by every way of cutting the record. Each "
@@ -363,11 +334,11 @@ def _comparison_row(comparison: ParameterByRecord) -> tuple[str, ...]:
 
 
 def _parameter_table(cause: Cause) -> str:
-    table_rows = [
+    rows = [
         *((parameter_name, interval(value)) for parameter_name, value in cause.parameters.items()),
         *cause.places.items(),
     ]
-    return page.table((cause_name(cause), ""), table_rows) if table_rows else ""
+    return page.table((cause_name(cause), ""), rows) if rows else ""
 
 
 def _growth_percent(modulus_growth: Value) -> str:
@@ -375,7 +346,4 @@ def _growth_percent(modulus_growth: Value) -> str:
 
 
 def _shares_by_range(interval_shares: Sequence[Share], range_unit: str) -> dict[str, float]:
-    return {
-        f"{interval_share.begin:.3g} to {interval_share.end:.3g} {range_unit}": interval_share.share
-        for interval_share in interval_shares
-    }
+    return {f"{s.begin:.3g} to {s.end:.3g} {range_unit}": s.share for s in interval_shares}

@@ -117,37 +117,27 @@ class ReducedEquations:
 
     def with_columns(self, columns: list[Column]) -> NormalEquations:
         """Normal equations of the nuisance parameters, followed by one parameter for each column."""
-        nuisance_count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
+        count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
-        matrix[:nuisance_count, :nuisance_count], gradient[:nuisance_count] = self.matrix, self.gradient
-        linear_columns = np.array([c[0].ravel() for c in columns]).reshape(
-            len(columns), self.residual.linear_residual.size
-        )
-        matrix[:nuisance_count, nuisance_count:] = self.linearization.columns.products(linear_columns)
-        matrix[nuisance_count:, nuisance_count:] = linear_columns @ linear_columns.T
-        gradient[nuisance_count:] = linear_columns @ self.residual.linear_without_lines.ravel()
-        unknown_solutions = []
-        for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
+        matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
+        linear = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.residual.linear_residual.size)
+        matrix[:count, count:] = self.linearization.columns.products(linear)
+        matrix[count:, count:] = linear @ linear.T
+        gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
+        solutions = []
+        for j, (contact, own) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
             unknowns_by_column = contact.columns.T @ contact_columns
-            solved_columns = eliminated.unknowns_solver.solve(unknowns_by_column)
-            matrix[:nuisance_count, nuisance_count:] += (
-                eliminated.nuisance_columns.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved_columns
-            )
-            matrix[nuisance_count:, nuisance_count:] += (
-                contact_columns.T @ contact_columns - unknowns_by_column.T @ solved_columns
-            )
-            gradient[nuisance_count:] += (
-                contact_columns.T @ contact.residual - solved_columns.T @ eliminated.unknowns_gradient
-            )
-            unknown_solutions.append(
-                (eliminated.unknowns_step, np.concatenate([eliminated.solved_by_nuisance, solved_columns], axis=1))
-            )
-        matrix[nuisance_count:, :nuisance_count] = matrix[:nuisance_count, nuisance_count:].T
+            solved = own.unknowns_solver.solve(unknowns_by_column)
+            matrix[:count, count:] += own.nuisance_columns.T @ contact_columns - own.unknowns_by_nuisance.T @ solved
+            matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
+            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ own.unknowns_gradient
+            solutions.append((own.unknowns_step, np.concatenate([own.solved_by_nuisance, solved], axis=1)))
+        matrix[count:, :count] = matrix[:count, count:].T
         cost_decrease_by_contacts = float(
             sum(e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts)
         )
-        return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
+        return NormalEquations(matrix, gradient, tuple(solutions), cost_decrease_by_contacts)
 
 
 def reduced_equations(
@@ -161,40 +151,18 @@ def reduced_equations(
     matrix = linearization.column_gram + linearization.record.sample_ratio * np.eye(nuisance_count)
     gradient = linearization.columns.products(residual.linear_without_lines.ravel())
     gradient = gradient - linearization.record.sample_ratio * residual.nuisance_pulls
-    eliminated_contacts = []
+    eliminated = []
     for j, contact in enumerate(residual.contacts):
-        contact_sides = contact.sides_after() if sides is None else sides[j]
-        unknown_columns, straight_residual = (
-            contact.columns_beyond(contact_sides),
-            contact.residual_beyond(contact_sides),
-        )
-        unknowns_solver, nuisance_columns = (
-            splu(csc_matrix(unknown_columns.T @ unknown_columns)),
-            contact_jacobian(linearization, residual, j),
-        )
-        unknowns_gradient, unknowns_by_nuisance = (
-            unknown_columns.T @ straight_residual,
-            unknown_columns.T @ nuisance_columns,
-        )
-        solved_by_nuisance = unknowns_solver.solve(unknowns_by_nuisance)
-        matrix = matrix + nuisance_columns.T @ nuisance_columns - unknowns_by_nuisance.T @ solved_by_nuisance
-        gradient = gradient + nuisance_columns.T @ contact.residual - solved_by_nuisance.T @ unknowns_gradient
-        unknowns_step, straight_cost_fall = (
-            unknowns_solver.solve(unknowns_gradient),
-            contact.cost - float(straight_residual @ straight_residual),
-        )
-        eliminated_contacts.append(
-            Eliminated(
-                unknowns_solver,
-                nuisance_columns,
-                unknowns_by_nuisance,
-                solved_by_nuisance,
-                unknowns_gradient,
-                unknowns_step,
-                straight_cost_fall,
-            )
-        )
-    return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated_contacts))
+        side = contact.sides_after() if sides is None else sides[j]
+        columns, straight = (contact.columns_beyond(side), contact.residual_beyond(side))
+        solver, by_nuisance = (splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j))
+        own_gradient, coupling = (columns.T @ straight, columns.T @ by_nuisance)
+        solved = solver.solve(coupling)
+        matrix = matrix + by_nuisance.T @ by_nuisance - coupling.T @ solved
+        gradient = gradient + by_nuisance.T @ contact.residual - solved.T @ own_gradient
+        own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight @ straight))
+        eliminated.append(Eliminated(solver, by_nuisance, coupling, solved, own_gradient, own_step, cost_fall))
+    return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
 def contact_jacobian(
@@ -203,13 +171,11 @@ def contact_jacobian(
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
     weights, contact = linearization.observations[contact_index].weights, residual.contacts[contact_index]
     columns = linearization.columns
-    force_columns_n, eta_columns_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
-    moves_contact = np.any(eta_columns_m, axis=1)
-    force_columns_n[moves_contact] -= contact.tangent.force_change_n(
-        linearization.record.in_finer_time(eta_columns_m[moves_contact])
-    )
+    forces_n, etas_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
+    moves_contact = np.any(etas_m, axis=1)
+    forces_n[moves_contact] -= contact.tangent.force_change_n(linearization.record.in_finer_time(etas_m[moves_contact]))
     jacobian = np.zeros((contact.residual.size, len(columns.parameters)))
-    jacobian[: weights.size] = weights[:, None] * force_columns_n.T
+    jacobian[: weights.size] = weights[:, None] * forces_n.T
     return jacobian
 
 
@@ -226,12 +192,12 @@ def fit(
 
     `initial` gives the nuisance parameters and contact unknowns to start from.
     """
-    initial_nuisance, initial_unknowns = (
+    nuisance, unknowns = (
         (initial.nuisance_pulls, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
     )
-    if initial_nuisance is not None and linearization.tuned_modes.pulls and not initial_nuisance.any():
-        initial_nuisance = None  # the modes' parameters start at the values that the record's modes give
-    start_point = _Point(values, residual_of(linearization, build_rig(values), initial_nuisance, initial_unknowns))
+    if nuisance is not None and linearization.tuned_modes.pulls and not nuisance.any():
+        nuisance = None  # the modes' parameters start at the values that the record's modes give
+    start_point = _Point(values, residual_of(linearization, build_rig(values), nuisance, unknowns))
     step_from = partial(_step, linearization, build_rig, steps, bounds)
     best_point, last_step = gauss_newton(start_point, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
     if linearization.record.measured_modes:  # within a sharp mode's width the nuisance columns change already
@@ -262,51 +228,40 @@ def _step(
     linearization: Linearization, build_rig: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
 ) -> _Step:
     """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
-    values, residual, nuisance_count = point.values, point.residual, len(linearization.columns.parameters)
+    values, residual, count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
-    columns = [
-        _step_column(linearization, build_rig, values, inward_step, residual)
-        for inward_step in np.eye(values.size) * inward_steps
-    ]
+    columns = [_step_column(linearization, build_rig, values, s, residual) for s in np.eye(values.size) * inward_steps]
     scaled_bounds = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
     least_step = np.concatenate([-LIMIT - residual.nuisance_pulls, scaled_bounds[0]])
     greatest_step = np.concatenate([LIMIT - residual.nuisance_pulls, scaled_bounds[1]])
     sides = [contact.sides_after() for contact in residual.contacts]
     for _ in range(MAX_SIDES):
         equations = reduced_equations(linearization, residual, sides).with_columns(columns)
-        ridge_diagonal = np.r_[np.zeros(nuisance_count), 1e-9 * np.diag(equations.matrix)[nuisance_count:] + 1e-300]
-        full_step = bounded_minimum(
-            equations.matrix + np.diag(ridge_diagonal), equations.gradient, least_step, greatest_step
-        )
+        ridge = np.r_[np.zeros(count), 1e-9 * np.diag(equations.matrix)[count:] + 1e-300]
+        full_step = bounded_minimum(equations.matrix + np.diag(ridge), equations.gradient, least_step, greatest_step)
         steps_of_contacts = zip(residual.contacts, equations.unknown_steps(full_step), strict=True)
         sides_before, sides = sides, [contact.sides_after(step) for contact, step in steps_of_contacts]
         if all(np.array_equal(*pair) for pair in zip(sides_before, sides, strict=True)):
             break
 
-    def point_after(step_share: float) -> _Point | None:
-        partial_step = step_share * full_step
-        stepped_values = np.clip(values + partial_step[nuisance_count:] * inward_steps, *bounds)
-        partial_step[nuisance_count:] = (stepped_values - values) / inward_steps
-        new_unknowns = [
-            c.unknowns + step_share * u
-            for c, u in zip(residual.contacts, equations.unknown_steps(partial_step / step_share), strict=True)
+    def point_after(share: float) -> _Point | None:
+        step = share * full_step
+        stepped_values = np.clip(values + step[count:] * inward_steps, *bounds)
+        step[count:] = (stepped_values - values) / inward_steps
+        unknowns = [
+            c.unknowns + share * u
+            for c, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
         ]
         try:
-            stepped_rig = build_rig(stepped_values)
+            rig = build_rig(stepped_values)
             return _Point(
                 stepped_values,
-                residual_of(
-                    linearization,
-                    stepped_rig,
-                    residual.nuisance_pulls + partial_step[:nuisance_count],
-                    tuple(new_unknowns),
-                    base_residual=residual,
-                ),
+                residual_of(linearization, rig, residual.nuisance_pulls + step[:count], tuple(unknowns), base=residual),
             )
         except RigError:  # no such rig
             return None
 
-    scaled_covariance = scaled_inverse(equations.matrix)[nuisance_count:, nuisance_count:]
+    scaled_covariance = scaled_inverse(equations.matrix)[count:, count:]
     covariance = linearization.record.sample_ratio * scaled_covariance * np.outer(inward_steps, inward_steps)
     return _Step(point_after, equations.predicted_decrease(full_step), covariance)
 
@@ -322,10 +277,9 @@ def _step_column(
     if not linearization.record.measured_modes:
         return single_step
     linear_decrease, contact_decreases = single_step
-    double_linear_decrease, double_contact_decreases = derivative(linearization, build_rig(values + 2 * step), residual)
+    double_linear_decrease, double_decreases = derivative(linearization, build_rig(values + 2 * step), residual)
     contact_decreases = [
-        2 * single_decrease - double_decrease / 2
-        for single_decrease, double_decrease in zip(contact_decreases, double_contact_decreases, strict=True)
+        2 * single - double / 2 for single, double in zip(contact_decreases, double_decreases, strict=True)
     ]
     return 2 * linear_decrease - double_linear_decrease / 2, contact_decreases
 
@@ -352,12 +306,10 @@ def bounded_minimum(
         raise RigError(
             "rig.json's contacts or modes are beyond any that this recording can be compared with; check its numbers"
         )
-    cholesky_factor = _cholesky(matrix)
-    scaled_gradient = solve_triangular(cholesky_factor, gradient, lower=True)
+    factor = _cholesky(matrix)
+    target = solve_triangular(factor, gradient, lower=True)
     low = np.minimum(low, 0.0) - BOUND_SLACK
-    return np.asarray(
-        lsq_linear(cholesky_factor.T, scaled_gradient, (low, np.maximum(high, 0.0) + BOUND_SLACK), "bvls").x
-    )
+    return np.asarray(lsq_linear(factor.T, target, (low, np.maximum(high, 0.0) + BOUND_SLACK), "bvls").x)
 
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:

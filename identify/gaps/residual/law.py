@@ -49,7 +49,7 @@ def initial_unknowns(
     unknowns = np.zeros(observation.drift_spline.knots + len(observation.law_prior_deviations) * len(law.laws))
     first_law, (lower_m, upper_m) = law.laws[0], law.clearances_m
     eta_m, velocity_m_per_s, time_s = (
-        signal[:: signals.decimation] for signal in (signals.eta_m, signals.eta_rate_m_per_s, signals.time_s)
+        x[:: signals.decimation] for x in (signals.eta_m, signals.eta_rate_m_per_s, signals.time_s)
     )
     elastic_n = signals.force_n - law.force_n(
         np.zeros_like(eta_m), velocity_m_per_s
@@ -84,9 +84,7 @@ def initial_unknowns(
 
 def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Penetration at which the law's force at rest equals a force; zero for laws without stiffness."""
-    slopes_n_per_m = [
-        slope_n_per_m for slope_n_per_m, _ in (single_law.steepest for single_law in law.laws) if slope_n_per_m
-    ]
+    slopes_n_per_m = [slope for slope, _ in (single_law.steepest for single_law in law.laws) if slope]
     penetration_m = np.zeros_like(force_n)
     if slopes_n_per_m:
         deepest_m = DEPTH_REACH * np.max(np.abs(force_n)) / np.array(slopes_n_per_m)
@@ -130,17 +128,15 @@ class ContactResidual:
 
         def slope_rows(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Results:
             tangents = self._tangents(eta, *time_s)
-            force_per_stiffness = [
+            per_stiffness = [
                 sign * force_increase_n(law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
                 for law, sign in zip(undamped_laws, signs, strict=True)
             ]
-            force_per_damping = [
+            per_damping = [
                 sign * force_increase_n(law, sign * eta, sign * eta_rate, *time_s, damping_n_s_per_m=1.0)
                 for law, sign in zip(self.adjusted_law.laws, signs, strict=True)
             ]
-            return np.stack(
-                [tangents, tangents * np.sign(eta), np.stack(force_per_stiffness), np.stack(force_per_damping)]
-            )
+            return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
 
         return self._low_passed(
             slope_rows, self.eta_m, self.eta_rate_m_per_s, rate_multiple=self.signals.slope_rate_multiple
@@ -187,15 +183,12 @@ class ContactResidual:
     def fitted_laws(self) -> tuple[ContactLaw, ...]:
         """Laws with clearance, stiffness and damping as fitted within their tolerances."""
         *_, damping_deviation_s = self.observation.law_prior_deviations
-        damping_increases_s = self.pulls[2::3] * damping_deviation_s
+        increases_s = self.pulls[2::3] * damping_deviation_s
         return tuple(
             changed(
-                adjusted_law,
-                damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + damping_increase_s * law.stiffness_n_per_m)),
+                adjusted, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m))
             )
-            for adjusted_law, law, damping_increase_s in zip(
-                self.adjusted_law.laws, self.law.laws, damping_increases_s, strict=True
-            )
+            for adjusted, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, increases_s, strict=True)
         )
 
     @property
@@ -222,31 +215,25 @@ class ContactResidual:
 
     def residual_beyond(self, sides: Sides) -> Float[np.ndarray, " rows"]:
         """Residual with the same straight excess."""
-        straight_residual = self.residual.copy()
-        straight_excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
-        straight_residual[straight_residual.size - sides.size :] = (
-            -self.observation.prior_weight * EXCESS_WEIGHT * straight_excess
-        )
-        return straight_residual
+        residual = self.residual.copy()
+        excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
+        residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * excess
+        return residual
 
     @cached_property
     def _force_columns(self) -> csr_matrix:
         """Rows of `columns` of the force, without those of the priors."""
-        weights, drift_spline = self.observation.weights, self.observation.drift_spline
+        weights, spline = self.observation.weights, self.observation.drift_spline
         clearance_deviation, stiffness_deviation, damping_deviation_s = self.observation.law_prior_deviations
         pull_columns = []
-        for law, slope_by_clearance, force_per_stiffness, force_per_damping in zip(
-            self.law.laws, *self.slopes[1:], strict=True
-        ):
+        for law, signed_slope, per_stiffness, per_damping in zip(self.law.laws, *self.slopes[1:], strict=True):
             stiffness_n_per_m = law.stiffness_n_per_m
             pull_columns += [
-                -clearance_deviation * law.clearance_m * slope_by_clearance,
-                stiffness_deviation * stiffness_n_per_m * force_per_stiffness,
-                damping_deviation_s * stiffness_n_per_m * force_per_damping,
+                -clearance_deviation * law.clearance_m * signed_slope,
+                stiffness_deviation * stiffness_n_per_m * per_stiffness,
+                damping_deviation_s * stiffness_n_per_m * per_damping,
             ]
-        drift_columns = (
-            self.tangent.spline_columns(drift_spline.value) + self.signals.slow_stiffness_n_per_m * drift_spline.value
-        )
+        drift_columns = self.tangent.spline_columns(spline.value) + self.signals.slow_stiffness_n_per_m * spline.value
         return diags(weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
@@ -269,8 +256,8 @@ def contact_residual(
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> ContactResidual:
     """Residual at given unknowns; added_force_n and added_eta_m are added to the force and to the relative displacement."""
-    drift_spline, drift_knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
-    drift_m, drift_m_per_s = drift_spline.value @ drift_knots_m, drift_spline.rate @ drift_knots_m
+    spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_m, drift_m_per_s = spline.value @ knots_m, spline.rate @ knots_m
     eta_m = signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m
     eta_rate_m_per_s = signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation)
     pulls = unknowns[observation.tolerance_slice]
@@ -300,7 +287,7 @@ def contact_residual(
 
     law_force_n = signals.low_passed(force_n, eta_m, eta_rate_m_per_s, *_wear_times(adjusted_law, signals))
     residual_n = signals.force_n + added_force_n - law_force_n - signals.slow_stiffness_n_per_m * drift_m
-    prior_residuals = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
+    prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     return ContactResidual(
         observation=observation,
         signals=signals,
@@ -310,11 +297,7 @@ def contact_residual(
         eta_m=eta_m,
         eta_rate_m_per_s=eta_rate_m_per_s,
         residual=np.concatenate(
-            [
-                observation.weights * residual_n,
-                drift_spline.target - drift_spline.curvature @ drift_knots_m,
-                prior_residuals,
-            ]
+            [observation.weights * residual_n, spline.target - spline.curvature @ knots_m, prior_rows]
         ),
     )
 
@@ -331,16 +314,10 @@ def force_with_damping_n(
 
 
 def force_increase_n(
-    law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **field_increases: float
+    law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **increases: float
 ) -> Signal:
     """Increase of the force as fields that it is proportional to grow by these amounts."""
-    increased_law = changed(
-        law,
-        **{
-            field_name: getattr(law, field_name) + field_increase
-            for field_name, field_increase in field_increases.items()
-        },
-    )
+    increased_law = changed(law, **{name: getattr(law, name) + by for name, by in increases.items()})
     return increased_law.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 

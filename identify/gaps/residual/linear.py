@@ -83,10 +83,8 @@ class Linear:
         forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
-            modal_response(
-                self.record, self.rig, response, times(input_shapes(self.rig, response, stations).T, forces_n)
-            )
-            for response in self.responses
+            modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, stations).T, forces_n))
+            for r in self.responses
         )
         for free_mode in self.free_modes:
             accelerations[free_mode.body_index][free_mode.mode_index] += free_mode.acceleration
@@ -97,17 +95,14 @@ class Linear:
         """Accelerations at the sensors: measured ones, and those of a free motion that the sensors miss."""
         measured_accelerations = self.record.acceleration_signals / self.sensor_response
         return np.asarray(
-            measured_accelerations
-            + sum((free_mode.not_sensed for free_mode in self.free_modes), np.zeros_like(measured_accelerations))
+            measured_accelerations + sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_accelerations))
         )
 
     @cached_property
     def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
         """Displacements at the sensors: measured ones, and those of a free motion that the sensors miss."""
         measured_displacements = self.record.displacement_signals / self.sensor_response
-        unobserved_accelerations = sum(
-            (free_mode.not_sensed for free_mode in self.free_modes), np.zeros_like(measured_displacements)
-        )
+        unobserved_accelerations = sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_displacements))
         return np.asarray(measured_displacements + unobserved_accelerations * self.record.twice_integrated)
 
     @cached_property
@@ -180,10 +175,7 @@ def linear_model(
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
-        responses = tuple(
-            response.tuned(*mode_factors[response.body.name]) if response.body.name in mode_factors else response
-            for response in responses
-        )
+        responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
     sensor_stations = sensor_stations_of(record, rig)
     known_forces = _known_forces(record, rig, responses, sensor_stations, sensor_response)
     contact_count = len(rig.contacts)
@@ -300,9 +292,7 @@ def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[n
         is_rigid_mode = response.modes.frequencies_hz(response.count) == 0
         if response.body.is_mass:
             is_rigid_mode[:] = True
-        modal_load_n = np.array([load.force_n for load in rig.loads]) @ response.shapes(
-            [load.station for load in rig.loads]
-        )
+        modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
         if np.any(modal_load_n[is_rigid_mode]):
             forces_n += np.linalg.lstsq(
                 across(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None

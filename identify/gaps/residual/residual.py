@@ -83,11 +83,11 @@ class Linearization:
     def expansion_point(self) -> Float[np.ndarray, " nuisances"]:
         """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
-        applied_pulls = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
+        applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
         return (
-            applied_pulls + np.array([self.tuned_modes.pulls.get(parameter, 0.0) for parameter in parameters])
+            applied + np.array([self.tuned_modes.pulls.get(p, 0.0) for p in parameters])
             if self.tuned_modes.pulls
-            else applied_pulls
+            else applied
         )
 
     @cached_property
@@ -184,7 +184,7 @@ def linearized(
     `scales` and `observations` of another linearisation of the record keep their costs comparable.
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
-    expansion_rig, applied_pulls = (
+    expansion_rig, applied = (
         apply_nuisance(rig, residual.parameters, residual.nuisance_pulls, record.tolerances)
         if residual
         else (rig, None)
@@ -196,7 +196,7 @@ def linearized(
     observations = observations or contact_observations(
         record, model, joined_laws(expansion_rig), scales.contact_variances
     )
-    return Linearization(record, rig, scales, model, observations, applied_pulls, mode_tuning, cache)
+    return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
 
 
 def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
@@ -218,10 +218,8 @@ def linear_of(linearization: Linearization, rig: Rig) -> Linear:
         rig, _ = apply_nuisance(
             rig, linearization.columns.parameters, linearization.applied_nuisance, record.tolerances
         )
-    unmodelled_scales, cache = linearization.scales, linearization.cache
-    return linear_model(
-        record, rig, unmodelled_scales.unmodelled_shares, cache.responses, linearization.tuned_modes.factors
-    )
+    scales, cache = linearization.scales, linearization.cache
+    return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuned_modes.factors)
 
 
 def residual_of(
@@ -229,21 +227,17 @@ def residual_of(
     rig: Rig,
     nuisance_pulls: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
-    base_residual: Residual | None = None,
+    base: Residual | None = None,
 ) -> Residual:
     """Residual of a rig at given nuisance parameters and contact unknowns, without any fit.
 
-    Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base_residual` is a residual of the same
+    Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
     linearisation whose unchanged parts are reused.
     """
     record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
-    if base_residual is not None and same_but_laws(base_residual.rig, rig):
-        model, signals, linear_at_expansion = (
-            base_residual.model,
-            base_residual.signals,
-            base_residual.linear_before_nuisance,
-        )
+    if base is not None and same_but_laws(base.rig, rig):
+        model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         signals = contact_signals_of(record, model)
@@ -251,64 +245,38 @@ def residual_of(
     observations = linearization.observations
     if unknowns is None:
         contacts_and_laws = zip(signals, observations, laws, strict=True)
-        unknowns = tuple(
-            initial_unknowns(*contact_inputs, record.residual_rate_hz) for contact_inputs in contacts_and_laws
-        )
+        unknowns = tuple(initial_unknowns(*inputs, record.residual_rate_hz) for inputs in contacts_and_laws)
     nuisance_change = nuisance_pulls - linearization.expansion_point
-    reused_residual = (
-        base_residual
-        if base_residual is not None and model is base_residual.model and nuisance_pulls is base_residual.nuisance_pulls
-        else None
-    )
-    linear_residual = reused_residual.linear_residual if reused_residual else linear_at_expansion
-    if nuisance_change.any() and not reused_residual:
-        linear_residual = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
-    linear_without_lines = reused_residual.linear_without_lines if reused_residual else linear_residual
-    if not reused_residual and not rig.tones:
-        linear_without_lines = without_lines(linear_residual, linearization.line_frequencies)
+    reused = base if base is not None and model is base.model and nuisance_pulls is base.nuisance_pulls else None
+    linear = reused.linear_residual if reused else linear_at_expansion
+    if nuisance_change.any() and not reused:
+        linear = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
+    linear_without_lines = reused.linear_without_lines if reused else linear
+    if not reused and not rig.tones:
+        linear_without_lines = without_lines(linear, linearization.line_frequencies)
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any():
         added_eta_m = record.sampled(
             np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), with_upper_band=False
         )
-    drift_m = [
-        observation.drift_spline.value @ contact_unknowns[: observation.drift_spline.knots]
-        for observation, contact_unknowns in zip(observations, unknowns, strict=True)
-    ]
+    drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
-    def contact(contact_index: int) -> ContactResidual:
-        law, coupled_contacts = laws[contact_index], {contact_index, *np.flatnonzero(coupling_n_per_m[contact_index])}
-        previous_contacts = reused_residual.contacts if reused_residual else ()
-        if (
-            previous_contacts
-            and previous_contacts[contact_index].law == law
-            and all(
-                previous_contacts[coupled_index].unknowns is unknowns[coupled_index]
-                for coupled_index in coupled_contacts
-            )
-        ):
-            return previous_contacts[contact_index]
-        added_force_n = -nuisance_change @ linearization.columns.contact_n[:, contact_index]
-        added_force_n -= sum(
-            coupling_n_per_m[contact_index, coupled_index] * drift_m[coupled_index]
-            for coupled_index in coupled_contacts
-        )
-        return contact_residual(
-            signals[contact_index],
-            observations[contact_index],
-            law,
-            unknowns[contact_index],
-            added_force_n,
-            added_eta_m[contact_index],
-        )
+    def contact(j: int) -> ContactResidual:
+        law, coupled = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
+        previous = reused.contacts if reused else ()
+        if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
+            return previous[j]
+        added_n = -nuisance_change @ linearization.columns.contact_n[:, j]
+        added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
+        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_eta_m[j])
 
     return Residual(
         rig=rig,
         model=model,
         signals=signals,
         linear_before_nuisance=linear_at_expansion,
-        linear_residual=linear_residual,
+        linear_residual=linear,
         linear_without_lines=linear_without_lines,
         contacts=tuple(contact(j) for j in range(len(laws))),
         nuisance_pulls=nuisance_pulls,
@@ -327,14 +295,9 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
         unknowns = tuple(c.unknowns for c in residual.contacts)
-        changed_residual = residual_of(
-            linearization, changed_rig, residual.nuisance_pulls, unknowns, base_residual=residual
-        )
-        contact_decreases = [
-            before.residual - after.residual
-            for before, after in zip(residual.contacts, changed_residual.contacts, strict=True)
-        ]
-        return residual.linear_residual - changed_residual.linear_residual, contact_decreases
+        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, base=residual)
+        contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
+        return residual.linear_residual - changed.linear_residual, contact_decreases
     if same_but_sensors(residual.rig, changed_rig):
         return _sensor_column(linearization, changed_rig, residual)
     changed_model = linear_of(linearization, changed_rig)
@@ -355,12 +318,10 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
 def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
     """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
     record, model = linearization.record, residual.model
-    response_change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
+    change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
     explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
-    linear_decrease, contact_force_spectra = model.projection.of(response_change * explained_signals)
-    eta_decrease_m = relative_displacements(
-        record, model, response_change * record.displacement_signals / model.sensor_response
-    )
+    linear_decrease, contact_force_spectra = model.projection.of(change * explained_signals)
+    eta_decrease_m = relative_displacements(record, model, change * record.displacement_signals / model.sensor_response)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_force_spectra), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases
 
@@ -391,8 +352,7 @@ def same_but_laws(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their contact laws alone, if at all."""
     if rig is compared:
         return True
-    compared_laws = tuple(c.law for c in compared.contacts)
+    laws = tuple(c.law for c in compared.contacts)
     return (
-        replace(rig, contacts=tuple(replace(c, law=law) for c, law in zip(rig.contacts, compared_laws, strict=True)))
-        == compared
+        replace(rig, contacts=tuple(replace(c, law=law) for c, law in zip(rig.contacts, laws, strict=True))) == compared
     )

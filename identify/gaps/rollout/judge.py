@@ -54,126 +54,104 @@ FREQUENCY_MATCH = 0.2
 
 
 def judge_correction(
-    recording: Recording,
-    nominal_fit: Residual,
-    corrected_fit: Residual,
-    null_records: Sequence[NullErrors],
-    predict: Predict,
+    recording: Recording, nominal_fit: Residual, corrected_fit: Residual, nulls: Sequence[NullErrors], predict: Predict
 ) -> Rollout:
     """Rollout of a correction over the recording to which both rigs were fitted.
 
     Three rigs are predicted: the nominal one, the nominal one fitted within its tolerances, and the corrected one
     fitted likewise, which must not be worse than the second.
     """
-    horizon_samples = horizon_of(null_records)
-    if horizon_samples is None:
+    samples = horizon_of(nulls)
+    if samples is None:
         return Rollout(code="no_horizon")
-    rigs_and_residuals = (
+    fits = (
         (nominal_fit.rig, nominal_fit),
         (nominal_fit.corrected_rig, nominal_fit),
         (corrected_fit.corrected_rig, corrected_fit),
     )
-    motion_by_rig = [measured_motion(recording, rig, residual) for rig, residual in rigs_and_residuals]
-    start_sample, stop_sample = (
-        max(rig_motion.first_sample for rig_motion in motion_by_rig),
-        min(rig_motion.stop_sample for rig_motion in motion_by_rig),
-    )
+    motions = [measured_motion(recording, rig, residual) for rig, residual in fits]
+    start, stop = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
     rate_hz = recording.rig.sample_rate_hz
-    if stop_sample - start_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
+    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, samples):
         return Rollout(code="too_short")
-    window_starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
+    starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
     try:
         nominal_errors, fitted_errors, corrected_errors = (
-            prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motion_by_rig
+            prediction_errors(motion, predict, starts, samples) for motion in motions
         )
         record = nominal_fit.model.record
-        decay_modes = (
-            ()
-            if record.has_force
-            else _decay_modes(motion_by_rig[0], motion_by_rig[2], record, predict, start_sample, stop_sample)
-        )
+        decay = () if record.has_force else _decay_modes(motions[0], motions[2], record, predict, start, stop)
     except RigError:
         return Rollout(code="not_simulated")
-    error_ratios = block_ratios(fitted_errors, corrected_errors, window_starts, rate_hz)
-    overall_errors, *errors_by_sensor = _errors_by_sensor(
-        nominal_errors, corrected_errors, null_bounds(null_records, horizon_samples)
-    )
-    block_of_window = np.floor((window_starts + horizon_samples / 2) / rate_hz / BLOCK_S)
-    errors_by_window = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
+    ratios = block_ratios(fitted_errors, corrected_errors, starts, rate_hz)
+    overall, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, samples))
+    window_blocks = np.floor((starts + samples / 2) / rate_hz / BLOCK_S)
+    window_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
     return Rollout(
-        code=veto(error_ratios),
-        horizon_s=horizon_samples / rate_hz,
-        windows=window_starts.size,
-        whole=overall_errors,
+        code=veto(ratios),
+        horizon_s=samples / rate_hz,
+        windows=starts.size,
+        whole=overall,
         shrunk_95=None
-        if overall_errors.shrunk is None
-        else _shrinkage_interval(*errors_by_window, overall_errors.null_median, block_of_window),
+        if overall.shrunk is None
+        else _shrinkage_interval(*window_rms, overall.null_median, window_blocks),
         within=float(np.median(rms_by_window(fitted_errors))),
-        log_ratio=float(error_ratios.log_ratios.mean()),
-        log_ratio_error=standard_error(error_ratios.log_ratios),
-        expected_log_ratio=float(error_ratios.expected_log_ratios.mean()),
-        falls_short=falls_short(error_ratios),
-        by_sensor=dict(zip(motion_by_rig[0].sensor_names, errors_by_sensor, strict=True)),
-        decay=decay_modes,
-        example=_example(motion_by_rig[0], motion_by_rig[2], predict, window_starts, nominal_errors),
+        log_ratio=float(ratios.log_ratios.mean()),
+        log_ratio_error=standard_error(ratios.log_ratios),
+        expected_log_ratio=float(ratios.expected_log_ratios.mean()),
+        falls_short=falls_short(ratios),
+        by_sensor=dict(zip(motions[0].sensor_names, by_sensor, strict=True)),
+        decay=decay,
+        example=_example(motions[0], motions[2], predict, starts, nominal_errors),
     )
 
 
 def _example(
-    nominal_motion: MeasuredMotion,
-    corrected_motion: MeasuredMotion,
+    nominal_run: MeasuredMotion,
+    corrected_run: MeasuredMotion,
     predict: Predict,
-    window_starts: Int[np.ndarray, " windows"],
+    starts: Int[np.ndarray, " windows"],
     nominal_errors: Windows,
 ) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
     rms_errors = rms_by_window(nominal_errors)
     window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
-    sensor_index = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
-    window_start, horizon_samples = window_starts[[window_index]], nominal_errors.shape[2]
-    signals_by_rig = [
-        measured_and_predicted(motion, predict, window_start, horizon_samples)
-        for motion in (nominal_motion, corrected_motion)
-    ]
-    shown_slice = slice(-min(horizon_samples, SHOWN_SAMPLES), None)
-    time_s = (window_start + np.arange(horizon_samples)) / nominal_motion.sample_rate_hz
-    measured_signal, *predicted_signals = (
-        window_signals[0, sensor_index, shown_slice]
-        for window_signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
-    )
+    sensor = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
+    start, samples = starts[[window_index]], nominal_errors.shape[2]
+    by_rig = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal_run, corrected_run)]
+    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    time_s = (start + np.arange(samples)) / nominal_run.sample_rate_hz
+    measured, *predicted = (signals[0, sensor, shown] for signals in (by_rig[0][0], by_rig[0][1], by_rig[1][1]))
     return PredictionExample(
-        sensor=nominal_motion.sensor_names[sensor_index],
-        unit=("m", "m/s")[min(nominal_motion.derivative_orders[sensor_index], 1)],
-        time_s=tuple(time_s[shown_slice].tolist()),
-        measured=tuple(measured_signal.tolist()),
-        nominal=tuple(np.nan_to_num(predicted_signals[0]).tolist()),
-        corrected=tuple(np.nan_to_num(predicted_signals[1]).tolist()),
+        sensor=nominal_run.sensor_names[sensor],
+        unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor], 1)],
+        time_s=tuple(time_s[shown].tolist()),
+        measured=tuple(measured.tolist()),
+        nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
+        corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
     )
 
 
 def _decay_modes(
-    nominal_motion: MeasuredMotion,
-    corrected_motion: MeasuredMotion,
+    nominal_run: MeasuredMotion,
+    corrected_run: MeasuredMotion,
     record: Record,
     predict: Predict,
     start_sample: int,
     stop_sample: int,
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
-    rig, rate_hz, highest_hz = nominal_motion.rig, nominal_motion.sample_rate_hz, record.highest_hz
+    rig, rate_hz, highest_hz = nominal_run.rig, nominal_run.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
-    window_starts = np.array([start_sample])
-    signals_by_rig = [
-        measured_and_predicted(motion, predict, window_starts, stop_sample - start_sample)
-        for motion in (nominal_motion, corrected_motion)
+    starts = np.array([start_sample])
+    by_rig = [
+        measured_and_predicted(motion, predict, starts, stop_sample - start_sample)
+        for motion in (nominal_run, corrected_run)
     ]
-    decay_signals = (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
+    decay_signals = (by_rig[0][0], by_rig[0][1], by_rig[1][1])
     return compared_modes(
-        *(
-            modes_of_decay(np.nan_to_num(decay_signal[0]), rate_hz, highest_hz, mode_limit)
-            for decay_signal in decay_signals
-        )
+        *(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, mode_limit) for d in decay_signals)
     )
 
 
@@ -183,14 +161,12 @@ def compared_modes(
     """Measured modes, each with the nearest mode of both predictions."""
 
     def nearest(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
-        nearest_mode = min(
-            predicted_modes,
-            key=lambda predicted_mode: abs(np.log(predicted_mode.frequency_hz / mode.frequency_hz)),
-            default=None,
+        best = min(
+            predicted_modes, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
         )
-        if nearest_mode is None or abs(nearest_mode.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
+        if best is None or abs(best.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
             return None
-        return nearest_mode.frequency_hz, nearest_mode.damping_ratio
+        return best.frequency_hz, best.damping_ratio
 
     return tuple(
         DecayMode(
@@ -211,21 +187,18 @@ class BlockRatios:
 
 
 def block_ratios(
-    nominal_errors: Windows, corrected_errors: Windows, window_starts: Int[np.ndarray, " windows"], rate_hz: float
+    nominal: Windows, corrected: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
 ) -> BlockRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
-    block_samples = min(nominal_errors.shape[2], round(BLOCK_S * rate_hz))
-    block_starts = range(0, nominal_errors.shape[2] - block_samples // 2, block_samples)
+    block_samples = min(nominal.shape[2], round(BLOCK_S * rate_hz))
+    block_starts = range(0, nominal.shape[2] - block_samples // 2, block_samples)
     mean_squares = np.stack(
         [
-            [
-                np.mean(window_errors[:, :, block_start : block_start + block_samples] ** 2, axis=(1, 2))
-                for block_start in block_starts
-            ]
-            for window_errors in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
+            [np.mean(e[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
+            for e in (nominal, corrected, nominal - corrected)
         ]
     )
-    middle_s = (window_starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
+    middle_s = (starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
     least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
     nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
     log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
@@ -234,10 +207,10 @@ def block_ratios(
 
 
 def _means_by_block(
-    values: Float[np.ndarray, " all"], block_of_value: Float[np.ndarray, " all"]
+    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
 ) -> Float[np.ndarray, " blocks"]:
     """Mean of the values in each block."""
-    return np.array([values[block_of_value == block_number].mean() for block_number in np.unique(block_of_value)])
+    return np.array([values[blocks == block_number].mean() for block_number in np.unique(blocks)])
 
 
 def veto(ratios_by_block: BlockRatios) -> Code:
@@ -247,41 +220,28 @@ def veto(ratios_by_block: BlockRatios) -> Code:
     return "worse" if log_ratios.mean() > max(WORSE, student_quantile * standard_error(log_ratios)) else "not_vetoed"
 
 
-def falls_short(ratios_by_block: BlockRatios) -> bool:
+def falls_short(blocks: BlockRatios) -> bool:
     """True if the predictions differ but do not improve as those of a right correction would.
 
     This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
     """
-    log_ratios, shortfalls = (
-        ratios_by_block.log_ratios,
-        ratios_by_block.log_ratios - ratios_by_block.expected_log_ratios,
-    )
-    student_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    differs = (
-        ratios_by_block.expected_log_ratios.mean() < -BETTER
-        and shortfalls.mean() > student_quantile * standard_error(shortfalls)
-    )
-    return bool(differs and log_ratios.mean() > -student_quantile * standard_error(log_ratios))
+    log_ratios, shortfalls = (blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios)
+    quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
+    differs = blocks.expected_log_ratios.mean() < -BETTER and shortfalls.mean() > quantile * standard_error(shortfalls)
+    return bool(differs and log_ratios.mean() > -quantile * standard_error(log_ratios))
 
 
 def log_ratio_of(
-    recording: Recording, nominal_fit: Residual, corrected_fit: Residual, horizon_samples: int, predict: Predict
+    recording: Recording, nominal_fit: Residual, corrected_fit: Residual, samples: int, predict: Predict
 ) -> float:
-    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon of `horizon_samples`."""
-    motion_by_rig = [
+    """Mean log ratio of the errors of two rigs, both fitted to a recording, at a horizon of `samples`."""
+    motions = [
         measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
     ]
-    start_sample, stop_sample = (
-        max(rig_motion.first_sample for rig_motion in motion_by_rig),
-        min(rig_motion.stop_sample for rig_motion in motion_by_rig),
-    )
-    window_starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
-    nominal_errors, corrected_errors = (
-        prediction_errors(motion, predict, window_starts, horizon_samples) for motion in motion_by_rig
-    )
-    return float(
-        block_ratios(nominal_errors, corrected_errors, window_starts, recording.rig.sample_rate_hz).log_ratios.mean()
-    )
+    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
+    nominal, corrected = (prediction_errors(motion, predict, starts, samples) for motion in motions)
+    return float(block_ratios(nominal, corrected, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
 
 def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
@@ -292,73 +252,48 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
-    mean_log_ratio, simulation_count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
-    student_quantile = float(student.ppf(1 - VETO_P_VALUE, simulation_count - 1))
-    limit_margin = student_quantile * float(
-        np.hypot(
-            np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count), rollout.log_ratio_error or 0.0
-        )
+    mean, count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
+    quantile = float(student.ppf(1 - VETO_P_VALUE, count - 1))
+    margin = quantile * float(
+        np.hypot(np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / count), rollout.log_ratio_error or 0.0)
     )
-    should_improve = mean_log_ratio + limit_margin < -BETTER / 2
-    return (
-        replace(rollout, code="no_improvement")
-        if should_improve and rollout.log_ratio > mean_log_ratio + limit_margin
-        else rollout
-    )
+    improves = mean + margin < -BETTER / 2
+    return replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean + margin else rollout
 
 
-def standard_error(block_values: Float[np.ndarray, " blocks"]) -> float:
+def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
     """Standard error of the mean of a series, increased by the correlation of neighbours."""
-    deviations = block_values - block_values.mean()
-    sum_of_squares = float(deviations @ deviations)
-    correlation = (
-        float(np.clip(deviations[1:] @ deviations[:-1] / sum_of_squares, 0.0, 0.9)) if sum_of_squares > 0 else 0.0
-    )
-    return float(
-        np.sqrt(
-            sum_of_squares / max(block_values.size - 1, 1) / block_values.size * (1 + correlation) / (1 - correlation)
-        )
-    )
+    deviations = blocks - blocks.mean()
+    squares = float(deviations @ deviations)
+    correlation = float(np.clip(deviations[1:] @ deviations[:-1] / squares, 0.0, 0.9)) if squares > 0 else 0.0
+    return float(np.sqrt(squares / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
 
 
-def null_bounds(null_records: Sequence[NullErrors], horizon_samples: int) -> list[tuple[float, float]]:
+def null_bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float]]:
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
-    errors_and_index = [
-        (null_record, null_record.samples.index(horizon_samples))
-        for null_record in null_records
-        if horizon_samples in null_record.samples
-    ]
-    medians = np.median([null_record.within[horizon_index] for null_record, horizon_index in errors_and_index], axis=0)
-    log_errors, null_count = (
-        np.log(
-            np.maximum([null_record.nominal[horizon_index] for null_record, horizon_index in errors_and_index], 1e-300)
-        ),
-        len(errors_and_index),
-    )
-    limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
-    upper_limits = np.exp(
-        log_errors.mean(axis=0) + limit_deviations * log_errors.std(axis=0, ddof=min(1, null_count - 1))
-    )
+    null_rows = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
+    medians = np.median([null.within[k] for null, k in null_rows], axis=0)
+    logs, count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
+    deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
+    upper_limits = np.exp(logs.mean(axis=0) + deviations * logs.std(axis=0, ddof=min(1, count - 1)))
     return list(zip(medians.tolist(), upper_limits.tolist(), strict=True))
 
 
 def _errors_by_sensor(
-    nominal_errors: Windows, corrected_errors: Windows, null_medians_and_limits: list[tuple[float, float]]
+    nominal_errors: Windows, corrected_errors: Windows, null_limits: list[tuple[float, float]]
 ) -> list[PredictionErrors]:
     """Median errors of all sensors together, then of each, beside the median and limit of null simulations."""
     return [
         PredictionErrors(
-            nominal=nominal_median,
-            corrected=corrected_median,
-            null_median=null_median,
-            null_95=null_limit,
-            shrunk=None
-            if nominal_median <= null_limit
-            else shrunk_share(nominal_median, corrected_median, null_median),
+            nominal=before,
+            corrected=after,
+            null_median=median,
+            null_95=limit,
+            shrunk=None if before <= limit else shrunk_share(before, after, median),
         )
-        for nominal_median, corrected_median, (null_median, null_limit) in zip(
-            median_errors(nominal_errors), median_errors(corrected_errors), null_medians_and_limits, strict=True
+        for before, after, (median, limit) in zip(
+            median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
         )
     ]
 
@@ -369,32 +304,20 @@ def shrunk_share(nominal_error: float, corrected_error: float, null_error: float
 
 
 def _shrinkage_interval(
-    nominal_errors: Float[np.ndarray, " windows"],
-    corrected_errors: Float[np.ndarray, " windows"],
+    nominal: Float[np.ndarray, " windows"],
+    corrected: Float[np.ndarray, " windows"],
     null_error: float,
-    block_of_window: Float[np.ndarray, " windows"],
+    blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, windows_by_block = (
-        np.random.default_rng(0),
-        [np.flatnonzero(block_of_window == block_number) for block_number in np.unique(block_of_window)],
-    )
-    resampled_windows = [
-        np.concatenate(
-            [
-                windows_by_block[block_index]
-                for block_index in rng.integers(0, len(windows_by_block), len(windows_by_block))
-            ]
-        )
+    rng, members = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
+    resamples = [
+        np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))])
         for _ in range(BOOTSTRAP_DRAWS)
     ]
-    shrunk_shares = [
-        shrunk_share(
-            float(np.median(nominal_errors[window_indices])),
-            float(np.median(corrected_errors[window_indices])),
-            null_error,
-        )
-        for window_indices in resampled_windows
+    shares = [
+        shrunk_share(float(np.median(nominal[windows])), float(np.median(corrected[windows])), null_error)
+        for windows in resamples
     ]
-    lower_share, upper_share = np.quantile(shrunk_shares, [0.025, 0.975])
+    lower_share, upper_share = np.quantile(shares, [0.025, 0.975])
     return float(lower_share), float(upper_share)

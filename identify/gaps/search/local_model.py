@@ -64,17 +64,15 @@ class CandidateTerm:
     candidate: Candidate
     start_values: Float[np.ndarray, " parameters"]
     strength_indices: tuple[int, ...]
-    column_indices: Int[np.ndarray, " selected"]
-    least_theta: Float[np.ndarray, " selected"]
-    greatest_theta: Float[np.ndarray, " selected"]
+    indices: Int[np.ndarray, " selected"]
+    theta_min: Float[np.ndarray, " selected"]
+    theta_max: Float[np.ndarray, " selected"]
 
     def values(self, theta: Theta) -> Float[np.ndarray, " parameters"]:
         """Parameters of the effect at theta."""
         effect_values = self.start_values.copy()
         strength_indices = list(self.strength_indices)
-        effect_values[strength_indices] += (
-            theta[self.column_indices] * self.candidate.derivative_steps[strength_indices]
-        )
+        effect_values[strength_indices] += theta[self.indices] * self.candidate.derivative_steps[strength_indices]
         return effect_values
 
 
@@ -91,22 +89,22 @@ class LocalModel:
     """Statistic S(theta) about a fitted rig.
 
     column_spectra holds X and residual_spectrum r: windowed spectra in the nominal rig's standard deviations, real and
-    imaginary parts, scaled so that the squares of a cell's rows add up to L. cell_of_row is the index of a row's band
+    imaginary parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band
     and sensor. base_columns are the columns that every solution has: tolerances, whose `pulls` are p, then the effects
     already in the rig.
     """
 
     column_spectra: Float[np.ndarray, "columns rows"]
     residual_spectrum: Float[np.ndarray, " rows"]
-    cell_of_row: Int[np.ndarray, " rows"]
+    row_cell: Int[np.ndarray, " rows"]
     contact_matrices: Float[np.ndarray, "contacts columns columns"]
     contact_gradients: Float[np.ndarray, "contacts columns"]
     contact_levels: Float[np.ndarray, " contacts"]
     input_matrix: Float[np.ndarray, "columns columns"]
     input_gradient: Float[np.ndarray, " columns"]
     pulls: Float[np.ndarray, " tolerances"]
-    least_theta: Theta
-    greatest_theta: Theta
+    theta_min: Theta
+    theta_max: Theta
     samples_per_cell: float
     independent_samples: float
     base_columns: Int[np.ndarray, " selected"]
@@ -114,19 +112,17 @@ class LocalModel:
 
     def levels(self, theta: Theta) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " contacts"]]:
         """Levels L of all cells, and of all contacts."""
-        nonzero_columns = np.flatnonzero(theta)
-        residual_left = (
-            self.residual_spectrum - theta[nonzero_columns].astype(np.float32) @ self.column_spectra[nonzero_columns]
-        )
+        nonzero = np.flatnonzero(theta)
+        residual = self.residual_spectrum - theta[nonzero].astype(np.float32) @ self.column_spectra[nonzero]
         levels_of_contacts = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
         levels_of_contacts -= 2 * self.contact_gradients @ theta
-        return np.bincount(self.cell_of_row, residual_left.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
+        return np.bincount(self.row_cell, residual.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
 
     def statistic(self, theta: Theta) -> float:
         """Statistic S, up to a constant of the record."""
-        cell_levels, contact_levels = self.levels(theta)
-        residual_cost = self.samples_per_cell * np.sum(np.log1p(cell_levels)) + self.independent_samples * np.sum(
-            np.log1p(contact_levels)
+        cells, contacts = self.levels(theta)
+        residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.independent_samples * np.sum(
+            np.log1p(contacts)
         )
         input_cost = theta @ self.input_matrix @ theta - 2 * self.input_gradient @ theta
         return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
@@ -137,83 +133,64 @@ class LocalModel:
         """Matrix A and right-hand side b of S majorised at theta, whose minimum x solves A x = b."""
         cell_levels, contact_levels = self.levels(theta)
         cell_weights = self.samples_per_cell / (1 + cell_levels)
-        row_weights = np.sqrt(cell_weights[self.cell_of_row]).astype(np.float32)
-        weighted_columns = self.column_spectra[columns]
-        weighted_columns *= row_weights
-        normal_matrix = (weighted_columns @ weighted_columns.T).astype(float) + self.input_matrix[
-            np.ix_(columns, columns)
-        ]
-        right_side = (weighted_columns @ (self.residual_spectrum * row_weights)).astype(float)
+        row_weights = np.sqrt(cell_weights[self.row_cell]).astype(np.float32)
+        weighted = self.column_spectra[columns]
+        weighted *= row_weights
+        normal = (weighted @ weighted.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
+        right_side = (weighted @ (self.residual_spectrum * row_weights)).astype(float)
         right_side += self.input_gradient[columns]
         for contact_weight, contact_matrix, contact_gradient in zip(
             self.independent_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
-            normal_matrix += contact_weight * contact_matrix[np.ix_(columns, columns)]
+            normal += contact_weight * contact_matrix[np.ix_(columns, columns)]
             right_side += contact_weight * contact_gradient[columns]
         is_tolerance = columns < self.pulls.size
-        normal_matrix[is_tolerance, is_tolerance] += 1.0
+        normal[is_tolerance, is_tolerance] += 1.0
         right_side[is_tolerance] -= self.pulls[columns[is_tolerance]]
-        return normal_matrix, right_side
+        return normal, right_side
 
     def minimum(self, terms: Sequence[CandidateTerm], start_theta: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start_theta`."""
-        free_columns = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
+        free = np.concatenate([self.base_columns, *(term.indices for term in terms)]).astype(int)
         theta = np.zeros(len(self.column_spectra))
         if start_theta is not None:
-            theta[free_columns] = start_theta[free_columns]
-        best_solution = Solution(theta, self.statistic(theta))
+            theta[free] = start_theta[free]
+        best = Solution(theta, self.statistic(theta))
         for _ in range(MAJORIZATIONS):
-            normal_matrix, right_side = self.normal_equations(best_solution.theta, free_columns)
-            matrix_diagonal = np.diag(normal_matrix)
-            normal_matrix += np.diag(
-                RELATIVE_RIDGE * matrix_diagonal + RIDGE_FLOOR * matrix_diagonal.max()
-            )  # what is not shown stays zero
+            normal, right_side = self.normal_equations(best.theta, free)
+            diagonal = np.diag(normal)
+            normal += np.diag(RELATIVE_RIDGE * diagonal + RIDGE_FLOOR * diagonal.max())  # what is not shown stays zero
             theta = np.zeros(len(self.column_spectra))
-            current_theta = best_solution.theta[free_columns]
-            least_step, greatest_step = (
-                self.least_theta[free_columns] - current_theta,
-                self.greatest_theta[free_columns] - current_theta,
-            )
-            step = bounded_minimum(normal_matrix, right_side - normal_matrix @ current_theta, least_step, greatest_step)
-            theta[free_columns] = current_theta + step
+            current = best.theta[free]
+            low, high = (self.theta_min[free] - current, self.theta_max[free] - current)
+            step = bounded_minimum(normal, right_side - normal @ current, low, high)
+            theta[free] = current + step
             solution = Solution(theta, self.statistic(theta))
-            statistic_decrease = best_solution.statistic - solution.statistic
+            statistic_decrease = best.statistic - solution.statistic
             if statistic_decrease > 0:
-                best_solution = solution
+                best = solution
             if statistic_decrease < STATISTIC_TOLERANCE:
                 break
-        return best_solution
+        return best
 
     def promised_decreases(self, terms: Sequence[CandidateTerm], solution: Solution) -> Float[np.ndarray, " terms"]:
         """Lower bound of the decrease of S by each joining term: that of the majorised S within its range."""
         all_columns = np.arange(len(self.column_spectra))
-        normal_matrix, right_side = self.normal_equations(solution.theta, all_columns)
-        statistic_slope = right_side - normal_matrix @ solution.theta
-        solved_columns = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
-        solved_per_column = np.linalg.solve(
-            normal_matrix[np.ix_(solved_columns, solved_columns)] + 1e-12 * np.eye(solved_columns.size),
-            normal_matrix[solved_columns],
-        )
-        promised_decreases = np.zeros(len(self.candidate_terms))
+        normal, right_side = self.normal_equations(solution.theta, all_columns)
+        slope = right_side - normal @ solution.theta
+        base = np.concatenate([self.base_columns, *(term.indices for term in terms)]).astype(int)
+        response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[base])
+        decreases = np.zeros(len(self.candidate_terms))
         for term_index, term in enumerate(self.candidate_terms):
-            term_columns = term.column_indices
-            reduced_curvature = (
-                normal_matrix[np.ix_(term_columns, term_columns)]
-                - normal_matrix[np.ix_(term_columns, solved_columns)] @ solved_per_column[:, term_columns]
-            )
-            is_absorbed = np.diag(reduced_curvature) <= MIN_REMAINING_SHARE * np.diag(normal_matrix)[term_columns]
-            if np.any(np.isin(term_columns, solved_columns)) or np.any(is_absorbed):
+            columns = term.indices
+            curvature = normal[np.ix_(columns, columns)] - normal[np.ix_(columns, base)] @ response[:, columns]
+            is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal)[columns]
+            if np.any(np.isin(columns, base)) or np.any(is_absorbed):
                 continue
-            reduced_slope = (
-                statistic_slope[term_columns] - solved_per_column[:, term_columns].T @ statistic_slope[solved_columns]
-            )
-            theta_step = np.clip(
-                np.linalg.solve(reduced_curvature, reduced_slope), term.least_theta, term.greatest_theta
-            )
-            promised_decreases[term_index] = (
-                2 * reduced_slope @ theta_step - theta_step @ reduced_curvature @ theta_step
-            )
-        return promised_decreases
+            reduced_slope = slope[columns] - response[:, columns].T @ slope[base]
+            theta_step = np.clip(np.linalg.solve(curvature, reduced_slope), term.theta_min, term.theta_max)
+            decreases[term_index] = 2 * reduced_slope @ theta_step - theta_step @ curvature @ theta_step
+        return decreases
 
 
 def local_model(
@@ -221,85 +198,62 @@ def local_model(
     residual: Residual,
     nominal_variances: NominalVariances,
     rig: Rig,
-    present_hypothesis: Hypothesis,
+    present_set: Hypothesis,
     candidates: Sequence[Candidate],
 ) -> LocalModel:
-    """Local model about the residual of `rig` with the effects `present_hypothesis`, with the columns of every candidate."""
-    added_columns: list[Column] = list(_present_columns(linearization, residual, rig, present_hypothesis))
-    present_column_count, candidate_terms = len(added_columns), list[CandidateTerm]()
+    """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
+    added_columns: list[Column] = list(_present_columns(linearization, residual, rig, present_set))
+    present_count, terms = len(added_columns), list[CandidateTerm]()
     first_column = residual.pulls.size
     for candidate in candidates:
         for start_values in candidate.start_values():
             with suppress(RigError):  # no such rig
                 new_columns = strength_columns(linearization, residual, candidate, start_values)
-                candidate_terms.append(_candidate_term(candidate, start_values, first_column + len(added_columns)))
+                terms.append(_candidate_term(candidate, start_values, first_column + len(added_columns)))
                 added_columns += [
-                    (
-                        linear_decrease.astype(np.float32),
-                        [contact_decrease.astype(np.float32) for contact_decrease in contact_decreases],
-                    )
-                    for linear_decrease, contact_decreases in new_columns
+                    (linear.astype(np.float32), [column.astype(np.float32) for column in contacts])
+                    for linear, contacts in new_columns
                 ]
     return _assembled_model(
         linearization,
         residual,
         nominal_variances,
         added_columns,
-        present_column_count,
-        tuple(candidate_terms),
-        _present_range(present_hypothesis),
+        present_count,
+        tuple(terms),
+        _present_range(present_set),
     )
 
 
-def _candidate_term(
-    candidate: Candidate, start_values: Float[np.ndarray, " parameters"], first_column: int
-) -> CandidateTerm:
-    """Term of a candidate at `start_values`, whose columns begin with `first_column`."""
-    strength_indices = list(candidate.parameters.strengths)
-    first_bound, second_bound = (
-        (bound[strength_indices] - start_values[strength_indices]) / candidate.derivative_steps[strength_indices]
+def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first_column: int) -> CandidateTerm:
+    """Term of a candidate at `start`, whose columns begin with `first_column`."""
+    strengths = list(candidate.parameters.strengths)
+    low, high = (
+        (bound[strengths] - start[strengths]) / candidate.derivative_steps[strengths]
         for bound in candidate.parameters.bounds
     )
-    column_indices = first_column + np.arange(len(strength_indices))
-    return CandidateTerm(
-        candidate,
-        start_values,
-        tuple(strength_indices),
-        column_indices,
-        np.minimum(first_bound, second_bound),
-        np.maximum(first_bound, second_bound),
-    )
+    indices = first_column + np.arange(len(strengths))
+    return CandidateTerm(candidate, start, tuple(strengths), indices, np.minimum(low, high), np.maximum(low, high))
 
 
 def _present_columns(
-    linearization: Linearization, residual: Residual, rig: Rig, present_hypothesis: Hypothesis
+    linearization: Linearization, residual: Residual, rig: Rig, present_set: Hypothesis
 ) -> Iterator[Column]:
     """Decrease of the residuals by a step of each parameter of the effects already in the rig."""
-    candidates, values = present_hypothesis.candidates, present_hypothesis.values
+    candidates, values = present_set.candidates, present_set.values
     build_rig = partial(with_effects, rig, candidates)
-    parameter_steps = steps_of(candidates)
-    signed_shares = np.where(
-        values + parameter_steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP
-    )
-    for signed_share, step in zip(signed_shares, np.diag(parameter_steps), strict=True):
-        linear_decrease, contact_decreases = derivative(
-            linearization, build_rig(values + signed_share * step), residual
-        )
-        yield (
-            linear_decrease / signed_share,
-            [contact_decrease / signed_share for contact_decrease in contact_decreases],
-        )
+    steps = steps_of(candidates)
+    shares = np.where(values + steps > parameters_of(candidates).bounds[1], -DERIVATIVE_STEP, DERIVATIVE_STEP)
+    for share, step in zip(shares, np.diag(steps), strict=True):
+        linear, contacts = derivative(linearization, build_rig(values + share * step), residual)
+        yield (linear / share, [column / share for column in contacts])
 
 
-def _present_range(
-    present_hypothesis: Hypothesis,
-) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
-    if not present_hypothesis.candidates:
+def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
+    if not present_set.candidates:
         return np.zeros(0), np.zeros(0)
-    parameter_bounds = parameters_of(present_hypothesis.candidates).bounds
-    step_bounds = [
-        (bound - present_hypothesis.values) / steps_of(present_hypothesis.candidates) for bound in parameter_bounds
-    ]
+    parameter_bounds = parameters_of(present_set.candidates).bounds
+    step_bounds = [(bound - present_set.values) / steps_of(present_set.candidates) for bound in parameter_bounds]
     return np.minimum(*step_bounds), np.maximum(*step_bounds)
 
 
@@ -315,69 +269,63 @@ def _assembled_model(
     record, nuisance_count = linearization.record, len(linearization.columns.parameters)
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
     pulls = residual.pulls
-    column_count = pulls.size + len(added_columns)
-    spectrum_factors, cell_of_row = _scales_and_cells(linearization, nominal_variances, time_count)
-    column_spectra = np.zeros((column_count, cell_of_row.size), np.float32)
-    input_columns = np.zeros((column_count, (len(residual.linear_residual) - sensor_count) * time_count), np.float32)
-    for column_index, nuisance_column in enumerate(linearization.columns.residual):
-        column_spectra[column_index], input_columns[column_index] = (
-            _scaled_spectra(record.residual_rate_hz, nuisance_column[:sensor_count], spectrum_factors),
-            nuisance_column[sensor_count:].ravel(),
+    size = pulls.size + len(added_columns)
+    factors, row_cell = _scales_and_cells(linearization, nominal_variances, time_count)
+    spectra = np.zeros((size, row_cell.size), np.float32)
+    inputs = np.zeros((size, (len(residual.linear_residual) - sensor_count) * time_count), np.float32)
+    for k, column in enumerate(linearization.columns.residual):
+        spectra[k], inputs[k] = (
+            _scaled_spectra(record.residual_rate_hz, column[:sensor_count], factors),
+            column[sensor_count:].ravel(),
         )
-    for column_index, (linear_decrease, _) in enumerate(added_columns, pulls.size):
-        column_spectra[column_index], input_columns[column_index] = (
-            _scaled_spectra(record.residual_rate_hz, linear_decrease[:sensor_count], spectrum_factors),
-            linear_decrease[sensor_count:].ravel(),
+    for k, (linear, _) in enumerate(added_columns, pulls.size):
+        spectra[k], inputs[k] = (
+            _scaled_spectra(record.residual_rate_hz, linear[:sensor_count], factors),
+            linear[sensor_count:].ravel(),
         )
-    contact_matrices, contact_gradients, contact_levels = [], [], []
+    matrices, gradients, contact_levels = [], [], []
     first_tolerance = nuisance_count
     for contact_index, contact in enumerate(residual.contacts):
-        contact_columns = np.zeros((contact.residual.size, column_count))
-        contact_columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
+        rows = np.zeros((contact.residual.size, size))
+        rows[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
         sample_count = contact.observation.weights.size
-        tolerance_slice = slice(first_tolerance, first_tolerance + contact.pulls.size)
-        first_tolerance = tolerance_slice.stop
-        contact_columns[:sample_count, tolerance_slice] = contact.columns[
-            :sample_count, contact.observation.tolerance_slice
-        ].toarray()
-        for column_index, (_, contact_decreases) in enumerate(added_columns, pulls.size):
-            contact_columns[:, column_index] = contact_decreases[contact_index]
-        normal_matrix, gradient = without_drift(residual, contact_index, contact_columns)
-        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.sum(contact_columns**2, axis=0))
+        tolerances = slice(first_tolerance, first_tolerance + contact.pulls.size)
+        first_tolerance = tolerances.stop
+        rows[:sample_count, tolerances] = contact.columns[:sample_count, contact.observation.tolerance_slice].toarray()
+        for k, (_, contact_decreases) in enumerate(added_columns, pulls.size):
+            rows[:, k] = contact_decreases[contact_index]
+        normal_matrix, gradient = without_drift(residual, contact_index, rows)
+        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.sum(rows**2, axis=0))
         sum_of_squares = float(np.sum(contact.residual[:sample_count] ** 2))
         contact_level = _contact_level(nominal_variances, residual, contact_index)
-        contact_matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
-        contact_gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
+        matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
+        gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
         contact_levels.append(contact_level)
-    least_theta, greatest_theta = np.full(column_count, -np.inf), np.full(column_count, np.inf)
-    least_theta[: pulls.size], greatest_theta[: pulls.size] = -LIMIT - pulls, LIMIT - pulls
-    least_theta[pulls.size : pulls.size + present_count], greatest_theta[pulls.size : pulls.size + present_count] = (
-        present_range
-    )
+    low, high = np.full(size, -np.inf), np.full(size, np.inf)
+    low[: pulls.size], high[: pulls.size] = -LIMIT - pulls, LIMIT - pulls
+    low[pulls.size : pulls.size + present_count], high[pulls.size : pulls.size + present_count] = present_range
     for term in terms:
-        least_theta[term.column_indices], greatest_theta[term.column_indices] = term.least_theta, term.greatest_theta
+        low[term.indices], high[term.indices] = term.theta_min, term.theta_max
     sample_ratio = record.sample_ratio
-    band_count = int(cell_of_row.max()) // sensor_count + 1
-    independent_samples = time_count / sample_ratio
+    band_count = int(row_cell.max()) // sensor_count + 1
+    samples = time_count / sample_ratio
     return LocalModel(
-        column_spectra=column_spectra,
+        column_spectra=spectra,
         residual_spectrum=_scaled_spectra(
-            record.residual_rate_hz, residual.linear_without_lines[:sensor_count], spectrum_factors
+            record.residual_rate_hz, residual.linear_without_lines[:sensor_count], factors
         ),
-        cell_of_row=cell_of_row,
-        contact_matrices=np.array(contact_matrices).reshape(len(contact_matrices), column_count, column_count),
-        contact_gradients=np.array(contact_gradients).reshape(len(contact_gradients), column_count),
+        row_cell=row_cell,
+        contact_matrices=np.array(matrices).reshape(len(matrices), size, size),
+        contact_gradients=np.array(gradients).reshape(len(gradients), size),
         contact_levels=np.array(contact_levels),
-        input_matrix=(input_columns @ input_columns.T).astype(float) / sample_ratio,
-        input_gradient=(input_columns @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(
-            float
-        )
+        input_matrix=(inputs @ inputs.T).astype(float) / sample_ratio,
+        input_gradient=(inputs @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float)
         / sample_ratio,
         pulls=pulls,
-        least_theta=least_theta,
-        greatest_theta=greatest_theta,
-        samples_per_cell=independent_samples / band_count,
-        independent_samples=independent_samples,
+        theta_min=low,
+        theta_max=high,
+        samples_per_cell=samples / band_count,
+        independent_samples=samples,
         base_columns=np.arange(pulls.size + present_count),
         candidate_terms=terms,
     )
@@ -393,13 +341,8 @@ def _contact_level(nominal_variances: NominalVariances, residual: Residual, cont
 def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
     """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
     segment_samples = min(round(SEGMENT_S * rate_hz), sample_count)
-    lines_per_band = max(1, round(BAND_HZ * segment_samples / rate_hz))
-    return (
-        segment_samples,
-        sample_count // segment_samples,
-        lines_per_band,
-        (segment_samples // 2 + 1) // lines_per_band,
-    )
+    per_band = max(1, round(BAND_HZ * segment_samples / rate_hz))
+    return (segment_samples, sample_count // segment_samples, per_band, (segment_samples // 2 + 1) // per_band)
 
 
 def _scales_and_cells(
@@ -407,30 +350,26 @@ def _scales_and_cells(
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, lines_per_band, band_count = _segment_counts(record.residual_rate_hz, sample_count)
-    variance_ratio = (
-        band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
-    )
-    spectrum_factors = np.sqrt(variance_ratio.T / (segment_count * lines_per_band))
-    row_shape = (sensor_count, segment_count, band_count, lines_per_band, 2)
+    _, segment_count, per_band, band_count = _segment_counts(record.residual_rate_hz, sample_count)
+    ratio = band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
+    factors = np.sqrt(ratio.T / (segment_count * per_band))
+    row_shape = (sensor_count, segment_count, band_count, per_band, 2)
     sensor_index = np.arange(sensor_count)[:, None, None, None, None]
     cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
-    return spectrum_factors, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
+    return factors, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
 
 
 def _scaled_spectra(
-    rate_hz: float,
-    sensor_residuals: Float[np.ndarray, "sensors times"],
-    spectrum_factors: Float[np.ndarray, "sensors bands"],
+    rate_hz: float, residuals: Float[np.ndarray, "sensors times"], factors: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment_samples, segment_count, lines_per_band, band_count = _segment_counts(rate_hz, sensor_residuals.shape[1])
-    window = hann(segment_samples, sym=False)
-    windowed_segments = sensor_residuals[:, : segment_count * segment_samples].reshape(
-        len(sensor_residuals), segment_count, segment_samples
-    ) * (window / np.sqrt(np.sum(window**2)))
-    segment_spectra = np.fft.rfft(windowed_segments, axis=2)[:, :, : band_count * lines_per_band].reshape(
-        len(sensor_residuals), segment_count, band_count, lines_per_band
+    segment, count, per_band, band_count = _segment_counts(rate_hz, residuals.shape[1])
+    window = hann(segment, sym=False)
+    segments = residuals[:, : count * segment].reshape(len(residuals), count, segment) * (
+        window / np.sqrt(np.sum(window**2))
     )
-    segment_spectra = segment_spectra * spectrum_factors[:, None, :, None]
-    return np.stack([segment_spectra.real, segment_spectra.imag], axis=-1).astype(np.float32).ravel()
+    spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * per_band].reshape(
+        len(residuals), count, band_count, per_band
+    )
+    spectra = spectra * factors[:, None, :, None]
+    return np.stack([spectra.real, spectra.imag], axis=-1).astype(np.float32).ravel()

@@ -216,7 +216,7 @@ def law_screening(
                 trial_rig = candidate.applied(linearization.rig, trial_values)
                 nuisance_pulls = law_free_residual.nuisance_pulls
                 trial_residual = residual_of(
-                    linearization, trial_rig, nuisance_pulls, contact_unknowns, base_residual=law_free_residual
+                    linearization, trial_rig, nuisance_pulls, contact_unknowns, base=law_free_residual
                 )
                 trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), trial_values)
                 best_trial = max(best_trial, trial, key=lambda item: item.cost_decrease)

@@ -95,19 +95,13 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     best_fit, variant_hypotheses = reduced_sets(search, _with_base_motion(search, best_fit))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, best_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
-    return sorted(
-        {each_hypothesis.effect_names: each_hypothesis for each_hypothesis in reversed(hypotheses)}.values(),
-        key=lambda hypothesis: hypothesis.cost,
-    )
+    return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
 def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
-        start_set,
-        lambda current_set: refined_set(search, current_set),
-        lambda earlier_set, later_set: earlier_set is later_set,
-        rounds=ROUNDS,
+        start_set, lambda found: refined_set(search, found), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
@@ -129,13 +123,11 @@ def _with_single_effects(
     single_effect_fits = single_effects(search, nominal_fit) if is_doubtful else []
     if not single_effect_fits:
         return best_set, []
-    likeliest_single = single_effect_fits[0]
-    if likeliest_single.cost >= best_set.cost:
-        return best_set, [likeliest_single.hypothesis]
-    is_base_motion = _is_stochastic(likeliest_single.hypothesis)
-    return _base_motion_with_set(search, likeliest_single) if is_base_motion else _refined_from(
-        search, likeliest_single
-    ), []
+    likeliest = single_effect_fits[0]
+    if likeliest.cost >= best_set.cost:
+        return best_set, [likeliest.hypothesis]
+    is_base_motion = _is_stochastic(likeliest.hypothesis)
+    return _base_motion_with_set(search, likeliest) if is_base_motion else _refined_from(search, likeliest), []
 
 
 def _is_stochastic(hypothesis: Hypothesis) -> bool:
@@ -178,22 +170,20 @@ def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Lineariz
     """Local model about a fitted set, with every further candidate that its rig can have."""
     set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
     linearization, residual = _relinearized(set_fit, set_rig)
-    further_candidates = [
+    further = [
         c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, set_rig)
     ]
-    nominal_rig, present_hypothesis = search.linearization.rig, set_fit.hypothesis
+    nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
         linearization,
         residual,
-        local_model(
-            linearization, residual, search.nominal_variances, nominal_rig, present_hypothesis, further_candidates
-        ),
+        local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further),
     )
 
 
 def _brief_fit_with(
     search: Search,
-    present_hypothesis: Hypothesis,
+    present_set: Hypothesis,
     added_candidates: tuple[Candidate, ...],
     added_values: tuple[Values, ...],
     residual: Residual,
@@ -201,18 +191,14 @@ def _brief_fit_with(
 ) -> FittedHypothesis | None:
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
-    members = (*present_hypothesis.candidates, *added_candidates)
-    start_values = (*present_hypothesis.values_by_candidate(), *added_values)
-    kept_members = [
-        member_index
-        for member_index, member in enumerate(members)
-        if not any(contains(other, member) for other in members)
-    ]
+    members = (*present_set.candidates, *added_candidates)
+    start_values = (*present_set.values_by_candidate(), *added_values)
+    kept_members = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
     try:
         return fit_briefly(
             search,
-            tuple(members[member_index] for member_index in kept_members),
-            np.concatenate([start_values[member_index] for member_index in kept_members]),
+            tuple(members[k] for k in kept_members),
+            np.concatenate([start_values[k] for k in kept_members]),
             reset_saturated_nuisance(residual),
             linearization,
         )
@@ -226,78 +212,72 @@ def _relinearized(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Linearizatio
     return linearization, fitted_nuisance(linearization, set_fit.residual).residual
 
 
-def selected(model: LocalModel, present_hypothesis: Hypothesis) -> Selection:
+def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
     """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
-    chosen_terms: list[CandidateTerm] = []
-    solution = model.minimum(chosen_terms)
-    hint_values: tuple[tuple[Candidate, Values], ...] = ()
-    while len(present_hypothesis.candidates) + len(chosen_terms) < LARGEST_SET:
-        promising_terms = _promising_terms(model, chosen_terms, present_hypothesis, solution)
-        trial_solutions = [(model.minimum([*chosen_terms, term], solution.theta), term) for term in promising_terms]
-        if not trial_solutions:
+    chosen: list[CandidateTerm] = []
+    solution = model.minimum(chosen)
+    hints: tuple[tuple[Candidate, Values], ...] = ()
+    while len(present_set.candidates) + len(chosen) < LARGEST_SET:
+        promising_terms = _promising_terms(model, chosen, present_set, solution)
+        trials = [(model.minimum([*chosen, term], solution.theta), term) for term in promising_terms]
+        if not trials:
             break
-        best_trial, term = min(trial_solutions, key=lambda solution_and_term: solution_and_term[0].statistic)
+        best_trial, term = min(trials, key=lambda pair: pair[0].statistic)
         if solution.statistic - best_trial.statistic < MIN_GAIN:
-            hint_values = _hint_values(trial_solutions, solution)
+            hints = _hint_values(trials, solution)
             break
         dominates = solution.statistic - best_trial.statistic > MAX_EXCESS_COST
-        chosen_terms, solution = _without_superfluous(model, [*chosen_terms, term], best_trial)
+        chosen, solution = _without_superfluous(model, [*chosen, term], best_trial)
         if dominates:  # the local model does not hold that far: fit first, then select further
             break
     return Selection(
-        tuple(term.candidate for term in chosen_terms),
-        tuple(term.values(solution.theta) for term in chosen_terms),
-        hint_values,
+        tuple(term.candidate for term in chosen), tuple(term.values(solution.theta) for term in chosen), hints
     )
 
 
 def _hint_values(
-    trial_solutions: Sequence[tuple[Solution, CandidateTerm]], current_solution: Solution
+    trials: Sequence[tuple[Solution, CandidateTerm]], current: Solution
 ) -> tuple[tuple[Candidate, Values], ...]:
     """Best candidates that gain `HINT_GAIN`, each at one place."""
-    ranked_trials = sorted(trial_solutions, key=lambda solution_and_term: solution_and_term[0].statistic)
+    ranked_trials = sorted(trials, key=lambda pair: pair[0].statistic)
     values_by_hint = {
         term.candidate.name: (term.candidate, term.values(solution.theta))
         for solution, term in reversed(ranked_trials)
-        if current_solution.statistic - solution.statistic > HINT_GAIN
+        if current.statistic - solution.statistic > HINT_GAIN
     }
     return tuple(reversed(values_by_hint.values()))[:MAX_HINTS]
 
 
 def _promising_terms(
-    model: LocalModel, chosen_terms: Sequence[CandidateTerm], present_hypothesis: Hypothesis, solution: Solution
+    model: LocalModel, chosen_terms: Sequence[CandidateTerm], present_set: Hypothesis, solution: Solution
 ) -> list[CandidateTerm]:
     """Terms that promise most: of each candidate at most `PLACES_PER_CANDIDATE`, and none too often in the set."""
-    selected_candidates = [*present_hypothesis.candidates, *(term.candidate for term in chosen_terms)]
+    selected_candidates = [*present_set.candidates, *(term.candidate for term in chosen_terms)]
     promised_decreases = model.promised_decreases(chosen_terms, solution)
     promising_terms: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
-        term = model.candidate_terms[term_index]
-        same_effects = [
-            selected_candidate
-            for selected_candidate in selected_candidates
-            if selected_candidate.name == term.candidate.name
-        ]
+        term = model.terms[term_index]
+        same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
         largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
         place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)
-        is_contained = any(contains(selected_candidate, term.candidate) for selected_candidate in selected_candidates)
+        is_contained = any(contains(c, term.candidate) for c in selected_candidates)
         if not is_contained and len(same_effects) < largest_equal_count and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
 
 
 def _without_superfluous(
-    model: LocalModel, chosen_terms: list[CandidateTerm], solution: Solution
+    model: LocalModel, chosen: list[CandidateTerm], solution: Solution
 ) -> tuple[list[CandidateTerm], Solution]:
     """Set without the members that the others have made superfluous, and its solution."""
-    for term in chosen_terms[:-1]:
-        remaining_terms = [other_term for other_term in chosen_terms if other_term is not term]
+    for term in chosen[:-1]:
+        remaining_terms = [other_term for other_term in chosen if other_term is not term]
         reduced_solution = model.minimum(remaining_terms, solution.theta)
         if reduced_solution.statistic - solution.statistic < MIN_GAIN:
-            chosen_terms, solution = remaining_terms, reduced_solution
-    return chosen_terms, solution
+            chosen, solution = remaining_terms, reduced_solution
+    return chosen, solution
 
 
 def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
@@ -310,19 +290,17 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     if not candidates or _is_stochastic(best_set.hypothesis):
         return best_set, []
     member_indices = range(len(candidates))
-    cost_without_member: list[float] = []
+    costs: list[float] = []
     variant_hypotheses: list[Hypothesis] = []
     for member_index in member_indices:
-        reduced_fit = _subset_fit(
-            search, best_set, [other_index for other_index in member_indices if other_index != member_index]
-        )
+        reduced_fit = _subset_fit(search, best_set, [i for i in member_indices if i != member_index])
         if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
-        cost_without_member.append(reduced_fit.cost)
+        costs.append(reduced_fit.cost)
         variant_hypotheses.append(reduced_fit.hypothesis)
         if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
             variant_hypotheses.append(alternative_fit.hypothesis)
-    by_importance = np.argsort(cost_without_member)  # the least important first
+    by_importance = np.argsort(costs)  # the least important first
     for dropped_count in range(2, len(candidates)):
         retained_members = sorted(by_importance[dropped_count:].tolist())
         variant_hypotheses.append(_subset_fit(search, best_set, retained_members).hypothesis)
@@ -334,39 +312,29 @@ def _look_alike_fit(
 ) -> FittedHypothesis | None:
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
     linearization, residual, model = _local_model_of(search, reduced_fit)
-    solution_without = model.minimum([])
+    without = model.minimum([])
     look_alikes = [
-        promising_term
-        for promising_term in _promising_terms(model, [], reduced_fit.hypothesis, solution_without)
-        if promising_term.candidate.name != member.name
+        t for t in _promising_terms(model, [], reduced_fit.hypothesis, without) if t.candidate.name != member.name
     ]
-    trial_solutions = [(model.minimum([term], solution_without.theta), term) for term in look_alikes]
-    if not trial_solutions:
+    trials = [(model.minimum([term], without.theta), term) for term in look_alikes]
+    if not trials:
         return None
-    solution, term = min(trial_solutions, key=lambda solution_and_term: solution_and_term[0].statistic)
-    look_alike_values = (term.values(solution.theta),)
-    brief_fit = _brief_fit_with(
-        search, reduced_fit.hypothesis, (term.candidate,), look_alike_values, residual, linearization
-    )
+    solution, term = min(trials, key=lambda pair: pair[0].statistic)
+    values = (term.values(solution.theta),)
+    brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:
         return None
     return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best_set: FittedHypothesis, member_indices: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best_set: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
-    if not member_indices:
+    if not members:
         return search.nominal_fit()
-    candidates, values_by_member = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
-    subset_candidates = tuple(candidates[member_index] for member_index in member_indices)
-    start_residual = reset_saturated_nuisance(best_set.residual)
-    brief_fit = fit_briefly(
-        search,
-        subset_candidates,
-        np.concatenate([values_by_member[member_index] for member_index in member_indices]),
-        start_residual,
-        best_set.linearization,
-    )
+    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
+    subset = tuple(candidates[k] for k in members)
+    start = reset_saturated_nuisance(best_set.residual)
+    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best_set.linearization)
     return refined(search, brief_fit, best_set.cost)
 
 

@@ -127,11 +127,11 @@ def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
     ranked = [mass, spring, nominal]
     unvetoed = predicted_decision(ranked, decide, ruling_out())
     assert unvetoed.decision.named_hypothesis is mass
-    assert not unvetoed.ruled_out_hypotheses
+    assert not unvetoed.ruled_out
     without_mass = predicted_decision(ranked, decide, ruling_out(mass))
     assert without_mass.decision.named_hypothesis is spring
     assert without_mass.decision.corrects_rig
-    assert without_mass.ruled_out_hypotheses == (mass,)
+    assert without_mass.ruled_out == (mass,)
     assert not without_mass.is_vetoed
 
 
@@ -151,4 +151,4 @@ def test_a_veto_stays_where_no_other_effect_was_likely():
         assert outcome.is_vetoed
         assert outcome.decision.named_hypothesis is mass
         assert not outcome.decision.corrects_rig
-        assert not outcome.ruled_out_hypotheses
+        assert not outcome.ruled_out
