@@ -113,7 +113,7 @@ def describe(
         rollout=judgement.prediction.rollout_attempt.result,
         ruled_out=tuple(
             words_of(weighted_hypothesis.hypothesis, record.rig)
-            for weighted_hypothesis in judgement.prediction.ruled_out_hypotheses
+            for weighted_hypothesis in judgement.prediction.ruled_out
         ),
         free_decay=not any(observation.record.has_force for observation in prepared.observations),
         before=unexplained_shares(decision.nominal_hypothesis.misfit, record.rig, evidence.p_value),

@@ -45,10 +45,10 @@ class EffectValues:
 
     rig_by_record: tuple[Rig, ...]
     candidates: tuple[Candidate, ...]
-    values_by_record: Float[np.ndarray, "records parameters"]
+    by_record: Float[np.ndarray, "records parameters"]
 
     def rig(self, record_index: int) -> Rig:
-        return with_effects(self.rig_by_record[record_index], self.candidates, self.values_by_record[record_index])
+        return with_effects(self.rig_by_record[record_index], self.candidates, self.by_record[record_index])
 
     @property
     def effect_names(self) -> list[str]:
@@ -62,14 +62,12 @@ class EffectValues:
         """Columns of an effect's strengths."""
         return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
-    def with_effect(self, candidate: Candidate, effect_values: Float[np.ndarray, "records own"]) -> "EffectValues":
+    def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":
         """Effects with these values of one of them, which is replaced or added."""
         if candidate.name in self.effect_names:
-            return self.with_values(slice(None), self.columns_of(candidate.name), effect_values)
+            return self.with_values(slice(None), self.columns_of(candidate.name), values)
         return replace(
-            self,
-            candidates=(*self.candidates, candidate),
-            values_by_record=np.concatenate([self.values_by_record, effect_values], axis=1),
+            self, candidates=(*self.candidates, candidate), by_record=np.concatenate([self.by_record, values], axis=1)
         )
 
     def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
@@ -80,9 +78,9 @@ class EffectValues:
         self, record_index: int | slice, columns: Sequence[int], column_values: Float[np.ndarray, "*records own"]
     ) -> "EffectValues":
         """Effects with these values in some columns of one record, or of all."""
-        all_values = self.values_by_record.copy()
+        all_values = self.by_record.copy()
         all_values[record_index, columns] = column_values
-        return replace(self, values_by_record=all_values)
+        return replace(self, by_record=all_values)
 
 
 @dataclass(frozen=True)
@@ -90,40 +88,34 @@ class VaryingParameters:
     """Parameters of effects, by their columns, with each record's own values."""
 
     effects: EffectValues
-    column_indices: list[int]
+    columns: list[int]
 
     @property
     def record_values(self) -> Float[np.ndarray, "records varied"]:
-        return self.effects.values_by_record[:, self.column_indices]
+        return self.effects.by_record[:, self.columns]
 
     @property
-    def parameter_steps(self) -> Values:
-        return steps_of(self.effects.candidates)[self.column_indices]
+    def steps(self) -> Values:
+        return steps_of(self.effects.candidates)[self.columns]
 
     @property
-    def parameter_bounds(self) -> tuple[Values, Values]:
+    def bounds(self) -> tuple[Values, Values]:
         lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
-        return lower_bounds[self.column_indices], upper_bounds[self.column_indices]
+        return lower_bounds[self.columns], upper_bounds[self.columns]
 
     def information(self, record_index: int, linearised_record: LinearizedRecord) -> Information:
         def build(record_values: Values) -> Rig:
-            return self.effects.with_values(record_index, self.column_indices, record_values).rig(record_index)
+            return self.effects.with_values(record_index, self.columns, record_values).rig(record_index)
 
-        return linearised_record.with_parameters(
-            build, self.record_values[record_index], self.parameter_steps, self.parameter_bounds[1]
-        )
+        return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
     def pooled(self, information: Sequence[Information]) -> PooledEstimate:
-        return pooled(
-            information, self.parameter_steps, self.parameter_bounds, self.record_values[0], differs_by_record=True
-        )
+        return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
-        values = np.clip(estimate.values.reshape(self.record_values.shape), *self.parameter_bounds)
-        return VaryingParameters(
-            self.effects.with_values(slice(None), self.column_indices, values), self.column_indices
-        )
+        values = np.clip(estimate.values.reshape(self.record_values.shape), *self.bounds)
+        return VaryingParameters(self.effects.with_values(slice(None), self.columns, values), self.columns)
 
 
 @dataclass(frozen=True)
@@ -137,7 +129,7 @@ class HomogeneityTest:
 
     @property
     def effect_values(self) -> Float[np.ndarray, "records own"]:
-        return self.own_values.effects.values_by_record[:, self.own_values.effects.columns_of(self.candidate.name)]
+        return self.own_values.effects.by_record[:, self.own_values.effects.columns_of(self.candidate.name)]
 
 
 @dataclass(frozen=True)
@@ -160,7 +152,7 @@ class _RecordSet:
             if candidate.name not in excluded_names
         ]
         for candidate in self.candidates:
-            for start in candidate.start() if candidate.name not in effects.effect_names else ():
+            for start in candidate.start_values() if candidate.name not in effects.effect_names else ():
                 with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
                 varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
         trial_information: list[list[Information]] = [[] for _ in varying_trials]
@@ -186,12 +178,10 @@ class _RecordSet:
 
         return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=ROUNDS - 1)
 
-    def pooled_estimate(self, own_values: VaryingParameters) -> PooledEstimate:
+    def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
         """Pooled estimate from all records, each linearised about its own values."""
         records = range(len(self.records))
-        return own_values.pooled(
-            [own_values.information(k, self.linearized_record(own_values.effects, k)) for k in records]
-        )
+        return varied.pooled([varied.information(k, self.linearized_record(varied.effects, k)) for k in records])
 
     def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
@@ -228,24 +218,22 @@ def differences(
     """
     comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
     record_set = _RecordSet(records, variances_by_record, comparable)
-    initial_effects = _initial_effects(records, cause)
-    tests, tested_effect_count = _differing_effects(record_set, initial_effects, progress)
+    initial = _initial_effects(records, cause)
+    tests, tested_effect_count = _differing_effects(record_set, initial, progress)
     records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
-    own_values, differing_rows = _fit_differing_values(
-        record_set, initial_effects, tests, tested_effect_count, records_by_level
-    )
+    varied, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, records_by_level)
     differing_names = [test.candidate.name for test in tests]
-    shared = _pool_shared_values(record_set, own_values.effects, initial_effects.effect_names, differing_names)
+    shared = _pool_shared_values(record_set, varied.effects, initial.effect_names, differing_names)
     progress(1.0)
-    rig_by_record = [own_values.effects.rig(record) for record in range(len(records))]
+    rig_by_record = [varied.effects.rig(record) for record in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
         records=tuple(record_titles),
         cause=tuple(_parameters_by_record(shared[0], shared[1], 0)) if shared else (),
         cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
-        differing=tuple(differing_rows),
+        differing=tuple(differing),
         looked_at=tested_effect_count,
-        level_dependence=level_dependence(rig_by_record, force_levels_n, differing_rows, highest_hz),
+        level_dependence=level_dependence(rig_by_record, force_levels_n, differing, highest_hz),
     )
 
 
@@ -297,15 +285,15 @@ def _pool_shared_values(
     """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
     shared_names = [name for name in cause_effects if name not in differing_names]
     shared_values = VaryingParameters(effects, [column for name in shared_names for column in effects.columns_of(name)])
-    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.column_indices else None
+    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.columns else None
 
 
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
     """Effects of the cause, if every record can have values of its own; else rigs that hold them."""
     candidates = cause.hypothesis.candidates if cause else ()
     if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
-        values_by_record = np.tile(cause.hypothesis.values, (len(records), 1))
-        return EffectValues(tuple(r.rig for r in records), candidates, values_by_record)
+        by_record = np.tile(cause.hypothesis.values, (len(records), 1))
+        return EffectValues(tuple(r.rig for r in records), candidates, by_record)
     rig_by_record = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
     return EffectValues(rig_by_record, (), np.zeros((len(records), 0)))
 
@@ -329,8 +317,8 @@ def _parameters_by_record(
     """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
     record_count, parameter_count = own_values.record_values.shape
     labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
-    parameter_results = []
-    for parameter_index, column_index in enumerate(own_values.column_indices):
+    results = []
+    for parameter_index, column_index in enumerate(own_values.columns):
         candidate, parameter = labelled[column_index]
         value_indices = np.arange(record_count) * parameter_count + parameter_index
         covariance = TEMPERATURE * estimate.covariance[np.ix_(value_indices, value_indices)]
@@ -338,26 +326,22 @@ def _parameters_by_record(
         centring_matrix = np.eye(record_count) - 1 / record_count
         errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
         p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, parameter_index)))
-        parameter_results.append(
+        results.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
-                trend=_trend_over_records(values, covariance) if comparison_count else "none",
+                trend=_trend_of(values, covariance) if comparison_count else "none",
                 by_level="none"
                 if records_by_level is None
-                else _trend_over_records(
-                    values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]
-                ),
+                else _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
             )
         )
-    return parameter_results
+    return results
 
 
-def _trend_over_records(
-    values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]
-) -> Trend:
+def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
     """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
     value_steps = np.diff(values)
     step_errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))

@@ -195,7 +195,7 @@ def fit(
     nuisance, unknowns = (
         (initial.nuisance_pulls, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
     )
-    if nuisance is not None and linearization.tuned_modes.pulls and not nuisance.any():
+    if nuisance is not None and linearization.tuning.pulls and not nuisance.any():
         nuisance = None  # the modes' parameters start at the values that the record's modes give
     start_point = _Point(values, residual_of(linearization, build_rig(values), nuisance, unknowns))
     step_from = partial(_step, linearization, build_rig, steps, bounds)

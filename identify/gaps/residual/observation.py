@@ -63,7 +63,7 @@ class ContactSignals:
 def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     """Signals of every contact by a linear model: the data that its law has to explain."""
     eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
-    time_s = record.counted_slice.start / record.residual_rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
+    time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
     forces_n = record.in_time(model.contact_n) + model.static_contact_n[:, None]
     slope_rate_multiple = record.product_multiple
     return tuple(
@@ -146,7 +146,7 @@ def contact_observations(
             ContactObservation(
                 weights,
                 is_closed(force_n, force_error_n).astype(float),
-                spline(force_n.size, record.residual_rate_hz, counted_drift),
+                spline(force_n.size, record.rate_hz, counted_drift),
                 record.sample_ratio,
                 law_prior_deviations,
             )

@@ -95,22 +95,22 @@ class Record:
     @property
     def counted_part(self) -> CountedPart:
         """Band and end of the samples that count, for other records of the same test."""
-        return CountedPart(self.decimation, self.counted_slice.stop / self.residual_rate_hz)
+        return CountedPart(self.decimation, self.counted_slice.stop / self.rate_hz)
 
     @property
-    def residual_rate_hz(self) -> float:
+    def rate_hz(self) -> float:
         """Rate of the residuals over time, Hz."""
         return self.sample_rate_hz / self.decimation
 
     @property
     def repeats_per_sample(self) -> float:
         """Repetition frequency of the force, per sample of the residuals over time; 0 if it does not repeat."""
-        return 1 / (self.period_s * self.residual_rate_hz) if self.period_s else 0.0
+        return 1 / (self.period_s * self.rate_hz) if self.period_s else 0.0
 
     @property
     def residual_times_s(self) -> Float[np.ndarray, " times"]:
         """Times of the residuals' samples, s."""
-        return np.arange(self.counted_slice.start, self.counted_slice.stop) / self.residual_rate_hz
+        return np.arange(self.counted_slice.start, self.counted_slice.stop) / self.rate_hz
 
     @property
     def sample_times_s(self) -> Float[np.ndarray, " samples"]:
@@ -123,18 +123,14 @@ class Record:
         return np.asarray(rfft(signal * self.window, self.transform_length)[line_indices])
 
     def sampled(
-        self,
-        eta_spectra: Complex[np.ndarray, "contacts lines"],
-        derivative_order: int = 0,
-        with_upper_band: bool = True,
+        self, eta_spectra: Complex[np.ndarray, "contacts lines"], derivative_order: int = 0, upper_band: bool = True
     ) -> Float[np.ndarray, "contacts samples"]:
         """Relative displacements or velocities at the recording's rate, from the first to the last time that counts.
 
-        `with_upper_band` adds the measured lines above the band; changes of a model have none.
+        `upper_band` adds the measured lines above the band; changes of a model have none.
         """
         full_spectra = np.concatenate(
-            [eta_spectra[:, :-1], self.eta_above_band if with_upper_band else np.zeros_like(self.eta_above_band)],
-            axis=1,
+            [eta_spectra[:, :-1], self.eta_above_band if upper_band else np.zeros_like(self.eta_above_band)], axis=1
         )
         if derivative_order:
             full_spectra *= 2j * np.pi * self.sample_rate_hz / self.transform_length * np.arange(full_spectra.shape[1])
@@ -153,7 +149,7 @@ class Record:
     @property
     def sample_ratio(self) -> float:
         """Samples per independent sample, the weight of priors: model errors last longer than a sample."""
-        return max(1.0, len(self.sensors) * self.residual_rate_hz / COUNTED_HZ)
+        return max(1.0, len(self.sensors) * self.rate_hz / COUNTED_HZ)
 
     @property
     def product_multiple(self) -> int:

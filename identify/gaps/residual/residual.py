@@ -57,7 +57,7 @@ class Linearization:
     """Record and rig about which it is linearised, shared by all residuals of the record.
 
     applied_nuisance are the nuisance parameters that the linearised model contains already; None: all zero.
-    tuned_modes are those of single modes that it contains, for a free decay.
+    tuning has those of single modes that it contains, for a free decay.
     """
 
     record: Record
@@ -66,7 +66,7 @@ class Linearization:
     model: Linear
     observations: tuple[ContactObservation, ...]
     applied_nuisance: Float[np.ndarray, " nuisances"] | None
-    tuned_modes: TunedModes
+    tuning: TunedModes
     cache: SearchCache
 
     def relinearized(
@@ -84,11 +84,7 @@ class Linearization:
         """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
         applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
-        return (
-            applied + np.array([self.tuned_modes.pulls.get(p, 0.0) for p in parameters])
-            if self.tuned_modes.pulls
-            else applied
-        )
+        return applied + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else applied
 
     @cached_property
     def column_gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
@@ -193,9 +189,7 @@ def linearized(
         record, expansion_rig, residual.parameters if residual else None, residual.nuisance_pulls if residual else None
     )
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
-    observations = observations or contact_observations(
-        record, model, joined_laws(expansion_rig), scales.contact_variances
-    )
+    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.variances)
     return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
 
 
@@ -219,7 +213,7 @@ def linear_of(linearization: Linearization, rig: Rig) -> Linear:
             rig, linearization.columns.parameters, linearization.applied_nuisance, record.tolerances
         )
     scales, cache = linearization.scales, linearization.cache
-    return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuned_modes.factors)
+    return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuning.factors)
 
 
 def residual_of(
@@ -245,7 +239,7 @@ def residual_of(
     observations = linearization.observations
     if unknowns is None:
         contacts_and_laws = zip(signals, observations, laws, strict=True)
-        unknowns = tuple(initial_unknowns(*inputs, record.residual_rate_hz) for inputs in contacts_and_laws)
+        unknowns = tuple(initial_unknowns(*inputs, record.rate_hz) for inputs in contacts_and_laws)
     nuisance_change = nuisance_pulls - linearization.expansion_point
     reused = base if base is not None and model is base.model and nuisance_pulls is base.nuisance_pulls else None
     linear = reused.linear_residual if reused else linear_at_expansion
@@ -256,9 +250,7 @@ def residual_of(
         linear_without_lines = without_lines(linear, linearization.line_frequencies)
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any():
-        added_eta_m = record.sampled(
-            np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), with_upper_band=False
-        )
+        added_eta_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), upper_band=False)
     drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 

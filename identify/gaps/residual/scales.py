@@ -31,7 +31,7 @@ class Scales:
     that by noise and the tolerated share of the force."""
 
     unmodelled_shares: Float[np.ndarray, "sensors lines"]
-    contact_variances: tuple[float, ...]
+    variances: tuple[float, ...]
 
     def distance(self, compared_scales: "Scales") -> float:
         """Mean absolute difference of the logarithms of the shares."""
@@ -48,14 +48,14 @@ def second_levels(
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
     sensor_residuals = residual[: len(record.sensors)]
-    segment_samples = min(round(SEGMENT_S * record.residual_rate_hz), sensor_residuals.shape[1])
+    segment_samples = min(round(SEGMENT_S * record.rate_hz), sensor_residuals.shape[1])
     segment_count = sensor_residuals.shape[1] // segment_samples
     segments = sensor_residuals[:, : segment_count * segment_samples].reshape(
         sensor_residuals.shape[0], segment_count, segment_samples
     )
     window = hann(segment_samples, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    lines_per_band = max(1, round(BAND_HZ * segment_samples / record.residual_rate_hz))
+    lines_per_band = max(1, round(BAND_HZ * segment_samples / record.rate_hz))
     band_count = power.shape[2] // lines_per_band
     level_by_cell = (
         power[:, :, : band_count * lines_per_band]
@@ -78,7 +78,7 @@ def measured_levels(
     """
     sensor_residuals = residual[: len(record.sensors)]
     residual_power = np.abs(np.fft.rfft(sensor_residuals * hann(sensor_residuals.shape[1], sym=False))) ** 2
-    residual_lines_hz = np.arange(residual_power.shape[1]) * record.residual_rate_hz / sensor_residuals.shape[1]
+    residual_lines_hz = np.arange(residual_power.shape[1]) * record.rate_hz / sensor_residuals.shape[1]
     record_lines_hz = record.omega / (2 * np.pi)
     band_of_line = np.minimum(residual_lines_hz / BAND_HZ, band_count - 1).astype(int)
     weighted_variances = np.empty((band_count, len(sensor_residuals)))
@@ -141,7 +141,7 @@ def estimated_scales(
     """
     contact_variances = tuple(
         float(contact_variance * posterior_level(np.array(contact_level)))
-        for contact_variance, contact_level in zip(fit_scales.contact_variances, contact_levels, strict=True)
+        for contact_variance, contact_level in zip(fit_scales.variances, contact_levels, strict=True)
     )
     if not record.has_force:
         return Scales(fit_scales.unmodelled_shares, contact_variances)

@@ -308,16 +308,16 @@ def _counted_samples(
     counted_until_s: float | None,
 ) -> slice:
     """Slice of the times that count, at the lower rate: without the ends, and up to where the rig comes to rest."""
-    residual_rate_hz = transform.sample_rate_hz / transform.decimation
+    rate_hz = transform.sample_rate_hz / transform.decimation
     duration_s = sample_count / transform.sample_rate_hz
     start_s, omitted_end_s = beginning.omitted_s
     if counted_until_s is None:
         accelerations = irfft(acceleration_signals, transform.padded_length // transform.decimation)[
-            :, : int(duration_s * residual_rate_hz)
+            :, : int(duration_s * rate_hz)
         ]
-        counted_until_s = end_of_motion_s(accelerations, residual_rate_hz)
+        counted_until_s = end_of_motion_s(accelerations, rate_hz)
     end_s = min(duration_s - omitted_end_s, max(counted_until_s, start_s + LEAST_COUNTED_S))
-    return slice(round(start_s * residual_rate_hz), int(end_s * residual_rate_hz))
+    return slice(round(start_s * rate_hz), int(end_s * rate_hz))
 
 
 def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:

@@ -193,7 +193,7 @@ def displaced_at(
 
 def _oversampling_factor(record: Record) -> int:
     """Multiple of the record's rate that resolves a friction force."""
-    return max(3, oversampling(record.residual_rate_hz))
+    return max(3, oversampling(record.rate_hz))
 
 
 def _velocities(record: Record, displacements: Motions) -> Motions:

@@ -158,8 +158,8 @@ def fit_afresh(search: Search, candidates: tuple[Candidate, ...], start_values: 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
     build_rig = _rig_builder(search, candidates)
-    contact_scales = prior_scales(search.linearization.record).contact_variances
-    initial_scales = replace(search.linearization.scales, contact_variances=contact_scales)
+    contact_scales = prior_scales(search.linearization.record).variances
+    initial_scales = replace(search.linearization.scales, variances=contact_scales)
     linearization = search.linearization.relinearized(build_rig(start_values), None, initial_scales)
     return _gauss_newton(search, build_rig, candidates, start_values, linearization)
 

@@ -64,7 +64,7 @@ class CandidateTerm:
     candidate: Candidate
     start_values: Float[np.ndarray, " parameters"]
     strength_indices: tuple[int, ...]
-    indices: Int[np.ndarray, " selected"]
+    column_indices: Int[np.ndarray, " selected"]
     theta_min: Float[np.ndarray, " selected"]
     theta_max: Float[np.ndarray, " selected"]
 
@@ -72,7 +72,9 @@ class CandidateTerm:
         """Parameters of the effect at theta."""
         effect_values = self.start_values.copy()
         strength_indices = list(self.strength_indices)
-        effect_values[strength_indices] += theta[self.indices] * self.candidate.derivative_steps[strength_indices]
+        effect_values[strength_indices] += (
+            theta[self.column_indices] * self.candidate.derivative_steps[strength_indices]
+        )
         return effect_values
 
 
@@ -88,10 +90,9 @@ class Solution:
 class LocalModel:
     """Statistic S(theta) about a fitted rig.
 
-    column_spectra holds X and residual_spectrum r: windowed spectra in the nominal rig's standard deviations, real and
-    imaginary parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band
-    and sensor. base_columns are the columns that every solution has: tolerances, whose `pulls` are p, then the effects
-    already in the rig.
+    column_spectra holds X and residual_spectrum r, windowed, in the nominal rig's standard deviations, real and imaginary
+    parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band and sensor.
+    base_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
 
     column_spectra: Float[np.ndarray, "columns rows"]
@@ -106,7 +107,7 @@ class LocalModel:
     theta_min: Theta
     theta_max: Theta
     samples_per_cell: float
-    independent_samples: float
+    all_samples: float
     base_columns: Int[np.ndarray, " selected"]
     candidate_terms: tuple[CandidateTerm, ...]
 
@@ -121,9 +122,7 @@ class LocalModel:
     def statistic(self, theta: Theta) -> float:
         """Statistic S, up to a constant of the record."""
         cells, contacts = self.levels(theta)
-        residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.independent_samples * np.sum(
-            np.log1p(contacts)
-        )
+        residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.all_samples * np.sum(np.log1p(contacts))
         input_cost = theta @ self.input_matrix @ theta - 2 * self.input_gradient @ theta
         return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
 
@@ -140,7 +139,7 @@ class LocalModel:
         right_side = (weighted @ (self.residual_spectrum * row_weights)).astype(float)
         right_side += self.input_gradient[columns]
         for contact_weight, contact_matrix, contact_gradient in zip(
-            self.independent_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
+            self.all_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
             normal += contact_weight * contact_matrix[np.ix_(columns, columns)]
             right_side += contact_weight * contact_gradient[columns]
@@ -151,7 +150,7 @@ class LocalModel:
 
     def minimum(self, terms: Sequence[CandidateTerm], start_theta: Theta | None = None) -> Solution:
         """Minimum of S with some candidates, by majorisation from `start_theta`."""
-        free = np.concatenate([self.base_columns, *(term.indices for term in terms)]).astype(int)
+        free = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
         theta = np.zeros(len(self.column_spectra))
         if start_theta is not None:
             theta[free] = start_theta[free]
@@ -178,11 +177,11 @@ class LocalModel:
         all_columns = np.arange(len(self.column_spectra))
         normal, right_side = self.normal_equations(solution.theta, all_columns)
         slope = right_side - normal @ solution.theta
-        base = np.concatenate([self.base_columns, *(term.indices for term in terms)]).astype(int)
+        base = np.concatenate([self.base_columns, *(term.column_indices for term in terms)]).astype(int)
         response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[base])
         decreases = np.zeros(len(self.candidate_terms))
         for term_index, term in enumerate(self.candidate_terms):
-            columns = term.indices
+            columns = term.column_indices
             curvature = normal[np.ix_(columns, columns)] - normal[np.ix_(columns, base)] @ response[:, columns]
             is_absorbed = np.diag(curvature) <= MIN_REMAINING_SHARE * np.diag(normal)[columns]
             if np.any(np.isin(columns, base)) or np.any(is_absorbed):
@@ -196,33 +195,25 @@ class LocalModel:
 def local_model(
     linearization: Linearization,
     residual: Residual,
-    nominal_variances: NominalVariances,
+    variances: NominalVariances,
     rig: Rig,
     present_set: Hypothesis,
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    added_columns: list[Column] = list(_present_columns(linearization, residual, rig, present_set))
-    present_count, terms = len(added_columns), list[CandidateTerm]()
+    columns: list[Column] = list(_present_columns(linearization, residual, rig, present_set))
+    present_count, terms = len(columns), list[CandidateTerm]()
     first_column = residual.pulls.size
     for candidate in candidates:
         for start_values in candidate.start_values():
             with suppress(RigError):  # no such rig
                 new_columns = strength_columns(linearization, residual, candidate, start_values)
-                terms.append(_candidate_term(candidate, start_values, first_column + len(added_columns)))
-                added_columns += [
+                terms.append(_candidate_term(candidate, start_values, first_column + len(columns)))
+                columns += [
                     (linear.astype(np.float32), [column.astype(np.float32) for column in contacts])
                     for linear, contacts in new_columns
                 ]
-    return _assembled_model(
-        linearization,
-        residual,
-        nominal_variances,
-        added_columns,
-        present_count,
-        tuple(terms),
-        _present_range(present_set),
-    )
+    return _model_of(linearization, residual, variances, columns, present_count, tuple(terms), _set_range(present_set))
 
 
 def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first_column: int) -> CandidateTerm:
@@ -232,8 +223,10 @@ def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"
         (bound[strengths] - start[strengths]) / candidate.derivative_steps[strengths]
         for bound in candidate.parameters.bounds
     )
-    indices = first_column + np.arange(len(strengths))
-    return CandidateTerm(candidate, start, tuple(strengths), indices, np.minimum(low, high), np.maximum(low, high))
+    column_indices = first_column + np.arange(len(strengths))
+    return CandidateTerm(
+        candidate, start, tuple(strengths), column_indices, np.minimum(low, high), np.maximum(low, high)
+    )
 
 
 def _present_columns(
@@ -249,7 +242,7 @@ def _present_columns(
         yield (linear / share, [column / share for column in contacts])
 
 
-def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
+def _set_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]]:
     if not present_set.candidates:
         return np.zeros(0), np.zeros(0)
     parameter_bounds = parameters_of(present_set.candidates).bounds
@@ -257,7 +250,7 @@ def _present_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present
     return np.minimum(*step_bounds), np.maximum(*step_bounds)
 
 
-def _assembled_model(
+def _model_of(
     linearization: Linearization,
     residual: Residual,
     nominal_variances: NominalVariances,
@@ -270,19 +263,13 @@ def _assembled_model(
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
     pulls = residual.pulls
     size = pulls.size + len(added_columns)
-    factors, row_cell = _scales_and_cells(linearization, nominal_variances, time_count)
+    norms, row_cell = _scales_and_cells(linearization, nominal_variances, time_count)
     spectra = np.zeros((size, row_cell.size), np.float32)
     inputs = np.zeros((size, (len(residual.linear_residual) - sensor_count) * time_count), np.float32)
     for k, column in enumerate(linearization.columns.residual):
-        spectra[k], inputs[k] = (
-            _scaled_spectra(record.residual_rate_hz, column[:sensor_count], factors),
-            column[sensor_count:].ravel(),
-        )
+        spectra[k], inputs[k] = (_spectra(record.rate_hz, column[:sensor_count], norms), column[sensor_count:].ravel())
     for k, (linear, _) in enumerate(added_columns, pulls.size):
-        spectra[k], inputs[k] = (
-            _scaled_spectra(record.residual_rate_hz, linear[:sensor_count], factors),
-            linear[sensor_count:].ravel(),
-        )
+        spectra[k], inputs[k] = (_spectra(record.rate_hz, linear[:sensor_count], norms), linear[sensor_count:].ravel())
     matrices, gradients, contact_levels = [], [], []
     first_tolerance = nuisance_count
     for contact_index, contact in enumerate(residual.contacts):
@@ -305,15 +292,13 @@ def _assembled_model(
     low[: pulls.size], high[: pulls.size] = -LIMIT - pulls, LIMIT - pulls
     low[pulls.size : pulls.size + present_count], high[pulls.size : pulls.size + present_count] = present_range
     for term in terms:
-        low[term.indices], high[term.indices] = term.theta_min, term.theta_max
+        low[term.column_indices], high[term.column_indices] = term.theta_min, term.theta_max
     sample_ratio = record.sample_ratio
     band_count = int(row_cell.max()) // sensor_count + 1
     samples = time_count / sample_ratio
     return LocalModel(
         column_spectra=spectra,
-        residual_spectrum=_scaled_spectra(
-            record.residual_rate_hz, residual.linear_without_lines[:sensor_count], factors
-        ),
+        residual_spectrum=_spectra(record.rate_hz, residual.linear_without_lines[:sensor_count], norms),
         row_cell=row_cell,
         contact_matrices=np.array(matrices).reshape(len(matrices), size, size),
         contact_gradients=np.array(gradients).reshape(len(gradients), size),
@@ -325,7 +310,7 @@ def _assembled_model(
         theta_min=low,
         theta_max=high,
         samples_per_cell=samples / band_count,
-        independent_samples=samples,
+        all_samples=samples,
         base_columns=np.arange(pulls.size + present_count),
         candidate_terms=terms,
     )
@@ -350,26 +335,22 @@ def _scales_and_cells(
 ) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
     """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
     record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, per_band, band_count = _segment_counts(record.residual_rate_hz, sample_count)
+    _, segment_count, per_band, band_count = _segment_counts(record.rate_hz, sample_count)
     ratio = band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
-    factors = np.sqrt(ratio.T / (segment_count * per_band))
+    norms = np.sqrt(ratio.T / (segment_count * per_band))
     row_shape = (sensor_count, segment_count, band_count, per_band, 2)
     sensor_index = np.arange(sensor_count)[:, None, None, None, None]
     cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
-    return factors, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
+    return norms, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
 
 
-def _scaled_spectra(
-    rate_hz: float, residuals: Float[np.ndarray, "sensors times"], factors: Float[np.ndarray, "sensors bands"]
+def _spectra(
+    rate_hz: float, signal: Float[np.ndarray, "sensors times"], norms: Float[np.ndarray, "sensors bands"]
 ) -> Float[np.ndarray, " values"]:
     """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment, count, per_band, band_count = _segment_counts(rate_hz, residuals.shape[1])
+    segment, count, per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
     window = hann(segment, sym=False)
-    segments = residuals[:, : count * segment].reshape(len(residuals), count, segment) * (
-        window / np.sqrt(np.sum(window**2))
-    )
-    spectra = np.fft.rfft(segments, axis=2)[:, :, : band_count * per_band].reshape(
-        len(residuals), count, band_count, per_band
-    )
-    spectra = spectra * factors[:, None, :, None]
-    return np.stack([spectra.real, spectra.imag], axis=-1).astype(np.float32).ravel()
+    pieces = signal[:, : count * segment].reshape(len(signal), count, segment) * (window / np.sqrt(np.sum(window**2)))
+    lines = np.fft.rfft(pieces, axis=2)[:, :, : band_count * per_band].reshape(len(signal), count, band_count, per_band)
+    lines = lines * norms[:, None, :, None]
+    return np.stack([lines.real, lines.imag], axis=-1).astype(np.float32).ravel()

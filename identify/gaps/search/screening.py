@@ -82,7 +82,7 @@ def peak_frequencies_hz(
             *(contact.residual[None, : residual.linear_residual.shape[1]] for contact in residual.contacts),
         ]
     )
-    rate_hz = linearization.record.residual_rate_hz
+    rate_hz = linearization.record.rate_hz
     return rate_hz * sharpest_frequencies(
         residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, linearization.record.repeats_per_sample
     )

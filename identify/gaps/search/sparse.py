@@ -168,11 +168,9 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
 
 def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
-    set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
-    linearization, residual = _relinearized(set_fit, set_rig)
-    further = [
-        c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, set_rig)
-    ]
+    rig = set_fit.hypothesis.applied_to(search.linearization.rig)
+    linearization, residual = _relinearized(set_fit, rig)
+    further = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
     nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
         linearization,
@@ -256,7 +254,7 @@ def _promising_terms(
     promised_decreases = model.promised_decreases(chosen_terms, solution)
     promising_terms: list[CandidateTerm] = []
     for term_index in np.argsort(-promised_decreases):
-        term = model.terms[term_index]
+        term = model.candidate_terms[term_index]
         same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
         largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:

@@ -82,7 +82,7 @@ def _contact_modulation(
     residual_force_n = contact_residual.residual[: weights.size][is_pressed] / weights[is_pressed]
     clearance_change_m = -residual_force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
     resolution_hz = 1 / (pressed_times_s[-1] - pressed_times_s[0])
-    lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.residual_rate_hz)
+    lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.rate_hz)
     trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
     harmonic_fits = [
         _fitted_harmonic(pressed_times_s, clearance_change_m, frequency_trial_hz)

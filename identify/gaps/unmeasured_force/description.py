@@ -207,7 +207,7 @@ def _time_pattern(history: ForceHistory) -> _Timing:
     ):
         is_any_closed |= is_closed(contact_n, open_error_n)
     closed_share = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
-    starts_quiet = np.mean(~is_excited) * force_squares.size >= QUIET_S * record.residual_rate_hz
+    starts_quiet = np.mean(~is_excited) * force_squares.size >= QUIET_S * record.rate_hz
     return _Timing(
         in_contact_share=closed_share if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
         rms_by_interval=tuple(

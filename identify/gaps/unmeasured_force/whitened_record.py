@@ -83,7 +83,7 @@ class WhitenedRecord:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
         counted_slice, record = self.record.counted_slice, self.record
         time_gate = np.zeros(record.transform_length // record.decimation)
-        gate_shape = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.residual_rate_hz))
+        gate_shape = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.rate_hz))
         time_gate[counted_slice] = gate_shape if counted_slice.start == 0 else gate_shape * gate_shape[::-1]
         return time_gate
 
@@ -263,10 +263,10 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     high_band_power = np.abs(record.force_spectra[:, record.omega.size // 2 :]) ** 2
     noise_variance = np.median(high_band_power, axis=1) / np.log(2)
     is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
-    if np.count_nonzero(is_quiet) > 0.2 * record.residual_rate_hz:
+    if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
         quiet_noise_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
         noise_variance = np.minimum(
-            noise_variance, record.sample_count * quiet_noise_n**2 * record.sample_rate_hz / record.residual_rate_hz
+            noise_variance, record.sample_count * quiet_noise_n**2 * record.sample_rate_hz / record.rate_hz
         )
     return np.asarray(noise_variance)
 

@@ -208,5 +208,5 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     scales = estimated_scales(record, prior, residual, (0.2, 3.0))
     middle = scales.unmodelled_shares[:, record.omega.size // 4 : record.omega.size // 2]
     assert np.median(middle) == pytest.approx(true_share, rel=0.2)
-    assert scales.contact_variances == (float(posterior_level(np.array(0.2))), 2.0)
+    assert scales.variances == (float(posterior_level(np.array(0.2))), 2.0)
     assert band_levels(record, residual).min() > 0
