@@ -85,11 +85,9 @@ def bound_words(bound: Bounded) -> str:
         return f"the {bound.name}, of which {percent(bound.value)} are unexplained"
     if bound.unit == "1":
         return f"the {bound.name}, of which {percent(bound.value)} and at most {percent(bound.upper)} are unexplained"
-    value_words, upper_words, limit_words = (
-        number(quantity_size, 3) for quantity_size in (bound.value, bound.upper, bound.threshold)
-    )
+    value, upper, limit = (number(quantity_size, 3) for quantity_size in (bound.value, bound.upper, bound.threshold))
     unit = bound.unit
-    return f"the {bound.name}, {value_words} and at most {upper_words} {unit} off, where {limit_words} {unit} are three tolerances"
+    return f"the {bound.name}, {value} and at most {upper} {unit} off, where {limit} {unit} are three tolerances"
 
 
 def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
@@ -172,21 +170,20 @@ def between_records(between: RecordDifferences) -> str:
     )
 
 
-def level_words(level_dependence: LevelDependence) -> str:
+def level_words(change: LevelDependence) -> str:
     """Sentence on the change of a mode with the level: "The machine softens with the motion: ..."."""
-    frequency_words, damping_words = (
-        f"{100 * relative_change:+.2g} %"
-        for relative_change in (level_dependence.frequency_change, level_dependence.damping_change)
+    shift, damping = (
+        f"{100 * relative_change:+.2g} %" for relative_change in (change.frequency_change, change.damping_change)
     )
-    if abs(level_dependence.frequency_change) < SMALLEST_FREQUENCY_CHANGE:
-        trend_words = f"is damped {'more' if level_dependence.damping_change > 0 else 'less'}"
+    if abs(change.frequency_change) < SMALLEST_FREQUENCY_CHANGE:
+        trend = f"is damped {'more' if change.damping_change > 0 else 'less'}"
     else:
-        trend_words = "softens" if level_dependence.frequency_change < 0 else "stiffens"
-    joint_words = "a stop or a hardening spring" if trend_words == "stiffens" else "friction or clearance in a joint"
+        trend = "softens" if change.frequency_change < 0 else "stiffens"
+    joint = "a stop or a hardening spring" if trend == "stiffens" else "friction or clearance in a joint"
     return (
-        f"The machine {trend_words} with the motion: from {number(level_dependence.lowest_n, 2)} to {number(level_dependence.highest_n, 2)} N "
-        f"rms the mode of the {level_dependence.body} at {number(level_dependence.frequency_hz)} Hz changes by {frequency_words} and its damping by "
-        f"{damping_words}, as {joint_words} makes it; a changed mass or linear stiffness would be the same at every level."
+        f"The machine {trend} with the motion: from {number(change.lowest_n, 2)} to {number(change.highest_n, 2)} N "
+        f"rms the mode of the {change.body} at {number(change.frequency_hz)} Hz changes by {shift} and its damping by "
+        f"{damping}, as {joint} makes it; a changed mass or linear stiffness would be the same at every level."
     )
 
 

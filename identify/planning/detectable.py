@@ -99,7 +99,7 @@ def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstima
     """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
     zero of any other effect, and of a contact that is not determined."""
     values = candidate.typical_values.copy()
-    values[0] = candidate.neutral_strength + candidate.derivative_steps[0]
+    values[0] = candidate.neutral_strength + candidate.step_sizes[0]
     changed = candidate.applied(rig, values)
     if replace(changed, contacts=rig.contacts) != rig:
         return 0.0
@@ -180,7 +180,7 @@ def _size(term: CandidateTerm, step: float) -> float:
     """Size of a strength; infinite beyond the effect's range."""
     if step > max(-float(term.theta_min[0]), float(term.theta_max[0])):
         return np.inf
-    return step * abs(float(term.candidate.derivative_steps[term.strength_indices[0]]))
+    return step * abs(float(term.candidate.step_sizes[term.strength_indices[0]]))
 
 
 def _finite(size: float) -> float | None:

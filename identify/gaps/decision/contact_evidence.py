@@ -67,7 +67,7 @@ def with_contact_evidence(
 def contact_minus_two_log(
     estimate: LawEstimate, nominal_rig: Rig, hypothesis_rig: Rig, tolerances: Tolerances
 ) -> float:
-    """-2 ln p of one contact of the hypothesis `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
+    """-2 ln p of one contact in `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
     nominal_contact, contact = (
         _contact_of_estimate(nominal_rig, estimate),
         _contact_of_estimate(hypothesis_rig, estimate),

@@ -212,9 +212,8 @@ def differences(
 ) -> RecordDifferences:
     """Differences between the records of a rig with a cause, or of the nominal rig.
 
-    candidates are the effects at all places; record_titles and force_levels_n (root mean squares of the force, N) belong to the
-    records. Effects known by their spectrum alone, or with parameters of every record's own (the phase of a tone), are
-    not compared.
+    candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
+    records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
     comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
     record_set = _RecordSet(records, variances_by_record, comparable)

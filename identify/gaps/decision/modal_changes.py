@@ -165,7 +165,7 @@ def level_dependence(
     differing_parameters: Sequence[ParameterByRecord],
     highest_hz: float,
 ) -> LevelDependence | None:
-    """Change, from the lowest to the highest level, of the mode that changes most; `rig_by_record` are those of the records.
+    """Change, from the lowest to the highest level, of the mode that changes most; `rig_by_record` has a rig each.
 
     None where a strength does not follow the level, or no mode below `highest_hz` changes.
     """

@@ -109,8 +109,8 @@ class PreparedRecordings:
     @property
     def record_titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{record_index + 1}, {observation.force_rms_n:.3g} N{', validates' * (record_index == self.validation_index)}"
-            for record_index, observation in enumerate(self.observations)
+            f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validation_index)}"
+            for k, observation in enumerate(self.observations)
         )
 
 

@@ -73,30 +73,28 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
 
 
 def _small_sentences(gap: Diagnosis) -> list[str]:
-    bound_texts = _upper_bound_words(gap.evidence.quantities)
-    if named_cause := _named_cause(gap):
-        return [
-            f"{capitalised(joined(named_cause.named))} {_verb_be(named_cause)} there, too small to matter: {bound_texts}."
-        ]
+    bounds = _upper_bound_words(gap.evidence.quantities)
+    if named := _named_cause(gap):
+        return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {bounds}."]
     return [
-        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bound_texts}. "
+        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
         "No effect of the library is named for it."
     ]
 
 
 def _explained_sentences(gap: Diagnosis) -> list[str]:
-    named_cause = gap.causes[0]
-    explain_verb = "explains" if len(named_cause.named) == 1 else "explain"
+    named = gap.causes[0]
+    explain = "explains" if len(named.named) == 1 else "explain"
     if not gap.evidence.held_back_shows:
         return [
-            f"{capitalised(joined(named_cause.named))} {explain_verb} the difference ({p_value_words(gap.evidence.p_value)}), by "
+            f"{capitalised(joined(named.named))} {explain} the difference ({p_value_words(gap.evidence.p_value)}), by "
             "all records together: the one that was not fitted shows too little of it."
         ]
     if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
         pull_words = number(gap.before.largest_pull, 2)
         return [
-            f"{capitalised(joined(named_cause.named))} {explain_verb} the difference, which a tolerance would have to take up "
-            f"without {_pronoun(named_cause)}: it would be off by {pull_words} of its standard deviations."
+            f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
+            f"without {_pronoun(named)}: it would be off by {pull_words} of its standard deviations."
         ]
     chance_words = (
         ""
@@ -104,8 +102,8 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
         else f", no more than tolerances and noise leave ({p_value_words(gap.after.p_value)})"
     )
     return [
-        f"{capitalised(joined(named_cause.named))} {explain_verb} the difference: with {_pronoun(named_cause)} the model leaves "
-        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named_cause)} "
+        f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
+        f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
         f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}."
     ]
 
@@ -123,11 +121,11 @@ def _strain_words(gap: Diagnosis) -> str:
 
 
 def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
-    named_cause = gap.causes[0]
-    explain_verb = "explains" if len(named_cause.named) == 1 else "explain"
+    named = gap.causes[0]
+    explain = "explains" if len(named.named) == 1 else "explain"
     return [
-        f"{capitalised(joined(named_cause.named))} {explain_verb} the difference in part: "
-        f"{'it' if len(named_cause.named) == 1 else 'they'} {_removal_words(gap, '')}, and {unexplained_words(gap.after)} "
+        f"{capitalised(joined(named.named))} {explain} the difference in part: "
+        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and {unexplained_words(gap.after)} "
         "stay unexplained.",
         *_veto_sentence(gap),
         _force_description(gap, "The rest"),
@@ -202,9 +200,9 @@ def _ruled_out_sentence(gap: Diagnosis) -> list[str]:
     """Sentence on the likeliest hypothesis that prediction rules out."""
     if not gap.ruled_out:
         return []
-    effect_words = gap.ruled_out[0]
+    words = gap.ruled_out[0]
     return [
-        f"By the spectra, {joined(effect_words)} would be likelier; with {'it' if len(effect_words) == 1 else 'them'} alone the rig "
+        f"By the spectra, {joined(words)} would be likelier; with {'it' if len(words) == 1 else 'them'} alone the rig "
         "predicts the measured motion no better."
     ]
 
@@ -239,8 +237,8 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
         return f"{subject} looks like no single force that is known here."
     if gap.unknown.explained >= DESCRIPTION_EXPLAINED:
         return f"{subject} looks like {gap.unknown.sentence}."
-    explained_words = percent(gap.unknown.explained)
-    return f"{subject} has no simple form; the nearest explains {explained_words} of its mean square: {gap.unknown.sentence}."
+    share = percent(gap.unknown.explained)
+    return f"{subject} has no simple form; the nearest explains {share} of its mean square: {gap.unknown.sentence}."
 
 
 def _look_alike_words(gap: Diagnosis) -> list[str]:

@@ -56,11 +56,9 @@ def _record_difference_steps(gap: Gap) -> list[str]:
             "the end: a joint then gives the first values again, wear does not. What follows holds for the validation "
             "record."
         ]
-    effect_names = joined(
-        list(dict.fromkeys(comparison.parameter.split(".")[0] for comparison in gap.between.differing))
-    )
+    effects = joined(list(dict.fromkeys(comparison.parameter.split(".")[0] for comparison in gap.between.differing)))
     return [
-        f"The machine was not the same in all records ({effect_names}): find out what changed, and diagnose the records of "
+        f"The machine was not the same in all records ({effects}): find out what changed, and diagnose the records of "
         "one state by themselves; what follows holds for the validation record."
     ]
 
@@ -155,14 +153,10 @@ def _steps_if_unexplained(gap: Gap) -> list[str]:
 def _unexplained_steps(gap: Gap) -> list[str]:
     ranges_hz = unexplained_ranges_hz(gap)[:MAX_RANGES]
     if not ranges_hz:
-        contact_and_share = max(
-            gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0)
-        )
-        if contact_and_share[1] <= gap.matters.contact:
+        largest = max(gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0))
+        if largest[1] <= gap.matters.contact:
             return []
-        return [
-            f"Look at {contact_and_share[0]}: the rest lies in its force, of which {percent(contact_and_share[1])} is unexplained."
-        ]
+        return [f"Look at {largest[0]}: the rest lies in its force, of which {percent(largest[1])} is unexplained."]
     if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * (
         gap.bands[-1].high_hz - gap.bands[0].low_hz
     ):
@@ -176,36 +170,36 @@ def _unexplained_steps(gap: Gap) -> list[str]:
     ]
 
 
-def _inspection_steps(unknown_force: UnmeasuredForce) -> list[str]:
+def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
     """Steps that inspect the place of an unmeasured force."""
-    if unknown_force.explained < HINT_EXPLAINED:
+    if unknown.explained < HINT_EXPLAINED:
         return []
-    if unknown_force.explained < DESCRIPTION_EXPLAINED:
-        hint_words = f"Take this as a hint, as it explains only {percent(unknown_force.explained)} of what is left: "
-        return [f"{hint_words}look at {_suspect_words(unknown_force)}."]
-    if unknown_force.kind == "sensor":
-        return [f"Look at sensor {unknown_force.sensor}, its mounting and its cable; exchange it and record again."]
-    if unknown_force.kind == "contact":
+    if unknown.explained < DESCRIPTION_EXPLAINED:
+        hint_words = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
+        return [f"{hint_words}look at {_suspect_words(unknown)}."]
+    if unknown.kind == "sensor":
+        return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
+    if unknown.kind == "contact":
         return [
-            f"Look at the stops of {unknown_force.contact}: what turns or shakes at {unknown_force.frequency_hz or 0.0:.1f} Hz?",
+            f"Look at the stops of {unknown.contact}: what turns or shakes at {unknown.frequency_hz or 0.0:.1f} Hz?",
             "Measure the clearance while the machine stands still, in several positions of what turns.",
         ]
-    if unknown_force.kind == "distributed":
-        body_words = joined([f"the {body}" for body in unknown_force.growth])
+    if unknown.kind == "distributed":
+        body_words = joined([f"the {body}" for body in unknown.growth])
         return [f"Measure the temperature of {body_words} along the record, and record again after it has settled."]
-    steps = [f"Look at {place(unknown_force)}: what touches it, hangs on it or drives it there is not in rig.json."]
-    if not unknown_force.same_place:
+    steps = [f"Look at {place(unknown)}: what touches it, hangs on it or drives it there is not in rig.json."]
+    if not unknown.same_place:
         steps.append("Doubt this place: the second record alone shows another. Record again at another level of force.")
-    if unknown_force.frequency_hz is not None:
+    if unknown.frequency_hz is not None:
         steps.append(
             f"Record without the exciting force and switch motors and mains supplies off one by one: find what runs at "
-            f"{unknown_force.frequency_hz:.1f} Hz."
+            f"{unknown.frequency_hz:.1f} Hz."
         )
-    elif unknown_force.against in _STEP_BY_ARGUMENT:
-        steps.append(_STEP_BY_ARGUMENT[unknown_force.against])
-    elif unknown_force.when == "in contact":
+    elif unknown.against in _STEP_BY_ARGUMENT:
+        steps.append(_STEP_BY_ARGUMENT[unknown.against])
+    elif unknown.when == "in contact":
         steps.append("Look at the surfaces that touch: it acts only while contacts are closed.")
-    elif unknown_force.when == "growing with time":
+    elif unknown.when == "growing with time":
         steps.append("Record for longer and note the temperature: it grows with time.")
     else:
         steps.append("Record without the exciting force: what remains comes from outside.")
@@ -213,19 +207,19 @@ def _inspection_steps(unknown_force: UnmeasuredForce) -> list[str]:
     return steps
 
 
-def _suspect_words(unknown_force: UnmeasuredForce) -> str:
-    if unknown_force.kind == "sensor":
-        return f"sensor {unknown_force.sensor}"
-    if unknown_force.kind == "distributed":
-        return f"the stiffness of {joined([f'the {body}' for body in unknown_force.growth])}"
-    return place(unknown_force)
+def _suspect_words(unknown: UnmeasuredForce) -> str:
+    if unknown.kind == "sensor":
+        return f"sensor {unknown.sensor}"
+    if unknown.kind == "distributed":
+        return f"the stiffness of {joined([f'the {body}' for body in unknown.growth])}"
+    return place(unknown)
 
 
-def place(unknown_force: UnmeasuredForce) -> str:
+def place(unknown: UnmeasuredForce) -> str:
     """Place of an unmeasured force in words: "the barrel near 0.89 m"."""
-    position_words = f"the {unknown_force.body} near {unknown_force.position_m or 0.0:.2f} m"
-    if unknown_force.against_body:
-        return f"{position_words} and the {unknown_force.against_body} near {unknown_force.against_position_m or 0.0:.2f} m"
+    position_words = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
+    if unknown.against_body:
+        return f"{position_words} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
     return position_words
 
 

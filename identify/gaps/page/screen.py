@@ -57,14 +57,14 @@ def screen_view(gap: Gap) -> RenderableType:
     return Group(*screen_parts, step_table)
 
 
-def _unknown_summary(unknown_force: UnmeasuredForce) -> str:
+def _unknown_summary(unknown: UnmeasuredForce) -> str:
     """Size, band, times and explained share of an unmeasured force."""
-    low_hz, high_hz = unknown_force.band_hz
-    force_unit = "m/s²" if unknown_force.kind == "sensor" else "N"
-    when_words = "" if unknown_force.when == "always" else f", {WHEN[unknown_force.when]}"
+    low_hz, high_hz = unknown.band_hz
+    unit = "m/s²" if unknown.kind == "sensor" else "N"
+    when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
     return (
-        f"{number(unknown_force.rms_n, 3)} {force_unit} rms, mostly from {low_hz:.3g} to {high_hz:.3g} Hz{when_words}; it explains "
-        f"{percent(unknown_force.explained)} of the linear residual's mean square"
+        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low_hz:.3g} to {high_hz:.3g} Hz{when}; it explains "
+        f"{percent(unknown.explained)} of the linear residual's mean square"
     )
 
 

@@ -103,8 +103,8 @@ class ContactResidual:
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
     the same places. adjusted_law has the first two of these. eta_m is the relative displacement with the drift,
-    eta_rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the priors,
-    those of the pulls' excess beyond `LIMIT` last.
+    eta_rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the
+    priors, those of the pulls' excess beyond `LIMIT` last.
     """
 
     observation: ContactObservation
@@ -255,7 +255,7 @@ def contact_residual(
     added_force_n: float | Float[np.ndarray, " times"] = 0.0,
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> ContactResidual:
-    """Residual at given unknowns; added_force_n and added_eta_m are added to the force and to the relative displacement."""
+    """Residual at given unknowns; added_force_n and added_eta_m come on top of force and relative displacement."""
     spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
     drift_m, drift_m_per_s = spline.value @ knots_m, spline.rate @ knots_m
     eta_m = signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m

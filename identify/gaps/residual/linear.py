@@ -52,11 +52,11 @@ class Linear:
     """Linear model of a rig, fitted to a record.
 
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
-    signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion, then
-    the noise of each measured force. residual is in standard deviations, with the estimates of the base motion and of
-    the force noise as last rows, in those of their spectra; log_determinant is the cost of that freedom.
-    acceleration_by_force are the accelerations at the sensors by each measured force, known_forces all known forces with
-    their stations, free_modes the free motion of modes.
+    signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion,
+    then the noise of each measured force. residual is in standard deviations, with the estimates of the base motion and
+    of the force noise as last rows, in those of their spectra; log_determinant is the cost of that freedom.
+    acceleration_by_force are the accelerations at the sensors by each measured force, known_forces all known forces
+    with their stations, free_modes the free motion of modes.
     """
 
     record: Record
@@ -169,7 +169,7 @@ def linear_model(
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is
-    shared by rigs that are compared with one record; `mode_factors` are factors on frequencies and damping of the modes.
+    shared by rigs that are compared with one record; `mode_factors` are those on frequencies and damping of modes.
     """
     rig = joined(rig)
     sensor_response = sensor_response_of(record, rig)

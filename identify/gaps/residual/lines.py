@@ -23,7 +23,7 @@ def cost_of_lines(residual_rows: Rows, direction_count: int, repeats_per_sample:
     """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
 
     A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
-    forces cannot follow. `repeats_per_sample` is the frequency, per sample, at which the measured force repeats (0: it does
+    forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
     not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
     return float(

@@ -53,7 +53,7 @@ class ContactSignals:
     def low_passed(
         self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
-        """Law evaluated on signals at the recording's rate and low-passed to `rate_multiple` times the rate of the force."""
+        """Law evaluated on signals at the recording's rate, low-passed to `rate_multiple` times that of the force."""
         low_passed_results = evaluated(
             law_function, np.stack(signals), self.sample_rate_hz, self.decimation, rate_multiple
         )

@@ -46,7 +46,7 @@ def highest_ringing_hz(
     derivative_order: int,
     noise_densities: Float[np.ndarray, " sensors"],
 ) -> float:
-    """Highest frequency (Hz) with power beyond noise, by velocities; `derivative_order` is the derivative that sensors show."""
+    """Highest frequency (Hz) with power beyond noise, by velocities; `derivative_order` is that of the signals."""
     window = tukey(signals.shape[1], TAPER_SHARE)
     power = np.abs(np.fft.rfft((signals - signals.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
     noise_power = (noise_densities**2 * rate_hz / 2 * np.sum(window**2))[:, None]

@@ -34,7 +34,7 @@ class Tangent:
         return decimated(self.stiffness_n_per_m * eta_change_m, self.rate_multiple)
 
     def spline_columns(self, spline_values: csr_matrix) -> csc_matrix:
-        """Change of the force, N/m, with each coefficient of a spline, whose value is `spline_values` @ coefficients."""
+        """Change of the force, N/m, with each coefficient of a spline, whose value is spline_values @ coefficients."""
         if not spline_values.shape[1]:
             return csc_matrix(spline_values.shape)
         first_samples, splines = _windows(spline_values)

@@ -247,7 +247,7 @@ def log_ratio_of(
 def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
     """Rollout with the veto `no_improvement` if it falls short of simulated machines that have the named effects.
 
-    `simulated_log_ratios` are the mean log ratios of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
+    `simulated_log_ratios` are the means of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
     The veto needs a log ratio above Student's prediction limit of theirs, and a limit that lies below -BETTER / 2.
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:

@@ -44,8 +44,8 @@ class MeasuredMotion:
     """Motion at a record's stations, measured with the sensors' gains and delays of one rig.
 
     displacement_m and velocity_m_per_s are those by the sensors with the slow motion, modal_states the displacement and
-    velocity by the rig's lowest modes. They are valid from first_sample to stop_sample. derivative_orders are those that
-    the sensors measure.
+    velocity by the rig's lowest modes. They are valid from first_sample to stop_sample. derivative_orders are those
+    that the sensors measure.
     """
 
     rig: Rig
@@ -121,8 +121,8 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
 class _StationModes:
     """Lowest modes of each body, as many as it has stations, with shapes at the stations and across the contacts.
 
-    is_force_determined masks those whose slow displacement follows from forces; coordinates_by_force_m are the spectra of all modal
-    displacements by forces.
+    is_force_determined masks those whose slow displacement follows from forces; coordinates_by_force_m are the spectra
+    of all modal displacements by forces.
     """
 
     natural_hz: Float[np.ndarray, " modes"]

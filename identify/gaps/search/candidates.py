@@ -59,7 +59,7 @@ class Candidate:
         return np.array([getattr(self.typical_effect, name) for name in self.parameters.names])
 
     @property
-    def derivative_steps(self) -> Float[np.ndarray, " parameters"]:
+    def step_sizes(self) -> Float[np.ndarray, " parameters"]:
         """Steps for derivatives: `STEP_SHARE` of what the typical effect adds, or of the range of another parameter.
 
         For a sharp frequency it is a share of the lowest one, which has two periods in the record; for a parameter of a
@@ -207,7 +207,7 @@ def strength_columns(
     strength_decreases = []
     for strength_index in candidate.parameters.strengths:
         stepped_values = start_values.copy()
-        stepped_values[strength_index] = start_values[strength_index] + candidate.derivative_steps[strength_index]
+        stepped_values[strength_index] = start_values[strength_index] + candidate.step_sizes[strength_index]
         stepped_rig = candidate.applied(linearization.rig, stepped_values)
         strength_decreases.append(
             attached_column(linearization, stepped_rig, residual) or derivative(linearization, stepped_rig, residual)

@@ -42,7 +42,7 @@ Values = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """Estimated quantities of a contact from one record: `quantity_values` = `quantity_weights` @ law, with their covariance.
+    """Estimated quantities of a contact from one record: quantity_values = quantity_weights @ law, with covariance.
 
     tolerance_covariance is the part of the covariance that all records of the machine share.
     """
@@ -173,7 +173,7 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
 
 @dataclass(frozen=True)
 class LawChange:
-    """Numbers y of every contact's law under a hypothesis, and dy/dv for the parameters `free_parameters` that change them."""
+    """Numbers y of every contact's law under a hypothesis, and dy/dv for the `free_parameters` that change them."""
 
     law_numbers: Float[np.ndarray, "contacts 4"]
     number_derivatives: Float[np.ndarray, "free contacts 4"]
@@ -182,21 +182,21 @@ class LawChange:
 
 def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
-    derivative_steps, values = steps_of(hypothesis.candidates), hypothesis.values
-    derivative_steps = DERIVATIVE_STEP * np.where(
-        values + derivative_steps > hypothesis.parameters.bounds[1], -derivative_steps, derivative_steps
+    step_sizes, values = steps_of(hypothesis.candidates), hypothesis.values
+    step_sizes = DERIVATIVE_STEP * np.where(
+        values + step_sizes > hypothesis.parameters.bounds[1], -step_sizes, step_sizes
     )
     law_numbers_by_step = [
         _law_numbers(hypothesis, nominal_rig, values + value_change)
-        for value_change in (0 * values, *np.diag(derivative_steps))
+        for value_change in (0 * values, *np.diag(step_sizes))
     ]
     dead_zone_numbers = [numbers for numbers in law_numbers_by_step if numbers is not None]
-    if len(dead_zone_numbers) < len(law_numbers_by_step) or not derivative_steps.size:
+    if len(dead_zone_numbers) < len(law_numbers_by_step) or not step_sizes.size:
         return None
     number_derivatives = np.array(
         [
             (numbers - dead_zone_numbers[0]) / derivative_step
-            for numbers, derivative_step in zip(dead_zone_numbers[1:], derivative_steps, strict=True)
+            for numbers, derivative_step in zip(dead_zone_numbers[1:], step_sizes, strict=True)
         ]
     )
     free_parameters = np.flatnonzero(np.any(number_derivatives, axis=(1, 2)))

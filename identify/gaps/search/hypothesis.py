@@ -251,7 +251,7 @@ def _gauss_newton(
 
 
 def steps_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
-    return np.concatenate([np.zeros(0), *(candidate.derivative_steps for candidate in candidates)])
+    return np.concatenate([np.zeros(0), *(candidate.step_sizes for candidate in candidates)])
 
 
 def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:

@@ -58,7 +58,7 @@ Theta = Float[np.ndarray, " columns"]
 class CandidateTerm:
     """Candidate at one place: its columns, its parameters at theta = 0, and the range of theta.
 
-    theta is in units of `Candidate.derivative_steps` of the strengths.
+    theta is in units of `Candidate.step_sizes` of the strengths.
     """
 
     candidate: Candidate
@@ -71,10 +71,8 @@ class CandidateTerm:
     def values(self, theta: Theta) -> Float[np.ndarray, " parameters"]:
         """Parameters of the effect at theta."""
         effect_values = self.start_values.copy()
-        strength_indices = list(self.strength_indices)
-        effect_values[strength_indices] += (
-            theta[self.column_indices] * self.candidate.derivative_steps[strength_indices]
-        )
+        strengths = list(self.strength_indices)
+        effect_values[strengths] += theta[self.column_indices] * self.candidate.step_sizes[strengths]
         return effect_values
 
 
@@ -90,7 +88,7 @@ class Solution:
 class LocalModel:
     """Statistic S(theta) about a fitted rig.
 
-    column_spectra holds X and residual_spectrum r, windowed, in the nominal rig's standard deviations, real and imaginary
+    column_spectra holds X and residual_spectrum r: windowed, in nominal standard deviations, real and imaginary
     parts, scaled so that the squares of a cell's rows add up to L. row_cell is the index of a row's band and sensor.
     base_columns are those of every solution: tolerances, whose `pulls` are p, then the effects already in the rig.
     """
@@ -220,13 +218,10 @@ def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"
     """Term of a candidate at `start`, whose columns begin with `first_column`."""
     strengths = list(candidate.parameters.strengths)
     low, high = (
-        (bound[strengths] - start[strengths]) / candidate.derivative_steps[strengths]
-        for bound in candidate.parameters.bounds
+        (bound[strengths] - start[strengths]) / candidate.step_sizes[strengths] for bound in candidate.parameters.bounds
     )
-    column_indices = first_column + np.arange(len(strengths))
-    return CandidateTerm(
-        candidate, start, tuple(strengths), column_indices, np.minimum(low, high), np.maximum(low, high)
-    )
+    columns = first_column + np.arange(len(strengths))
+    return CandidateTerm(candidate, start, tuple(strengths), columns, np.minimum(low, high), np.maximum(low, high))
 
 
 def _present_columns(
@@ -293,9 +288,9 @@ def _model_of(
     low[pulls.size : pulls.size + present_count], high[pulls.size : pulls.size + present_count] = present_range
     for term in terms:
         low[term.column_indices], high[term.column_indices] = term.theta_min, term.theta_max
-    sample_ratio = record.sample_ratio
+    ratio = record.sample_ratio
     band_count = int(row_cell.max()) // sensor_count + 1
-    samples = time_count / sample_ratio
+    samples = time_count / ratio
     return LocalModel(
         column_spectra=spectra,
         residual_spectrum=_spectra(record.rate_hz, residual.linear_without_lines[:sensor_count], norms),
@@ -303,9 +298,9 @@ def _model_of(
         contact_matrices=np.array(matrices).reshape(len(matrices), size, size),
         contact_gradients=np.array(gradients).reshape(len(gradients), size),
         contact_levels=np.array(contact_levels),
-        input_matrix=(inputs @ inputs.T).astype(float) / sample_ratio,
+        input_matrix=(inputs @ inputs.T).astype(float) / ratio,
         input_gradient=(inputs @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float)
-        / sample_ratio,
+        / ratio,
         pulls=pulls,
         theta_min=low,
         theta_max=high,

@@ -146,7 +146,7 @@ def _information_at(
     expansion_point: Float[np.ndarray, " unknowns"],
     cost_at_point: float,
 ) -> Information:
-    """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, the prior of the tolerances included."""
+    """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
     pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
     return Information(
         tolerance_names,

@@ -107,7 +107,7 @@ def _strength_gains(
         normal_equations.matrix[np.ix_(free_nuisance, free_nuisance)],
         normal_equations.matrix[free_nuisance, nuisance_count:],
     )
-    strength_steps = candidate.derivative_steps[strength_indices]
+    strength_steps = candidate.step_sizes[strength_indices]
     lower_bounds, upper_bounds = (bound[strength_indices] for bound in candidate.parameters.bounds)
     for start_index, start_values in enumerate(possible_starts):
         parameter_slice = slice(

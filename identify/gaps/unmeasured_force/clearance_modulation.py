@@ -129,7 +129,7 @@ def _periodogram(
 def _fitted_harmonic(
     time_s: Float[np.ndarray, " times"], clearance_change_m: Float[np.ndarray, " times"], frequency_hz: float
 ) -> tuple[float, float, float]:
-    """Share of the variance, amplitude and frequency of a harmonic at frequency_hz, fitted by least squares with a mean."""
+    """Share of the variance, amplitude and frequency of a harmonic, fitted by least squares with a mean."""
     phase_rad = 2 * np.pi * frequency_hz * time_s
     harmonic_columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
     coefficients = np.linalg.lstsq(harmonic_columns, clearance_change_m, rcond=None)[0]

@@ -52,24 +52,24 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     force_law = (
         shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located_force) > LAW_SEARCH_SHARE else None
     )
-    force_station, *counter_stations = candidate.stations
+    place, *against = candidate.stations
     timing = _time_pattern(history)
     time_pattern: When = "always" if force_law is not None else timing.pattern
-    place_text = f"on the {force_station.body} near {force_station.position_m:.2f} m"
-    if counter_stations:
+    place_text = f"on the {place.body} near {place.position_m:.2f} m"
+    if against:
         place_text = (
-            f"between the {force_station.body} near {force_station.position_m:.2f} m and the {counter_stations[0].body} near "
-            f"{counter_stations[0].position_m:.2f} m"
+            f"between the {place.body} near {place.position_m:.2f} m and the {against[0].body} near "
+            f"{against[0].position_m:.2f} m"
         )
     tone_law = force_law if force_law is not None and force_law.form.is_tone else None
     return UnmeasuredForce(
         sentence=_sentence(force_law, size, timing, place_text),
         kind=candidate.kind,
-        body=force_station.body,
-        position_m=force_station.position_m,
+        body=place.body,
+        position_m=place.position_m,
         position_error_m=located_force.position_error_m,
-        against_body=counter_stations[0].body if counter_stations else None,
-        against_position_m=counter_stations[0].position_m if counter_stations else None,
+        against_body=against[0].body if against else None,
+        against_position_m=against[0].position_m if against else None,
         same_place=force_fit.same_place,
         frequency_hz=tone_law.parameter_value if tone_law else None,
         band_hz=size.band_hz,
@@ -245,19 +245,20 @@ def _amplitude_n(tone: ForceLaw) -> float:
     return math.hypot(*tone.coefficients)
 
 
-def _sentence(force_law: ForceLaw | None, force_size: _Size, timing: _Timing, place_text: str) -> str:
+def _sentence(force_law: ForceLaw | None, size: _Size, timing: _Timing, place_text: str) -> str:
     """Phrase such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
     if force_law is None:
-        low_hz, high_hz = force_size.band_hz
+        low, high = size.band_hz
         timing_text = {
             "always": "",
             "in contact": ", while contacts are closed",
             "growing with time": ", growing with time",
         }
-        force_noun = (
-            "a random force" if timing.rms_before_excitation > RANDOM_RATIO else "a force by no law that was tried,"
+        noun = "a random force" if timing.rms_before_excitation > RANDOM_RATIO else "a force by no law that was tried,"
+        return (
+            f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms_value:.2g} N rms, "
+            f"{place_text}{timing_text[timing.pattern]}"
         )
-        return f"{force_noun} from {low_hz:.3g} to {high_hz:.3g} Hz, {force_size.rms_value:.2g} N rms, {place_text}{timing_text[timing.pattern]}"
     if force_law.form.is_tone:
         return f"a force at {force_law.parameter_value:.1f} Hz, {_amplitude_n(force_law):.2g} N, {place_text}"
     return f"{force_law.form.phrase_template.format(where=place_text)}, {force_law.formula}"

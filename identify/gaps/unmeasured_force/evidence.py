@@ -94,10 +94,10 @@ def evidence_with_force(
     cleared_residual: Complex[np.ndarray, "lines rows"] | None = None,
     spectrum_shape: Float[np.ndarray, " bands"] | None = None,
 ) -> ForceEvidence:
-    """Evidence with a force to which the residual responds by g = `response`; theta, s and S start from `start_evidence`.
+    """Evidence with a force to which the residual responds by g = `response`; it starts from `start_evidence`.
 
-    `cleared_residual` is r - D theta at the theta of `start_evidence`, which then stays fixed: fast, for screening. `spectrum_shape` is a
-    spectrum S up to a factor; without one S is free in every band.
+    `cleared_residual` is r - D theta at the theta of `start_evidence`, which then stays fixed: fast, for screening.
+    `spectrum_shape` is a spectrum S up to a factor; without one S is free in every band.
     """
     nuisance_held, reals_per_line, to_lines = (
         cleared_residual is not None,

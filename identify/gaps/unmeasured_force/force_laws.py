@@ -57,8 +57,8 @@ class ForceLaw:
     """Form with fitted values: the force on the body is minus the sum of coefficients times shapes.
 
     coefficient_errors are standard errors. gain_share is the law's gain in -2 ln L over that of the free force.
-    mean_displacement_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its frequency
-    as parameter_value.
+    mean_displacement_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its
+    frequency as parameter_value.
     """
 
     form: LawForm

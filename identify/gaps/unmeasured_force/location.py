@@ -47,8 +47,8 @@ class ForcePlace:
 class LocatedForce:
     """Candidate fitted to a record; criterion_decrease is that of J against the record without a force.
 
-    position_error_m is the standard error by the curvature of J. residual_per_force is g. modulus_growth is the relative
-    change of the modulus of each body over the record, with its standard errors.
+    position_error_m is the standard error by the curvature of J. residual_per_force is g. modulus_growth is the
+    relative change of the modulus of each body over the record, with its standard errors.
     """
 
     force_place: ForcePlace

@@ -27,7 +27,7 @@ class ForceHistory:
     """Located force and the motion at its place over time, and the normal equations for forces in its direction.
 
     displacement_m and velocity_m_per_s are oversampled along the whole transform, of a pair relative. force_n is the
-    free force: the likeliest one without a law (a Wiener filter). line_weights are n over the variance of each line of the
+    free force: the likeliest one without a law (a Wiener filter). line_weights are n over the variance at a line of the
     projected residual u^H r; projected_columns are u^H D, and normal_matrix and right_side the normal equations of the
     nuisance parameters at these weights, without a force.
     """

@@ -52,7 +52,7 @@ def test_effects_by_differences(believed):
             continue
         neutral = np.append(candidate.neutral_strength, candidate.typical_values[1:])
         changed_rig = candidate.applied(
-            RIG, neutral + np.append(1e-3 * candidate.derivative_steps[0], np.zeros(neutral.size - 1))
+            RIG, neutral + np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))
         )
         changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns)
         linear, contacts = derivative(linearization, changed_rig, residual)
