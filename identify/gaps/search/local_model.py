@@ -100,7 +100,7 @@ class LocalModel:
     contact_gradients: Float[np.ndarray, "contacts columns"]
     contact_levels: Float[np.ndarray, " contacts"]
     input_matrix: Float[np.ndarray, "columns columns"]
-    input_gradient: Float[np.ndarray, " columns"]
+    input_slope: Float[np.ndarray, " columns"]
     pulls: Float[np.ndarray, " tolerances"]
     theta_min: Theta
     theta_max: Theta
@@ -121,7 +121,7 @@ class LocalModel:
         """Statistic S, up to a constant of the record."""
         cells, contacts = self.levels(theta)
         residual_cost = self.samples_per_cell * np.sum(np.log1p(cells)) + self.all_samples * np.sum(np.log1p(contacts))
-        input_cost = theta @ self.input_matrix @ theta - 2 * self.input_gradient @ theta
+        input_cost = theta @ self.input_matrix @ theta - 2 * self.input_slope @ theta
         return float(residual_cost + np.sum((self.pulls + theta[: self.pulls.size]) ** 2) + input_cost)
 
     def normal_equations(
@@ -135,7 +135,7 @@ class LocalModel:
         weighted *= row_weights
         normal = (weighted @ weighted.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
         right_side = (weighted @ (self.residual_spectrum * row_weights)).astype(float)
-        right_side += self.input_gradient[columns]
+        right_side += self.input_slope[columns]
         for contact_weight, contact_matrix, contact_gradient in zip(
             self.all_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
@@ -299,8 +299,7 @@ def _model_of(
         contact_gradients=np.array(gradients).reshape(len(gradients), size),
         contact_levels=np.array(contact_levels),
         input_matrix=(inputs @ inputs.T).astype(float) / ratio,
-        input_gradient=(inputs @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float)
-        / ratio,
+        input_slope=(inputs @ residual.linear_residual[sensor_count:].ravel().astype(np.float32)).astype(float) / ratio,
         pulls=pulls,
         theta_min=low,
         theta_max=high,

@@ -125,7 +125,7 @@ def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
     for quantity in NOISE:
         nothing = fitted(record_of(decay(quantity, 3.0)))
         assert not nothing.is_incomplete
-        assert nothing.misfit.share < 5e-3
+        assert nothing.misfit.motion_share < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     nothing = fitted(record)
     assert record.has_force
     assert not nothing.is_incomplete
-    assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
+    assert nothing.misfit.motion_share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
 @pytest.mark.study
@@ -161,7 +161,7 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     errors = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
     assert np.all(errors < [0.01, 0.02])
-    assert before.misfit.share > 0.3
+    assert before.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 
@@ -171,7 +171,7 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
     error = np.sqrt(found.covariance[0, 0])
     assert abs(found.values[0] - 1.26**2) < 3 * error
     assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
-    assert before.misfit.share > 0.3
+    assert before.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 

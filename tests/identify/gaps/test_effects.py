@@ -59,7 +59,7 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
     linearization = linearized(record, actual)
     at = residual_of(linearization, actual)
     step = np.zeros(truth.size)
-    step[0] = 0.1 * candidate.steps[0]
+    step[0] = 0.1 * candidate.step_sizes[0]
     column = stacked(*derivative(linearization, candidate.applied(RIG, truth + step), at))
     there = residual_of(
         linearization, candidate.applied(RIG, truth - step), at.nuisance_pulls, tuple(c.unknowns for c in at.contacts)

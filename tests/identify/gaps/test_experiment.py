@@ -58,7 +58,7 @@ def cause(believed):
 def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
     record, force_n = believed
     options = list(experiments(record, force_n))
-    start = round(record.excited_s * record.sample_rate_hz)
+    start = round(record.excitation_start_s * record.sample_rate_hz)
     rms_n = np.std(options[0].forces_n[:, start:])
     assert options[0].instruction == SAME_EXPERIMENT
     assert len({option.instruction for option in options}) == len(options)

@@ -49,17 +49,17 @@ def model(pair):
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
     left = misfit(pair.linearization.record, pair.nominal_variances, pair.residual)
-    cells, contacts = model.levels(np.zeros(len(model.spectra)))
+    cells, contacts = model.levels(np.zeros(len(model.column_spectra)))
     near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
     assert near.mean() > 0.9
     assert contacts == pytest.approx(left.contact_levels, rel=1e-2)
 
 
 def test_majorisation_never_raises_the_statistic(model):
-    solution = model.solved([])
-    assert solution.statistic <= model.statistic(np.zeros(len(model.spectra)))
-    for term in model.terms[::20]:
-        assert model.solved([term], solution.theta).statistic <= solution.statistic + 1e-6
+    solution = model.minimum([])
+    assert solution.statistic <= model.statistic(np.zeros(len(model.column_spectra)))
+    for term in model.candidate_terms[::20]:
+        assert model.minimum([term], solution.theta).statistic <= solution.statistic + 1e-6
 
 
 def test_an_effect_that_dominates_is_selected_alone(pair, model):

@@ -29,7 +29,7 @@ def record(tmp_path_factory):
 
 def test_each_column_is_the_free_motion_of_a_mode(record):
     model = linearized(record, record.rig).model
-    assert record.time_s[0] == pytest.approx(RELEASE_S, abs=0.01)
+    assert record.residual_times_s[0] == pytest.approx(RELEASE_S, abs=0.01)
     assert len(model.free_modes) > 5
     for motion in model.free_modes:
         dynamics = model.responses[motion.body_index].dynamics

@@ -170,7 +170,7 @@ def test_the_place_has_an_honest_error(world):
 
 def test_the_noise_of_the_force_channel_is_heard(world):
     record = world.record()
-    described = record.samples * 5e-4**2 * record.sample_rate_hz / 2
+    described = record.sample_count * 5e-4**2 * record.sample_rate_hz / 2
     assert force_noise_variance(record) == pytest.approx(described, rel=0.3)
 
 
