@@ -173,7 +173,7 @@ class Misfit:
 
     @property
     def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
-        """Square of `share` for each second; negative where a second is quieter than the noise."""
+        """Square of `motion_share` for each second; negative where a second is quieter than the noise."""
         motion_power = max(
             float(self.nominal_variances.line_counts @ self.nominal_variances.acceleration_power.sum(axis=1)), 1e-300
         )

@@ -197,7 +197,7 @@ def _oversampling_factor(record: Record) -> int:
 
 
 def _velocities(record: Record, displacements: Motions) -> Motions:
-    """Windowed velocities at the sensors: derivatives of windowed displacements, corrected by `Record.faded`."""
+    """Windowed velocities at the sensors: derivatives of windowed displacements, corrected by `velocity_correction`."""
     return 1j * record.omega * displacements + record.velocity_correction
 
 

@@ -35,7 +35,7 @@ class UnmeasuredForceFit:
 
     @property
     def free_directions(self) -> int:
-        """Count of the residual's directions, of `held.whitened.rows`, that are free to follow the force."""
+        """Count of the residual's directions, of all rows at the fit place, that are free to follow the force."""
         return 0 if self.on_fit.force_place.kind == "distributed" else 1
 
     def sensor_signals(self) -> Complex[np.ndarray, "sensors alllines"]:

@@ -19,7 +19,7 @@ CREEP = 0.01
 
 
 @dataclass(frozen=True)
-class LawForm:
+class ForceLawForm:
     """Form of a law: the force against the motion is the sum of coefficients times shapes.
 
     `parameter_name` is that of the one nonlinear parameter of the shapes, unit_forces ("" if there is none).
@@ -61,7 +61,7 @@ class ForceLaw:
     frequency as parameter_value.
     """
 
-    form: LawForm
+    form: ForceLawForm
     coefficients: tuple[float, ...]
     coefficient_errors: tuple[float, ...]
     parameter_value: float
@@ -111,8 +111,8 @@ def creep_m_per_s(velocity_m_per_s: Series) -> float:
     return CREEP * float(np.std(velocity_m_per_s)) + 1e-300
 
 
-LAW_FORMS: tuple[LawForm, ...] = (
-    LawForm(
+LAW_FORMS: tuple[ForceLawForm, ...] = (
+    ForceLawForm(
         "Coulomb friction",
         "friction {where}",
         "velocity",
@@ -120,7 +120,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         ("N",),
         lambda _, v, __: [np.tanh(v / creep_m_per_s(v))],
     ),
-    LawForm(
+    ForceLawForm(
         "viscous damping",
         "a force {where} that grows with the velocity",
         "velocity",
@@ -128,7 +128,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         ("N s/m",),
         lambda _, v, __: [v],
     ),
-    LawForm(
+    ForceLawForm(
         "quadratic drag",
         "a force {where} that grows with the square of the velocity",
         "velocity squared",
@@ -136,7 +136,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         ("N s^2/m^2",),
         lambda _, v, __: [np.abs(v) * v],
     ),
-    LawForm(
+    ForceLawForm(
         "cubic damping",
         "a force {where} that grows with the cube of the velocity",
         "velocity",
@@ -144,8 +144,8 @@ LAW_FORMS: tuple[LawForm, ...] = (
         ("N s^3/m^3",),
         lambda _, v, __: [v**3],
     ),
-    LawForm("linear spring", "a spring {where}", "displacement", "{0} w", ("N/m",), lambda w, _, __: [w]),
-    LawForm(
+    ForceLawForm("linear spring", "a spring {where}", "displacement", "{0} w", ("N/m",), lambda w, _, __: [w]),
+    ForceLawForm(
         "power of the velocity",
         "a force {where} that grows with a power of the velocity",
         "velocity",
@@ -156,7 +156,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         "1",
         (0.2, 4.0),
     ),
-    LawForm(
+    ForceLawForm(
         "cubic spring",
         "a spring {where} whose stiffness changes with the displacement",
         "displacement",
@@ -165,7 +165,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         lambda w, _, __: [w, w**3],
         needs_slow_motion=True,
     ),
-    LawForm(
+    ForceLawForm(
         "softening spring",
         "a softening spring {where}",
         "displacement",
@@ -177,7 +177,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         (0.01, 1.5),
         needs_slow_motion=True,
     ),
-    LawForm(
+    ForceLawForm(
         "stop",
         "a stop {where}",
         "clearance",
@@ -189,7 +189,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
         (0.02, 0.95),
         needs_slow_motion=True,
     ),
-    LawForm(
+    ForceLawForm(
         "stop on one side",
         "a stop on one side {where}",
         "clearance",
@@ -204,7 +204,7 @@ LAW_FORMS: tuple[LawForm, ...] = (
 )
 
 
-def tone_form(history: ForceHistory) -> LawForm:
+def tone_form(history: ForceHistory) -> ForceLawForm:
     """Form of a harmonic force of time, with its frequency f (Hz) as the parameter."""
 
     def shapes(_: Series, __: Series, frequency_hz: float) -> list[Series]:
@@ -212,4 +212,4 @@ def tone_form(history: ForceHistory) -> LawForm:
         return [np.cos(phase_rad), np.sin(phase_rad)]
 
     formula_template = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
-    return LawForm(TONE, "", "time", formula_template, ("N", "N"), shapes, "f", "Hz")
+    return ForceLawForm(TONE, "", "time", formula_template, ("N", "N"), shapes, "f", "Hz")

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, LawForm, Series, tone_form
+from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, ForceLawForm, Series, tone_form
 from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, with_law_error
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
@@ -74,7 +74,9 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
     return fit_form(history, tone, (best_hz - step_hz / 2, best_hz + step_hz / 2))
 
 
-def fit_form(history: ForceHistory, law_form: LawForm, parameter_bounds: tuple[float, float] | None = None) -> ForceLaw:
+def fit_form(
+    history: ForceHistory, law_form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
+) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain."""
     lower_bound, upper_bound = parameter_bounds or law_form.parameter_range
@@ -108,7 +110,7 @@ def fit_form(history: ForceHistory, law_form: LawForm, parameter_bounds: tuple[f
 
 
 def solve_form(
-    history: ForceHistory, law_form: LawForm, parameter: float
+    history: ForceHistory, law_form: ForceLawForm, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body at a parameter, their gain in -2 ln L, and their standard errors."""
     return _solve_unit_forces(
@@ -138,7 +140,7 @@ def _scaled_inverse(
     return np.linalg.pinv(matrix / np.outer(root_diagonal, root_diagonal), rcond=1e-10, hermitian=True), root_diagonal
 
 
-def _start_descent(history: ForceHistory, law_form: LawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
+def _start_descent(history: ForceHistory, law_form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at the first two `LAW_ERRORS`."""
     soft_history = with_law_error(history, LAW_ERRORS[0])
     largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
@@ -196,7 +198,7 @@ class Descent:
     """
 
     history: ForceHistory
-    law_form: LawForm
+    law_form: ForceLawForm
     displacement_step_m: float
     parameter_range: tuple[float, float]
     knot_precision: Float[np.ndarray, "knots knots"]
@@ -305,7 +307,7 @@ class Descent:
 
 
 def _descent_of_form(
-    history: ForceHistory, law_form: LawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
+    history: ForceHistory, law_form: ForceLawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
 ) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
     knot_count = history.slow_basis.shape[1]
