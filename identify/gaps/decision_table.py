@@ -83,8 +83,8 @@ class Strength(msgspec.Struct, frozen=True):
 
     @property
     def is_named(self) -> bool:
-        low, high = self.interval_95
-        return self.inclusion_probability >= NAMED_PROBABILITY and not low <= self.neutral <= high
+        lower_end, upper_end = self.interval_95
+        return self.inclusion_probability >= NAMED_PROBABILITY and not lower_end <= self.neutral <= upper_end
 
 
 class Evidence(msgspec.Struct, frozen=True, kw_only=True):
@@ -123,7 +123,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def named(self) -> tuple[str, ...]:
         """Criterion N: effects that may be named."""
-        return tuple(s.effect for s in self.strengths if s.is_named)
+        return tuple(strength.effect for strength in self.strengths if strength.is_named)
 
     @property
     def enough(self) -> bool:

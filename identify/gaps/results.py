@@ -59,17 +59,19 @@ class Cause(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def named(self) -> tuple[str, ...]:
         """Words of the effects that may be named."""
-        return tuple(w for w, strength in zip(self.words, self.strengths, strict=True) if strength.is_named)
+        return tuple(
+            effect_words for effect_words, strength in zip(self.words, self.strengths, strict=True) if strength.is_named
+        )
 
 
 def labels_of(effects: Iterable[str]) -> tuple[str, ...]:
     """Unique names of effects: "added_mass", "added_mass_2"."""
-    counts = Counter[str]()
-    labels = []
+    effect_counts = Counter[str]()
+    effect_labels = []
     for effect in effects:
-        counts[effect] += 1
-        labels.append(effect if counts[effect] == 1 else f"{effect}_{counts[effect]}")
-    return tuple(labels)
+        effect_counts[effect] += 1
+        effect_labels.append(effect if effect_counts[effect] == 1 else f"{effect}_{effect_counts[effect]}")
+    return tuple(effect_labels)
 
 
 class Criteria(msgspec.Struct, frozen=True):

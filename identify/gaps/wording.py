@@ -85,7 +85,7 @@ def bound_words(bound: Bounded) -> str:
         return f"the {bound.name}, of which {percent(bound.value)} are unexplained"
     if bound.unit == "1":
         return f"the {bound.name}, of which {percent(bound.value)} and at most {percent(bound.upper)} are unexplained"
-    value, upper, limit = (number(size, 3) for size in (bound.value, bound.upper, bound.threshold))
+    value, upper, limit = (number(quantity_size, 3) for quantity_size in (bound.value, bound.upper, bound.threshold))
     unit = bound.unit
     return f"the {bound.name}, {value} and at most {upper} {unit} off, where {limit} {unit} are three tolerances"
 
@@ -97,16 +97,16 @@ def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
     effect_words = {s.effect: w for c in reversed(gap.causes) for s, w in zip(c.strengths, c.words, strict=True)}
     likeliest = gap.causes[0]
     return [
-        (words, [effect_words.get(name) or _label_words(name) for name in strength.instead])
-        for words, strength in zip(likeliest.words, likeliest.strengths, strict=True)
+        (effect_phrases, [effect_words.get(look_alike) or _label_words(look_alike) for look_alike in strength.instead])
+        for effect_phrases, strength in zip(likeliest.words, likeliest.strengths, strict=True)
         if strength.is_named and strength.instead
     ]
 
 
 def _label_words(label: str) -> str:
     """Label of an effect in words: "added mass of the barrel" of added_mass:barrel."""
-    kind, _, place = label.partition(":")
-    return kind.replace("_", " ") + (f" of the {place}" if place not in ("", "all") else "")
+    effect_name, _, place_name = label.partition(":")
+    return effect_name.replace("_", " ") + (f" of the {place_name}" if place_name not in ("", "all") else "")
 
 
 def interval(estimate: Value) -> str:
@@ -116,16 +116,16 @@ def interval(estimate: Value) -> str:
     """
     if estimate.instead:
         return estimate.instead
-    words = wording.interval(estimate.value, estimate.standard_error, estimate.unit)
-    return f"{words} (at the limit of its range)" if estimate.at_limit else words
+    interval_words = wording.interval(estimate.value, estimate.standard_error, estimate.unit)
+    return f"{interval_words} (at the limit of its range)" if estimate.at_limit else interval_words
 
 
 def cause_name(cause: Cause) -> str:
     """Effects of a cause with the places at which they act: "added_mass (barrel) + preload"."""
     labelled_effects = []
     for effect, label in zip(cause.effects, cause.labels, strict=True):
-        places = [place for field, place in cause.places.items() if field.split(".")[0] == label]
-        labelled_effects.append(f"{effect} ({', '.join(places)})" if places else effect)
+        place_names = [place for place_key, place in cause.places.items() if place_key.split(".")[0] == label]
+        labelled_effects.append(f"{effect} ({', '.join(place_names)})" if place_names else effect)
     return " + ".join(labelled_effects)
 
 
@@ -133,8 +133,8 @@ def removed_share_words(cause: Cause) -> str:
     """Removed share of the mismatch with its 95 % interval: "97.0 % (95.1 to 98.2 %)"; "nothing" if negligible."""
     if not is_effective(cause) and cause.explained < DESCRIPTION_EXPLAINED:
         return "nothing"
-    low, high = (percent(share).removesuffix(" %") for share in cause.interval_95)
-    return f"{percent(cause.explained)} ({low} to {high} %)"
+    lower_words, upper_words = (percent(share).removesuffix(" %") for share in cause.interval_95)
+    return f"{percent(cause.explained)} ({lower_words} to {upper_words} %)"
 
 
 def is_effective(cause: Cause) -> bool:
@@ -144,10 +144,10 @@ def is_effective(cause: Cause) -> bool:
 
 def unexplained_words(unexplained: UnexplainedShares) -> str:
     """Unexplained shares: "0.3 % of the motion, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
-    shares = [f"{percent(unexplained.share)} of the motion"]
-    for i, (name, share) in enumerate((n, s) for n, s in unexplained.contact_shares.items() if s > 0):
-        shares.append(f"{percent(share)} of {'that' if i else 'the force'} of {name}")
-    return joined(shares)
+    share_words = [f"{percent(unexplained.share)} of the motion"]
+    for contact_number, (name, share) in enumerate((n, s) for n, s in unexplained.contact_shares.items() if s > 0):
+        share_words.append(f"{percent(share)} of {'that' if contact_number else 'the force'} of {name}")
+    return joined(share_words)
 
 
 def joined(words: Sequence[str], conjunction: str = "and") -> str:
@@ -160,8 +160,14 @@ def between_records(between: RecordDifferences) -> str:
     """Sentence on what differs between the records."""
     if not between.differing:
         return "Nothing differs between the records beyond what tolerances and noise explain."
-    sentence = f"Between the records, {joined([difference_words(comparison) for comparison in between.differing])}."
-    return f"{level_words(between.level_dependence)} {sentence}" if between.level_dependence else sentence
+    differences_sentence = (
+        f"Between the records, {joined([difference_words(comparison) for comparison in between.differing])}."
+    )
+    return (
+        f"{level_words(between.level_dependence)} {differences_sentence}"
+        if between.level_dependence
+        else differences_sentence
+    )
 
 
 def level_words(change: LevelDependence) -> str:
@@ -183,10 +189,10 @@ def level_words(change: LevelDependence) -> str:
 
 def difference_words(comparison: ParameterByRecord) -> str:
     """Trend of a parameter: "contact_clearance.factor (contact_2) grows (1.006, 1.006, 1.087)"."""
-    values = ", ".join(number(v.value) for v in comparison.values)
-    unit = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
-    place = f" ({comparison.place})" if comparison.place else ""
-    return f"{comparison.parameter}{place} {comparison.trend} ({values}{unit})"
+    value_words = ", ".join(number(v.value) for v in comparison.values)
+    unit_words = "" if comparison.values[0].unit == "1" else f" {comparison.values[0].unit}"
+    place_words = f" ({comparison.place})" if comparison.place else ""
+    return f"{comparison.parameter}{place_words} {comparison.trend} ({value_words}{unit_words})"
 
 
 def not_computed(gap: Gap) -> list[str]:

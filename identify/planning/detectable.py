@@ -86,8 +86,8 @@ def detectable_effects(
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
         scale = scale_of(record, record.rig)
-        fits = {fit.contact: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
-        library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.forced)
+        fits = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
+        library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.has_force)
         steady = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         nominal = Search(variances, linearization, residual, tuple(steady)).nominal_fit().hypothesis
         model = local_model(linearization, residual, variances, record.rig, nominal, steady)
@@ -98,8 +98,8 @@ def detectable_effects(
 def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstimate], tolerances: Tolerances) -> float:
     """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
     zero of any other effect, and of a contact that is not determined."""
-    values = candidate.default.copy()
-    values[0] = candidate.neutral + candidate.steps[0]
+    values = candidate.typical_values.copy()
+    values[0] = candidate.neutral_strength + candidate.step_sizes[0]
     changed = candidate.applied(rig, values)
     if replace(changed, contacts=rig.contacts) != rig:
         return 0.0
@@ -110,7 +110,7 @@ def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstima
         fit = fits.get(contact.name)
         if fit is None or not numbers_alone_differ(after.law, contact.law):
             return 0.0
-        distance = fit.quantities @ (law_numbers(after.law) - law_numbers(contact.law))
+        distance = fit.quantity_weights @ (law_numbers(after.law) - law_numbers(contact.law))
         covariance = law_distance(fit, contact, contact, tolerances).covariance
         information += float(distance @ np.linalg.solve(covariance, distance))
     return information
@@ -121,8 +121,8 @@ def _detectable(
 ) -> tuple[DetectableEffect, ...]:
     """Sizes by candidate, from the information of each of its terms, which grows with the record's length, and of the
     contact fit."""
-    terms = [term for term in model.terms if len(term.columns) == 1]
-    columns = np.array([term.columns[0] for term in terms], dtype=int)
+    terms = [term for term in model.candidate_terms if len(term.column_indices) == 1]
+    columns = np.array([term.column_indices[0] for term in terms], dtype=int)
     information, is_hidden = _information(model, columns)
     information_by_term = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
     scale = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
@@ -158,7 +158,7 @@ def _information(
     model: LocalModel, columns: Int[np.ndarray, " terms"]
 ) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
-    normal, _ = model.normal(np.zeros(len(model.spectra)), np.arange(len(model.spectra)))
+    normal, _ = model.normal_equations(np.zeros(len(model.column_spectra)), np.arange(len(model.column_spectra)))
     base = model.base_columns
     response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[np.ix_(base, columns)])
     full = normal[np.ix_(columns, columns)]
@@ -178,9 +178,9 @@ def _named_step(information: float, by_contacts: float, log_odds: float) -> floa
 
 def _size(term: CandidateTerm, step: float) -> float:
     """Size of a strength; infinite beyond the effect's range."""
-    if step > max(-float(term.low[0]), float(term.high[0])):
+    if step > max(-float(term.theta_min[0]), float(term.theta_max[0])):
         return np.inf
-    return step * abs(float(term.candidate.steps[term.strengths[0]]))
+    return step * abs(float(term.candidate.step_sizes[term.strength_indices[0]]))
 
 
 def _finite(size: float) -> float | None:

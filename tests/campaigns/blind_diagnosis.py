@@ -202,7 +202,7 @@ def without_curves(gap: Gap) -> Gap:
 
 
 def _null_key(recording: Recording, tolerances: Tolerances) -> str:
-    counted = TOOL.record_of(recording, tolerances=tolerances).counted
+    counted = TOOL.record_of(recording, tolerances=tolerances).counted_part
     return null_key(recording, counted, tolerances, SIMULATOR.name)
 
 

@@ -157,7 +157,7 @@ def after_two(asked: ToAsk) -> Second:
     record, force_n = _recorded(asked, None)
     true, other = (_fitted(record, name) for name in (asked.pair.true, asked.pair.other))
     computed = next_experiments(record, force_n, (true, other), modal)
-    offered = {e.words: e for e in experiments(record, force_n)}
+    offered = {e.instruction: e for e in experiments(record, force_n)}
 
     def probability(words: str) -> float:
         again, _ = _recorded(asked, offered[words])
@@ -190,7 +190,7 @@ def _recorded(asked: ToAsk, experiment: Experiment | None) -> tuple[Record, Floa
             machine, Gaussian(rms_n=LEVEL_N, begins_s=QUIET_S), round(DURATION_S * rate), rate, 100 + asked.seed
         )
         return _record(rig, made.force_n, made.delivered)
-    known, (force_n,) = experiment.modify_rig(rig), experiment.forces_n
+    known, (force_n,) = experiment.rig_change(rig), experiment.forces_n
     excitation = Gaussian(
         rms_n=float(np.std(force_n[round(QUIET_S * rate) :])), begins_s=QUIET_S, band_hz=force_band(force_n, rate)
     )
@@ -247,7 +247,9 @@ def _fitted(record: Record, name: str) -> Hypothesis:
     if not parts:
         raise RigError(f"no candidate is named {name!r}; there are {', '.join(c.name for c in known)}")
     linearization, at = begun[0].linearization, begun[0].residual
-    offered = [s.values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))]
+    offered = [
+        s.start_values for s in (*score_screening(linearization, at, parts), *grid_screening(linearization, parts))
+    ]
     tried = (_best(begun, fields(nothing, candidates=tuple(parts), values=values)) for values in offered)
     return min(tried, key=lambda one: one.misfit.minus_two_log)
 

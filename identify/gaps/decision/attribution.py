@@ -24,41 +24,50 @@ MAP_CELLS = 12
 def attribution(linearization: Linearization, residual: Residual, nominal_misfit: Misfit) -> Attribution:
     """Shares of the sum of squares of the residual in its nominal variances, less noise and tolerated model error."""
     record = linearization.record
-    excess = np.maximum(nominal_misfit.levels - 1, 0.0)
-    channels = _normalized(dict(zip([s.name for s in record.sensors], excess.sum(axis=0), strict=True)))
-    linear = np.sum(residual.linear**2, axis=0)
-    contacts = [
-        c.residual[: s.weights.size] ** 2 for c, s in zip(residual.contacts, linearization.observations, strict=True)
+    excess_levels = np.maximum(nominal_misfit.levels - 1, 0.0)
+    share_by_channel = _shares_of_sum(
+        dict(zip([observation.name for observation in record.sensors], excess_levels.sum(axis=0), strict=True))
+    )
+    linear_squares = np.sum(residual.linear_residual**2, axis=0)
+    contact_squares = [
+        contact_fit.residual[: observation.weights.size] ** 2
+        for contact_fit, observation in zip(residual.contacts, linearization.observations, strict=True)
     ]
-    total = linear + np.sum(contacts, axis=0)
-    linear_share = float(linear.sum() / max(total.sum(), 1e-300))
+    total_squares = linear_squares + np.sum(contact_squares, axis=0)
+    linear_share = float(linear_squares.sum() / max(total_squares.sum(), 1e-300))
     residual_shares = {"linear": linear_share}
-    for contact, squares in zip(linearization.model.rig.contacts, contacts, strict=True):
-        residual_shares[contact.name] = float(squares.sum() / max(total.sum(), 1e-300))
-    positions: dict[str, dict[float, float]] = {}
+    for contact, squares_of_contact in zip(linearization.model.rig.contacts, contact_squares, strict=True):
+        residual_shares[contact.name] = float(squares_of_contact.sum() / max(total_squares.sum(), 1e-300))
+    shares_by_station: dict[str, dict[float, float]] = {}
     for sensor in record.sensors:
-        shares_by_position = positions.setdefault(sensor.station.body, {})
+        shares_by_position = shares_by_station.setdefault(sensor.station.body, {})
         position_m = sensor.station.position_m
-        shares_by_position[position_m] = shares_by_position.get(position_m, 0.0) + channels[sensor.name]
+        shares_by_position[position_m] = shares_by_position.get(position_m, 0.0) + share_by_channel[sensor.name]
     return Attribution(
-        channels=channels,
+        channels=share_by_channel,
         parts=residual_shares,
         modal_equations=_modal_equation_shares(record, residual),
-        positions_m=positions,
-        band_hz=_band_shares(excess.sum(axis=1)),
-        contact_state=_contact_state_shares(linearization, total),
+        positions_m=shares_by_station,
+        band_hz=_band_shares(excess_levels.sum(axis=1)),
+        contact_state=_contact_state_shares(linearization, total_squares),
         time_s=tuple(
-            Share(float(t[0]), float(t[-1]), float(interval_squares.sum() / max(total.sum(), 1e-300)))
-            for t, interval_squares in zip(
-                np.array_split(record.time_s, TIME_INTERVALS), np.array_split(total, TIME_INTERVALS), strict=True
+            Share(
+                float(interval_times_s[0]),
+                float(interval_times_s[-1]),
+                float(interval_squares.sum() / max(total_squares.sum(), 1e-300)),
+            )
+            for interval_times_s, interval_squares in zip(
+                np.array_split(record.residual_times_s, TIME_INTERVALS),
+                np.array_split(total_squares, TIME_INTERVALS),
+                strict=True,
             )
         ),
         surface={
             contact.name: _residual_map(
-                signals.eta_m[:: signals.factor], signals.rate_m_per_s[:: signals.factor], squares
+                signals.eta_m[:: signals.decimation], signals.eta_rate_m_per_s[:: signals.decimation], squares
             )
             for contact, signals, squares in zip(
-                linearization.model.rig.contacts, residual.signals, contacts, strict=True
+                linearization.model.rig.contacts, residual.signals, contact_squares, strict=True
             )
         }
         or _mass_force_maps(record, residual),
@@ -67,78 +76,107 @@ def attribution(linearization: Linearization, residual: Residual, nominal_misfit
 
 def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMap]:
     """Squared force (N^2) that the linear model lacks, over displacement and velocity of each single mass."""
-    maps = {}
+    map_by_mass = {}
     for response in residual.model.responses:
-        for i, sensor in enumerate(record.sensors):
+        for sensor_index, sensor in enumerate(record.sensors):
             if response.body.is_mass and sensor.station.body == response.body.name:
-                missing_force_n = residual.model.residual[i] * residual.model.deviation[i] / response.accelerance[0]
-                eta, rate, force = record.in_time(
-                    np.stack([record.displaced[i], 1j * record.omega * record.displaced[i], missing_force_n])
+                missing_force_n = (
+                    residual.model.residual[sensor_index]
+                    * residual.model.error_deviation[sensor_index]
+                    / response.accelerance[0]
                 )
-                maps[response.body.name] = _residual_map(eta, rate, force**2)
-    return maps
+                displacement_m, velocity_m_per_s, force_n = record.in_time(
+                    np.stack(
+                        [
+                            record.displacement_signals[sensor_index],
+                            1j * record.omega * record.displacement_signals[sensor_index],
+                            missing_force_n,
+                        ]
+                    )
+                )
+                map_by_mass[response.body.name] = _residual_map(displacement_m, velocity_m_per_s, force_n**2)
+    return map_by_mass
 
 
-def _normalized(weights: dict[str, float]) -> dict[str, float]:
+def _shares_of_sum(weight_by_name: dict[str, float]) -> dict[str, float]:
     """Weights divided by their sum; zeros where that is zero."""
-    total = sum(weights.values())
-    return {name: float(weight / total) if total > 0 else 0.0 for name, weight in weights.items()}
+    weight_sum = sum(weight_by_name.values())
+    return {name: float(weight / weight_sum) if weight_sum > 0 else 0.0 for name, weight in weight_by_name.items()}
 
 
 def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, float]:
     """Shares by modal equation: mean squares of the residual modal accelerations over their error variances."""
-    deviations = np.sqrt(np.mean(residual.model.deviation**2, axis=1))
+    sensor_deviations = np.sqrt(np.mean(residual.model.error_deviation**2, axis=1))
     variance_ratios = {}
     for response in residual.model.responses:
-        rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
-        modes = min(len(rows), response.count)
-        if not modes:
+        body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        mode_count = min(len(body_sensors), response.count)
+        if not mode_count:
             continue
-        shapes = response.shapes([record.sensors[i].station for i in rows])[:, :modes]
-        inverse = np.linalg.pinv(shapes)
-        mean_squares = np.mean((inverse @ (residual.linear[rows] * deviations[rows, None])) ** 2, axis=1)
-        error_variances = np.sum((inverse * deviations[rows]) ** 2, axis=1)
-        for m in range(modes):
-            name = response.body.name if response.body.is_mass else f"{response.body.name} {m + 1}"
-            variance_ratios[name] = float(mean_squares[m] / error_variances[m])
-    return _normalized(variance_ratios)
-
-
-def _band_shares(excess: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
-    """Shares in `BANDS_HZ` of the excess in 2 Hz bands."""
-    centre_hz = 2.0 * np.arange(excess.size) + 1.0
-    total = max(float(excess.sum()), 1e-300)
-    shares = []
-    for low_hz, high_hz in pairwise(BANDS_HZ):
-        in_band = (centre_hz >= low_hz) & (centre_hz < high_hz)
-        if np.any(in_band):
-            shares.append(Share(low_hz, min(high_hz, 2.0 * excess.size), float(excess[in_band].sum() / total)))
-    return tuple(shares)
-
-
-def _contact_state_shares(linearization: Linearization, total: Float[np.ndarray, " times"]) -> dict[str, float]:
-    """Shares by the set of closed contacts."""
-    squares: dict[str, float] = {}
-    closed = [observation.closed > 0 for observation in linearization.observations]
-    names = [c.name for c in linearization.model.rig.contacts]
-    for code in range(2 ** len(names)):
-        state = [bool(code >> j & 1) for j in range(len(names))]
-        in_state = (
-            np.all([c == is_closed for c, is_closed in zip(closed, state, strict=True)], axis=0)
-            if names
-            else np.ones(total.size, bool)
+        shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :mode_count]
+        inverse_shapes = np.linalg.pinv(shapes)
+        mean_squares = np.mean(
+            (inverse_shapes @ (residual.linear_residual[body_sensors] * sensor_deviations[body_sensors, None])) ** 2,
+            axis=1,
         )
-        label = " and ".join(name for name, is_closed in zip(names, state, strict=True) if is_closed)
-        squares[f"{label} closed" if label else "open"] = float(total[in_state].sum())
-    return _normalized(squares)
+        error_variances = np.sum((inverse_shapes * sensor_deviations[body_sensors]) ** 2, axis=1)
+        for mode_index in range(mode_count):
+            equation_name = response.body.name if response.body.is_mass else f"{response.body.name} {mode_index + 1}"
+            variance_ratios[equation_name] = float(mean_squares[mode_index] / error_variances[mode_index])
+    return _shares_of_sum(variance_ratios)
+
+
+def _band_shares(band_excess: Float[np.ndarray, " bands"]) -> tuple[Share, ...]:
+    """Shares in `BANDS_HZ` of the excess in 2 Hz bands."""
+    centre_hz = 2.0 * np.arange(band_excess.size) + 1.0
+    excess_sum = max(float(band_excess.sum()), 1e-300)
+    band_shares = []
+    for low_hz, high_hz in pairwise(BANDS_HZ):
+        is_in_band = (centre_hz >= low_hz) & (centre_hz < high_hz)
+        if np.any(is_in_band):
+            band_shares.append(
+                Share(low_hz, min(high_hz, 2.0 * band_excess.size), float(band_excess[is_in_band].sum() / excess_sum))
+            )
+    return tuple(band_shares)
+
+
+def _contact_state_shares(linearization: Linearization, total_squares: Float[np.ndarray, " times"]) -> dict[str, float]:
+    """Shares by the set of closed contacts."""
+    squares_by_state: dict[str, float] = {}
+    closed_masks = [observation.closed_mask > 0 for observation in linearization.observations]
+    contact_names = [closed_mask.name for closed_mask in linearization.model.rig.contacts]
+    for state_code in range(2 ** len(contact_names)):
+        contacts_closed = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
+        is_in_state = (
+            np.all(
+                [
+                    closed_mask == is_closed
+                    for closed_mask, is_closed in zip(closed_masks, contacts_closed, strict=True)
+                ],
+                axis=0,
+            )
+            if contact_names
+            else np.ones(total_squares.size, bool)
+        )
+        closed_names = " and ".join(
+            name for name, is_closed in zip(contact_names, contacts_closed, strict=True) if is_closed
+        )
+        squares_by_state[f"{closed_names} closed" if closed_names else "open"] = float(total_squares[is_in_state].sum())
+    return _shares_of_sum(squares_by_state)
 
 
 def _residual_map(
     eta_m: Float[np.ndarray, " times"],
-    rate_m_per_s: Float[np.ndarray, " times"],
-    squares: Float[np.ndarray, " times"],
+    eta_rate_m_per_s: Float[np.ndarray, " times"],
+    residual_squares: Float[np.ndarray, " times"],
 ) -> ResidualMap:
     """Shares of the squares in `MAP_CELLS` x `MAP_CELLS` cells of relative displacement and velocity."""
-    table, rows, columns = np.histogram2d(eta_m, rate_m_per_s, bins=MAP_CELLS, weights=squares)
-    share = table / max(float(table.sum()), 1e-300)
-    return ResidualMap(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in share.tolist()))
+    squares_by_cell, eta_edges, rate_edges = np.histogram2d(
+        eta_m, eta_rate_m_per_s, bins=MAP_CELLS, weights=residual_squares
+    )
+    share_by_cell = squares_by_cell / max(float(squares_by_cell.sum()), 1e-300)
+    return ResidualMap(
+        tuple(eta_edges.tolist()),
+        tuple(rate_edges.tolist()),
+        tuple(tuple(cell_row) for cell_row in share_by_cell.tolist()),
+    )

@@ -44,95 +44,106 @@ class Difference:
     """Difference of nominal rig and records: the p-value over all records, and the quantities that matter."""
 
     p_value: float
-    motion: Bounded
-    contacts: tuple[Bounded, ...]
-    contact_parameters: tuple[Bounded, ...] = ()
+    motion_bound: Bounded
+    contact_bounds: tuple[Bounded, ...]
+    parameter_bounds: tuple[Bounded, ...] = ()
     contact_estimates: tuple[LawEstimate, ...] = ()
 
     @property
     def quantities(self) -> tuple[Bounded, ...]:
-        return (self.motion, *self.contacts, *self.contact_parameters)
+        return (self.motion_bound, *self.contact_bounds, *self.parameter_bounds)
 
 
 @dataclass(frozen=True)
 class ContactDistances:
     """Distance of every contact's parameters from rig.json, and the p-value of each contact that records determine."""
 
-    bounds: tuple[Bounded, ...]
+    parameter_bounds: tuple[Bounded, ...]
     p_values: tuple[float, ...]
-    estimates: tuple[LawEstimate, ...]
+    law_estimates: tuple[LawEstimate, ...]
 
 
-def share_bounds(misfit: Misfit, contacts: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
+def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
-    quantities = [_bounded_share("motion", misfit.share, misfit.share_by_second, matters.motion)]
-    for j, name in enumerate(contacts):
-        force_n2 = float(np.mean(misfit.force_n2[:, j]))
-        weights, share = misfit.nominal_variances.observations[j].weights, float(misfit.contact_shares[j])
+    bounded_shares = [_bounded_share("motion", misfit.motion_share, misfit.squared_share_by_second, matters.motion)]
+    for contact_index, contact_name in enumerate(contact_names):
+        force_n2 = float(np.mean(misfit.force_n2[:, contact_index]))
+        weights, unexplained_share = (
+            misfit.nominal_variances.observations[contact_index].weights,
+            float(misfit.contact_shares[contact_index]),
+        )
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
         if noise_n2 > HIDING_NOISE_SHARE * force_n2:
-            quantities.append(Bounded(name, "1", share, None, matters.contact, "noise hides it", LOUDER_ADVICE))
+            bounded_shares.append(
+                Bounded(contact_name, "1", unexplained_share, None, matters.contact, "noise hides it", LOUDER_ADVICE)
+            )
         else:
-            squares = misfit.contact_n2[:, j] / max(force_n2, 1e-300)
-            quantities.append(_bounded_share(name, share, squares, matters.contact))
-    return tuple(quantities)
+            squared_shares = misfit.contact_n2[:, contact_index] / max(force_n2, 1e-300)
+            bounded_shares.append(_bounded_share(contact_name, unexplained_share, squared_shares, matters.contact))
+    return tuple(bounded_shares)
 
 
-def _bounded_share(name: str, share: float, squares: Float[np.ndarray, " seconds"], threshold: float) -> Bounded:
-    upper = _upper_share(squares)
-    if upper is not None:
-        return Bounded(name, "1", share, max(share, upper), threshold)
-    return Bounded(name, "1", share, None, threshold, *(TOO_SHORT if share < threshold else ()))
+def _bounded_share(
+    quantity_name: str, unexplained_share: float, squared_shares: Float[np.ndarray, " seconds"], threshold: float
+) -> Bounded:
+    upper_share = _upper_share(squared_shares)
+    if upper_share is not None:
+        return Bounded(quantity_name, "1", unexplained_share, max(unexplained_share, upper_share), threshold)
+    return Bounded(
+        quantity_name, "1", unexplained_share, None, threshold, *(TOO_SHORT if unexplained_share < threshold else ())
+    )
 
 
-def _upper_share(squares: Float[np.ndarray, " seconds"]) -> float | None:
+def _upper_share(squared_shares: Float[np.ndarray, " seconds"]) -> float | None:
     """Upper 97.5 % bound of sqrt(mean(squares)) by Student's distribution; None for a single second."""
-    if squares.size < 2:
+    if squared_shares.size < 2:
         return None
-    standard_error = float(squares.std(ddof=1)) / np.sqrt(squares.size)
-    return float(np.sqrt(max(squares.mean() + student.ppf(0.975, squares.size - 1) * standard_error, 0.0)))
+    standard_error = float(squared_shares.std(ddof=1)) / np.sqrt(squared_shares.size)
+    return float(
+        np.sqrt(max(squared_shares.mean() + student.ppf(0.975, squared_shares.size - 1) * standard_error, 0.0))
+    )
 
 
 def contact_distances(recordings: Sequence[Recording], rig: Rig, tolerances: Tolerances) -> ContactDistances:
     """Distances of every contact's parameters from `rig`, by the contact fit pooled over all records."""
-    record_outcomes = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
-    bounds: list[Bounded] = []
+    outcomes_by_record = [law_outcomes(recording, rig, tolerances) for recording in recordings if rig.contacts]
+    parameter_bounds: list[Bounded] = []
     p_values: list[float] = []
-    pooled: list[LawEstimate] = []
+    pooled_estimates: list[LawEstimate] = []
     for contact in rig.contacts:
-        estimates = [
+        record_estimates = [
             estimate
-            for record_outcome in record_outcomes
+            for record_outcome in outcomes_by_record
             for estimate in record_outcome.estimates
-            if estimate.contact == contact.name
+            if estimate.contact_name == contact.name
         ]
-        if estimates and contact.law.piecewise_linear:
-            estimate = pooled_estimate(estimates)
-            bounds += _parameter_bounds(contact, estimate, tolerances)
-            p_values.append(_p_value(contact, estimate, tolerances))
-            pooled.append(estimate)
+        if record_estimates and contact.law.piecewise_linear:
+            estimate = pooled_estimate(record_estimates)
+            parameter_bounds += _parameter_bounds(contact, estimate, tolerances)
+            p_values.append(_law_p_value(contact, estimate, tolerances))
+            pooled_estimates.append(estimate)
         else:
-            bounds.append(
+            parameter_bounds.append(
                 _undetermined_parameters(
                     contact,
                     [
                         record_outcome.refusals[contact.name]
-                        for record_outcome in record_outcomes
+                        for record_outcome in outcomes_by_record
                         if contact.name in record_outcome.refusals
                     ],
                 )
             )
-    return ContactDistances(tuple(bounds), tuple(p_values), tuple(pooled))
+    return ContactDistances(tuple(parameter_bounds), tuple(p_values), tuple(pooled_estimates))
 
 
 def _undetermined_parameters(contact: Contact, refusals: Sequence[Refusal]) -> Bounded:
     """Parameters of a contact that no record determines, without a bound, and the reason."""
-    clearance = "clearance, " if contact.law.has_stops else ""
-    names = f"{clearance}stiffness and damping of {contact.name}"
+    clearance_word = "clearance, " if contact.law.has_stops else ""
+    parameter_names = f"{clearance_word}stiffness and damping of {contact.name}"
     if not contact.law.piecewise_linear:
-        return Bounded(names, "", None, None, 0.0, "its law is no dead zone")
+        return Bounded(parameter_names, "", None, None, 0.0, "its law is no dead zone")
     reason, remedy = (refusals[0].cause, refusals[0].advice) if refusals else ("the contact fit does not apply", "")
-    return Bounded(names, "", None, None, 0.0, reason, remedy)
+    return Bounded(parameter_names, "", None, None, 0.0, reason, remedy)
 
 
 @dataclass(frozen=True)
@@ -140,38 +151,47 @@ class LawDistance:
     """Distance d of estimated parameters from those of a contact's law (m, N/m, N s/m, m), and its covariance C + S: of
     the estimate, plus the stated variances of the nominal law."""
 
-    distance: Float[np.ndarray, " rows"]
+    parameter_distances: Float[np.ndarray, " rows"]
     covariance: Float[np.ndarray, "rows rows"]
 
     @property
     def chi_squared(self) -> float:
-        return float(self.distance @ np.linalg.solve(self.covariance, self.distance))
+        return float(self.parameter_distances @ np.linalg.solve(self.covariance, self.parameter_distances))
 
 
-def law_distance(estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
-    distance = np.asarray(estimate.values - estimate.quantities @ law_numbers(contact.law))
-    deviations = np.array(stated_deviations(nominal, tolerances))[_parameter_indices(nominal)]
-    stated = np.diag(np.square(deviations[: distance.size]))
-    return LawDistance(distance, estimate.covariance + stated)
+def law_distance(law_estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
+    parameter_distances = np.asarray(
+        law_estimate.quantity_values - law_estimate.quantity_weights @ law_numbers(contact.law)
+    )
+    nominal_deviations = np.array(stated_deviations(nominal, tolerances))[_parameter_indices(nominal)]
+    stated_variances = np.diag(np.square(nominal_deviations[: parameter_distances.size]))
+    return LawDistance(parameter_distances, law_estimate.covariance + stated_variances)
 
 
-def _p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
-    measured = law_distance(estimate, contact, contact, tolerances)
-    return float(chi2.sf(measured.chi_squared, measured.distance.size))
+def _law_p_value(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> float:
+    measured_distance = law_distance(estimate, contact, contact, tolerances)
+    return float(chi2.sf(measured_distance.chi_squared, measured_distance.parameter_distances.size))
 
 
 def _parameter_bounds(contact: Contact, estimate: LawEstimate, tolerances: Tolerances) -> list[Bounded]:
-    distances = np.abs(law_distance(estimate, contact, contact, tolerances).distance)
+    distances = np.abs(law_distance(estimate, contact, contact, tolerances).parameter_distances)
     half_widths = COVERED * np.sqrt(np.diag(estimate.covariance))
-    names, units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
-    deviations = stated_deviations(contact, tolerances)
-    described = [(names[k], units[k], deviations[k]) for k in _parameter_indices(contact)]
-    rows = zip(described, distances, half_widths, strict=False)
+    parameter_names, parameter_units = ("clearance", "stiffness", "damping", "offset"), ("m", "N/m", "N s/m", "m")
+    parameter_deviations = stated_deviations(contact, tolerances)
+    described_parameters = [
+        (parameter_names[parameter_index], parameter_units[parameter_index], parameter_deviations[parameter_index])
+        for parameter_index in _parameter_indices(contact)
+    ]
+    parameters_and_distances = zip(described_parameters, distances, half_widths, strict=False)
     return [
         Bounded(
-            f"{name} of {contact.name}", unit, float(value), float(value + half_width), PARAMETER_DEVIATIONS * deviation
+            f"{parameter_name} of {contact.name}",
+            unit,
+            float(distance),
+            float(distance + half_width),
+            PARAMETER_DEVIATIONS * parameter_deviation,
         )
-        for (name, unit, deviation), value, half_width in rows
+        for (parameter_name, unit, parameter_deviation), distance, half_width in parameters_and_distances
     ]
 
 
@@ -186,8 +206,9 @@ def stated_deviations(contact: Contact, tolerances: Tolerances) -> tuple[float, 
     Those of a laboratory where none are stated, as no record bounds a distance by zero.
     """
     law = contact.law
-    clearance, stiffness, damping_s = (
-        getattr(tolerances, name) or getattr(LABORATORY, name) for name in CONTACT_TOLERANCES
+    clearance_tolerance, stiffness_tolerance, damping_tolerance_s = (
+        getattr(tolerances, tolerance_name) or getattr(LABORATORY, tolerance_name)
+        for tolerance_name in CONTACT_TOLERANCES
     )
-    clearance_m, stiffness_n_per_m = clearance * law.clearance_m, law.stiffness_n_per_m
-    return clearance_m, stiffness * stiffness_n_per_m, damping_s * stiffness_n_per_m, clearance_m
+    clearance_m, stiffness_n_per_m = clearance_tolerance * law.clearance_m, law.stiffness_n_per_m
+    return clearance_m, stiffness_tolerance * stiffness_n_per_m, damping_tolerance_s * stiffness_n_per_m, clearance_m

@@ -31,20 +31,20 @@ UNKNOWN_STRENGTH, UNKNOWN_DIRECTION = "unknown strength", "elsewhere"
 
 def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: Rig, with_strength: bool = True) -> str:
     """Phrase for an effect with its values in a rig, without its strength where that is not determined."""
-    fields = {
-        p.name: _strength_words(candidate, p, float(value), with_strength or p.neutral is None)
-        for p, value in zip(candidate.parameters, values, strict=True)
+    word_fields = {
+        parameter.name: _strength_words(candidate, parameter, float(value), with_strength or parameter.neutral is None)
+        for parameter, value in zip(candidate.parameters, values, strict=True)
     }
-    for field, place in candidate.place.items():
-        fields[field] = _place_words(field, place, rig)
-    for field in candidate.typical.__struct_fields__:
-        fields.setdefault(field, str(getattr(candidate.typical, field)))
-    fields["at"] = ""
+    for place_field, place in candidate.place.items():
+        word_fields[place_field] = _place_words(place_field, place, rig)
+    for place_field in candidate.typical_effect.__struct_fields__:
+        word_fields.setdefault(place_field, str(getattr(candidate.typical_effect, place_field)))
+    word_fields["at"] = ""
     if "relative_position" in candidate.parameters.names:
-        share = float(values[candidate.parameters.names.index("relative_position")])
+        relative_position = float(values[candidate.parameters.names.index("relative_position")])
         body_name = candidate.place.get("body") or rig.forces[0].body
-        fields["at"] = f" at {share * rig.body(body_name).length_m:.2f} m"
-    return candidate.kind.words.format_map(fields)
+        word_fields["at"] = f" at {relative_position * rig.body(body_name).length_m:.2f} m"
+    return candidate.kind.words.format_map(word_fields)
 
 
 def _strength_words(candidate: Candidate, parameter: Parameter, value: float, is_known: bool) -> str:
@@ -75,12 +75,12 @@ MILLI_UNITS = ("m", "s")
 """Units that are stated in thousandths."""
 
 
-def _place_words(field: str, place: str | None, rig: Rig) -> str:
-    if field == "contact":
+def _place_words(place_field: str, place: str | None, rig: Rig) -> str:
+    if place_field == "contact":
         return place or "all contacts"
-    if field == "side":
+    if place_field == "side":
         return str(place)
-    if field == "sensor":
+    if place_field == "sensor":
         return f"sensor {place or rig.sensors[-1].name}"
     return f"the {place}" if place else "all bodies"
 
@@ -89,7 +89,7 @@ def words_of(hypothesis: Hypothesis, rig: Rig) -> tuple[str, ...]:
     """Phrases of the effects of a hypothesis, with values and places."""
     return tuple(
         phrase(candidate, values, rig)
-        for candidate, values in zip(hypothesis.candidates, hypothesis.split(), strict=True)
+        for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True)
     )
 
 
@@ -99,10 +99,10 @@ LIMIT_MARGIN = 1e-3
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
-    names = [c.name for c in joined(rig).contacts]
+    contact_names = [c.name for c in joined(rig).contacts]
     return UnexplainedShares(
-        share=misfit.share,
-        contact_shares=dict(zip(names, misfit.contact_shares.tolist(), strict=True)),
+        share=misfit.motion_share,
+        contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),
         p_value=p_value,
         largest_pull=float(np.max(np.abs(misfit.pulls), initial=0.0)),
     )
@@ -120,35 +120,41 @@ def cause_of(
     Standard errors include model error: residuals were weighted by scales estimated from them.
     """
     validated, hypothesis = weighted.validated, weighted.validated.hypothesis
-    parameters: dict[str, Value] = {}
-    places: dict[str, str] = {}
+    parameter_values: dict[str, Value] = {}
+    place_by_field: dict[str, str] = {}
     standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
-    words, first_column = [], 0
+    effect_words, first_column = [], 0
     for label, candidate in zip(labels_of(hypothesis.effects), hypothesis.candidates, strict=True):
-        columns = slice(first_column, first_column + len(candidate.parameters))
-        first_column = columns.stop
-        values, errors = hypothesis.values[columns], standard_errors[columns]
+        parameter_slice = slice(first_column, first_column + len(candidate.parameters))
+        first_column = parameter_slice.stop
+        effect_values, effect_errors = hypothesis.values[parameter_slice], standard_errors[parameter_slice]
         determined_change = identifiable_change(
-            record.rig, candidate, values, hypothesis.covariance[columns, columns], record.highest_hz
+            record.rig,
+            candidate,
+            effect_values,
+            hypothesis.covariance[parameter_slice, parameter_slice],
+            record.highest_hz,
         )
-        words.append(phrase(candidate, values, record.rig, with_strength=not determined_change))
-        for parameter, value, error in zip(candidate.parameters, values.tolist(), errors.tolist(), strict=True):
-            margin = LIMIT_MARGIN * (parameter.high - parameter.low)
-            limited = (
-                value < parameter.low + margin and parameter.low != parameter.neutral
-            ) or value > parameter.high - margin
-            strength = parameter.neutral is not None
-            parameters[f"{label}.{parameter.name}"] = Value(
-                value, error, parameter.unit, limited, determined_change if strength else ""
+        effect_words.append(phrase(candidate, effect_values, record.rig, with_strength=not determined_change))
+        for parameter, value, standard_error in zip(
+            candidate.parameters, effect_values.tolist(), effect_errors.tolist(), strict=True
+        ):
+            limit_margin = LIMIT_MARGIN * (parameter.high - parameter.low)
+            is_at_limit = (
+                value < parameter.low + limit_margin and parameter.low != parameter.neutral
+            ) or value > parameter.high - limit_margin
+            is_strength = parameter.neutral is not None
+            parameter_values[f"{label}.{parameter.name}"] = Value(
+                value, standard_error, parameter.unit, is_at_limit, determined_change if is_strength else ""
             )
-        places |= {f"{label}.{field}": place or "all" for field, place in candidate.place.items()}
+        place_by_field |= {f"{label}.{place_field}": place or "all" for place_field, place in candidate.place.items()}
     return Cause(
         effects=hypothesis.effects,
-        words=tuple(words),
+        words=tuple(effect_words),
         strengths=strengths_of(hypothesis, all_weighted),
         probability=weighted.probability,
-        parameters=parameters,
-        places=places,
+        parameters=parameter_values,
+        places=place_by_field,
         explained=explained_share(validated.nominal_misfit, validated.misfit, matters),
         interval_95=explained_share_interval(validated.nominal_misfit, validated.misfit, matters),
         left=unexplained_shares(validated.misfit, validated.rig, p_value(null_reference, validated.misfit)),
@@ -157,19 +163,38 @@ def cause_of(
     )
 
 
-def bands_of(nominal: Misfit, corrected: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
+def bands_of(nominal_misfit: Misfit, corrected_misfit: Misfit, null_reference: NullReference) -> tuple[Band, ...]:
     """Unexplained shares by frequency band, with the nominal and the corrected rig and usual under the null."""
     return tuple(
-        Band(low_hz=BAND_HZ * i, high_hz=BAND_HZ * (i + 1), before=float(b), after=float(a), usual=float(u))
-        for i, (b, a, u) in enumerate(
-            zip(nominal.shares, corrected.shares, null_reference.usual_shares(), strict=False)
+        Band(
+            low_hz=BAND_HZ * band_index,
+            high_hz=BAND_HZ * (band_index + 1),
+            before=float(nominal_share),
+            after=float(corrected_share),
+            usual=float(usual_share),
+        )
+        for band_index, (nominal_share, corrected_share, usual_share) in enumerate(
+            zip(
+                nominal_misfit.share_by_band,
+                corrected_misfit.share_by_band,
+                null_reference.usual_shares(),
+                strict=False,
+            )
         )
     )
 
 
-def confirming_tests(causes: tuple[Cause, ...], ranked: list[ValidatedHypothesis]) -> tuple[str, ...]:
+def confirming_tests(causes: tuple[Cause, ...], ranked_hypotheses: list[ValidatedHypothesis]) -> tuple[str, ...]:
     """Tests that confirm or refute each effect of the causes that are likely or remove a part of the mismatch."""
-    kinds = {candidate.kind.name: candidate.kind for j in ranked for candidate in j.hypothesis.candidates}
-    likely = [c for i, c in enumerate(causes) if c.probability > RIVAL_PROBABILITY or (i == 0 and c.interval_95[0] > 0)]
-    names = dict.fromkeys(effect for cause in likely for effect in cause.effects)
-    return tuple(f"{name}: {kinds[name].separated_by}" for name in names)
+    kind_by_name = {
+        candidate.kind.name: candidate.kind
+        for ranked_hypothesis in ranked_hypotheses
+        for candidate in ranked_hypothesis.hypothesis.candidates
+    }
+    likely_causes = [
+        possible_cause
+        for cause_rank, possible_cause in enumerate(causes)
+        if possible_cause.probability > RIVAL_PROBABILITY or (cause_rank == 0 and possible_cause.interval_95[0] > 0)
+    ]
+    effect_names = dict.fromkeys(effect for cause in likely_causes for effect in cause.effects)
+    return tuple(f"{effect_name}: {kind_by_name[effect_name].separated_by}" for effect_name in effect_names)

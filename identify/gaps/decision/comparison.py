@@ -34,7 +34,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, residual_of
 from identify.gaps.results import Matters
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import Hypothesis, applied, steps_of
+from identify.gaps.search.hypothesis import Hypothesis, steps_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import Rig
@@ -81,9 +81,9 @@ class ValidatedHypothesis:
         return self.log_posterior - self.hypothesis.cost / (2 * TEMPERATURE)
 
 
-def nominal_of(ranked: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
+def nominal_of(ranked_hypotheses: Sequence[ValidatedHypothesis]) -> ValidatedHypothesis:
     """Hypothesis of the nominal rig."""
-    return next(item for item in ranked if not item.hypothesis.candidates)
+    return next(validated for validated in ranked_hypotheses if not validated.hypothesis.candidates)
 
 
 def validate_hypotheses(
@@ -99,14 +99,19 @@ def validate_hypotheses(
     nominal_residual is that of the nominal rig on this record. Parameters that every record has of its own (the phase
     of a tone) are fitted anew.
     """
-    validated = []
+    validated_hypotheses = []
     unchanged_misfit = misfit(record, nominal_variances, nominal_residual)
-    for i, hypothesis in enumerate(hypotheses):
-        rig, corrected_rig, effects_misfit, nominal_misfit = record.rig, record.rig, unchanged_misfit, unchanged_misfit
+    for hypothesis_index, hypothesis in enumerate(hypotheses):
+        hypothesis_rig, corrected_rig, effects_misfit, nominal_misfit = (
+            record.rig,
+            record.rig,
+            unchanged_misfit,
+            unchanged_misfit,
+        )
         if hypothesis.candidates:
             try:
-                rig = record_specific_rig(record, hypothesis)
-                linearization, residual = fit_nuisance(record, rig)
+                hypothesis_rig = record_specific_rig(record, hypothesis)
+                linearization, residual = fit_nuisance(record, hypothesis_rig)
             except RigError:
                 continue
             corrected_rig = residual.corrected_rig
@@ -114,11 +119,18 @@ def validate_hypotheses(
             nominal_misfit = (
                 nominal_misfit_beside(record, nominal_variances, linearization, residual) or unchanged_misfit
             )
-        validated.append(
-            ValidatedHypothesis(hypothesis, rig, corrected_rig, effects_misfit, nominal_misfit, priors[hypothesis.key])
+        validated_hypotheses.append(
+            ValidatedHypothesis(
+                hypothesis,
+                hypothesis_rig,
+                corrected_rig,
+                effects_misfit,
+                nominal_misfit,
+                priors[hypothesis.effect_names],
+            )
         )
-        progress((i + 1) / len(hypotheses))
-    return sorted(validated, key=lambda j: -j.log_posterior)
+        progress((hypothesis_index + 1) / len(hypotheses))
+    return sorted(validated_hypotheses, key=lambda validated_hypothesis: -validated_hypothesis.log_posterior)
 
 
 def nominal_misfit_beside(
@@ -130,92 +142,110 @@ def nominal_misfit_beside(
     """
     if (linearization.rig.base_motion is None) != (record.rig.base_motion is None):
         return None
-    contact_unknowns = tuple(c.unknowns for c in residual.contacts)
+    contact_unknowns = tuple(contact.unknowns for contact in residual.contacts)
     return misfit(
-        record, nominal_variances, residual_of(linearization, record.rig, residual.nuisance, contact_unknowns)
+        record, nominal_variances, residual_of(linearization, record.rig, residual.nuisance_pulls, contact_unknowns)
     )
 
 
 def record_specific_rig(record: Record, hypothesis: Hypothesis) -> Rig:
     """Rig with the hypothesis, with its record-specific parameters (the phase of a tone) fitted to this record."""
     specific_names = {candidate.name: candidate.kind.of_a_record for candidate in hypothesis.candidates}
-    specific = [i for i, p in enumerate(hypothesis.parameters) if p.name in specific_names[p.of]]
-    if not specific:
+    specific_indices = [
+        parameter_index
+        for parameter_index, parameter in enumerate(hypothesis.parameters)
+        if parameter.name in specific_names[parameter.of]
+    ]
+    if not specific_indices:
         return hypothesis.applied_to(record.rig)
 
-    def build(values: Float[np.ndarray, " specific"]) -> Rig:
+    def build(specific_values: Float[np.ndarray, " specific"]) -> Rig:
         all_values = hypothesis.values.copy()
-        all_values[specific] = values
-        return applied(record.rig, hypothesis.candidates, all_values)
+        all_values[specific_indices] = specific_values
+        return with_effects(record.rig, hypothesis.candidates, all_values)
 
     start_rig = record.rig  # with a base motion's row, if there is one
-    for candidate, values in zip(hypothesis.candidates, hypothesis.split(), strict=True):
+    for candidate, values in zip(hypothesis.candidates, hypothesis.values_by_candidate(), strict=True):
         start_rig = candidate.applied(start_rig, values) if candidate.kind.stochastic else start_rig
     linearization, residual = fit_nuisance(record, start_rig)
-    steps = steps_of(hypothesis.candidates)[specific]
-    low, high = (bounds[specific] for bounds in hypothesis.parameters.bounds)
-    return build(fit(linearization, build, hypothesis.values[specific], steps, (low, high), residual).values)
+    specific_steps = steps_of(hypothesis.candidates)[specific_indices]
+    lower_bounds, upper_bounds = (bounds[specific_indices] for bounds in hypothesis.parameters.bounds)
+    return build(
+        fit(
+            linearization,
+            build,
+            hypothesis.values[specific_indices],
+            specific_steps,
+            (lower_bounds, upper_bounds),
+            residual,
+        ).values
+    )
 
 
 def log_priors(hypotheses: Sequence[Hypothesis], candidates: Sequence[Candidate]) -> dict[tuple[str, ...], float]:
     """Log prior of every hypothesis by its key: all effects of the library are as likely, at all of their places."""
     place_counts = Counter(candidate.kind.name for candidate in candidates)
-    return {hypothesis.key: log_prior(hypothesis.effects, place_counts) for hypothesis in hypotheses}
+    return {hypothesis.effect_names: log_prior(hypothesis.effects, place_counts) for hypothesis in hypotheses}
 
 
-def log_prior(effects: Sequence[str], place_counts: Mapping[str, int]) -> float:
+def log_prior(effect_names: Sequence[str], place_counts: Mapping[str, int]) -> float:
     """Log prior of effects at one place each, one of which may stand twice; place_counts are their numbers of places.
 
     K effects in the library have C(K + k - 1, k) sets of k, all as likely.
     """
-    count = len(effects)
-    if not count:
+    effect_count = len(effect_names)
+    if not effect_count:
         return float(np.log(PRIOR_NOTHING))
     set_prior = (
         PRIOR_EFFECTS
         * (1 - FURTHER_EFFECT_SHARE)
-        * FURTHER_EFFECT_SHARE ** (count - 1)
-        / comb(max(1, len(place_counts)) + count - 1, count)
+        * FURTHER_EFFECT_SHARE ** (effect_count - 1)
+        / comb(max(1, len(place_counts)) + effect_count - 1, effect_count)
     )
-    return float(np.log(set_prior) - sum(np.log(place_counts[name]) for name in effects))
+    return float(np.log(set_prior) - sum(np.log(place_counts[effect_name]) for effect_name in effect_names))
 
 
 def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.ndarray, " hypotheses"]:
     """Probabilities from log posteriors that are known up to a constant."""
-    likely = np.exp(log_posteriors - log_posteriors.max())
-    return np.asarray(likely / likely.sum())
+    likelihood_ratios = np.exp(log_posteriors - log_posteriors.max())
+    return np.asarray(likelihood_ratios / likelihood_ratios.sum())
 
 
 def mismatch_size(misfit: Misfit, matters: Matters) -> float:
     """Size of a mismatch in units of what matters."""
-    return matters.times(misfit.share, misfit.contact_shares.tolist())
+    return matters.times(misfit.motion_share, misfit.contact_shares.tolist())
 
 
-def explained_share(nominal: Misfit, corrected: Misfit, matters: Matters) -> float:
+def explained_share(nominal_misfit: Misfit, corrected_misfit: Misfit, matters: Matters) -> float:
     """Share of the mismatch that effects remove: 1 - size with them / size without; zero where there is no mismatch."""
-    nominal_size = mismatch_size(nominal, matters)
-    return 1 - mismatch_size(corrected, matters) / nominal_size if nominal_size > 0 else 0.0
+    nominal_size = mismatch_size(nominal_misfit, matters)
+    return 1 - mismatch_size(corrected_misfit, matters) / nominal_size if nominal_size > 0 else 0.0
 
 
-def removed_share(nominal: Misfit, nominal_beside: Misfit, corrected: Misfit, matters: Matters) -> float:
+def removed_share(
+    nominal_misfit: Misfit, nominal_beside_misfit: Misfit, corrected_misfit: Misfit, matters: Matters
+) -> float:
     """Share of the mismatch that effects remove, or of the strain where there is none beyond noise without them.
 
     Tolerances or free contact forces have then absorbed the mismatch; their strain is |pulls|^2 plus the excess of
-    -2 ln p. nominal_beside is the misfit of the nominal rig with the nuisance parameters of the corrected one.
+    -2 ln p. nominal_beside_misfit is the misfit of the nominal rig with the nuisance parameters of the corrected one.
     """
-    if mismatch_size(nominal_beside, matters) > 0:
-        return explained_share(nominal_beside, corrected, matters)
+    if mismatch_size(nominal_beside_misfit, matters) > 0:
+        return explained_share(nominal_beside_misfit, corrected_misfit, matters)
     nominal_strain, corrected_strain = (
-        float(misfit.pulls @ misfit.pulls) + misfit.excess for misfit in (nominal, corrected)
+        float(misfit.pulls @ misfit.pulls) + misfit.excess_cost for misfit in (nominal_misfit, corrected_misfit)
     )
     return 1 - corrected_strain / nominal_strain if nominal_strain > 0 else 0.0
 
 
-def explained_share_interval(nominal: Misfit, corrected: Misfit, matters: Matters) -> tuple[float, float]:
+def explained_share_interval(nominal_misfit: Misfit, corrected_misfit: Misfit, matters: Matters) -> tuple[float, float]:
     """95 % interval of the explained share: bootstrap over the seconds of the record."""
     rng = np.random.default_rng(0)
-    second_count = len(corrected.variance_by_second)
-    samples = rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
-    shares = [explained_share(nominal.resampled(sample), corrected.resampled(sample), matters) for sample in samples]
-    low, high = np.quantile(shares, [0.025, 0.975])
-    return float(low), float(high)
+    second_count = len(corrected_misfit.variance_by_second)
+    drawn_seconds = rng.integers(0, second_count, (BOOTSTRAP_DRAWS, second_count))
+    explained_shares = [
+        explained_share(nominal_misfit.resampled(second_indices), corrected_misfit.resampled(second_indices), matters)
+        for second_indices in drawn_seconds
+    ]
+    lower_share, upper_share = np.quantile(explained_shares, [0.025, 0.975])
+    return float(lower_share), float(upper_share)

@@ -17,7 +17,7 @@ import numpy as np
 
 from identify.gaps.decision.bounds import Difference, law_distance
 from identify.gaps.decision.comparison import ValidatedHypothesis, log_priors, nominal_of, validate_hypotheses
-from identify.gaps.decision.prepare import Prepared
+from identify.gaps.decision.prepare import PreparedRecordings
 from identify.gaps.residual.likelihood import misfit
 from identify.gaps.residual.residual import Residual
 from identify.gaps.search.candidates import Candidate
@@ -32,9 +32,9 @@ CONTACT_EFFECTS = ("contact_clearance", "contact_stiffness", "contact_damping")
 
 
 def with_contact_evidence(
-    prepared: Prepared,
+    prepared: PreparedRecordings,
     candidates: Sequence[Candidate],
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     difference: Difference,
     nominal_residual: Residual,
 ) -> list[ValidatedHypothesis]:
@@ -42,49 +42,76 @@ def with_contact_evidence(
 
     nominal_residual is that of the nominal rig on the validation record.
     """
-    estimates, validation = difference.contact_estimates, prepared.validation
-    record, validated = validation.record, list(ranked)
-    fitted = _hypothesis_of_contact_fit(prepared, candidates, estimates, nominal_of(ranked).hypothesis)
-    if fitted is not None and all(fitted.key != item.hypothesis.key for item in ranked):
-        priors = log_priors([fitted], candidates)
-        validated += validate_hypotheses(record, validation.nominal_variances, nominal_residual, [fitted], priors)
-    updated = []
-    for item in validated:
-        costs = (contact_minus_two_log(e, record.rig, item.rig, record.tolerances) for e in estimates)
-        updated.append(replace(item, contact_minus_two_log=float(sum(costs))))
-    return sorted(updated, key=lambda item: -item.log_posterior)
+    law_estimates, validation = difference.contact_estimates, prepared.validation_recording
+    record, validated = validation.record, list(ranked_hypotheses)
+    contact_hypothesis = _hypothesis_of_contact_fit(
+        prepared, candidates, law_estimates, nominal_of(ranked_hypotheses).hypothesis
+    )
+    if contact_hypothesis is not None and all(
+        contact_hypothesis.effect_names != item.hypothesis.effect_names for item in ranked_hypotheses
+    ):
+        priors = log_priors([contact_hypothesis], candidates)
+        validated += validate_hypotheses(
+            record, validation.nominal_variances, nominal_residual, [contact_hypothesis], priors
+        )
+    with_evidence = []
+    for hypothesis in validated:
+        contact_costs = (
+            contact_minus_two_log(law_estimate, record.rig, hypothesis.rig, record.tolerances)
+            for law_estimate in law_estimates
+        )
+        with_evidence.append(replace(hypothesis, contact_minus_two_log=float(sum(contact_costs))))
+    return sorted(with_evidence, key=lambda item: -item.log_posterior)
 
 
-def contact_minus_two_log(estimate: LawEstimate, nominal: Rig, rig: Rig, tolerances: Tolerances) -> float:
-    """-2 ln p of one contact of the hypothesis `rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
-    nominal_contact, contact = _contact(nominal, estimate), _contact(rig, estimate)
+def contact_minus_two_log(
+    estimate: LawEstimate, nominal_rig: Rig, hypothesis_rig: Rig, tolerances: Tolerances
+) -> float:
+    """-2 ln p of one contact in `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
+    nominal_contact, contact = (
+        _contact_of_estimate(nominal_rig, estimate),
+        _contact_of_estimate(hypothesis_rig, estimate),
+    )
     if not numbers_alone_differ(contact.law, nominal_contact.law):
         return 0.0
-    return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.values.size
+    return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.quantity_values.size
 
 
-def _contact(rig: Rig, estimate: LawEstimate) -> Contact:
-    return next(contact for contact in rig.contacts if contact.name == estimate.contact)
+def _contact_of_estimate(rig: Rig, estimate: LawEstimate) -> Contact:
+    return next(contact for contact in rig.contacts if contact.name == estimate.contact_name)
 
 
 def _hypothesis_of_contact_fit(
-    prepared: Prepared, candidates: Sequence[Candidate], estimates: Sequence[LawEstimate], nominal: Hypothesis
+    prepared: PreparedRecordings,
+    candidates: Sequence[Candidate],
+    law_estimates: Sequence[LawEstimate],
+    nominal_hypothesis: Hypothesis,
 ) -> Hypothesis | None:
     """Effects on all parameters that the fit puts more than `CHANCE_PULL` standard deviations off; None without any."""
-    record, names = prepared.searched.record, list[str]()
-    for estimate in estimates:
-        contact = _contact(record.rig, estimate)
-        measured = law_distance(estimate, contact, contact, record.tolerances)
-        is_off = np.abs(measured.distance) > CHANCE_PULL * np.sqrt(np.diag(measured.covariance))
-        names += [f"{CONTACT_EFFECTS[k]}:{contact.name}" for k in np.flatnonzero(is_off[: len(CONTACT_EFFECTS)])]
-    selected = tuple(candidate for candidate in candidates if candidate.name in names)
-    if not selected:
+    record, effect_names = prepared.searched_recording.record, list[str]()
+    for estimate in law_estimates:
+        contact = _contact_of_estimate(record.rig, estimate)
+        measured_distance = law_distance(estimate, contact, contact, record.tolerances)
+        is_off = np.abs(measured_distance.parameter_distances) > CHANCE_PULL * np.sqrt(
+            np.diag(measured_distance.covariance)
+        )
+        effect_names += [
+            f"{CONTACT_EFFECTS[quantity_index]}:{contact.name}"
+            for quantity_index in np.flatnonzero(is_off[: len(CONTACT_EFFECTS)])
+        ]
+    selected_candidates = tuple(candidate for candidate in candidates if candidate.name in effect_names)
+    if not selected_candidates:
         return None
-    neutral = np.array([candidate.neutral for candidate in selected])
-    initial = Hypothesis(selected, neutral, np.zeros((neutral.size, neutral.size)), nominal.misfit)
-    recordings = [observation.recording for observation in prepared.fitted]
-    fitted = with_contact_fit(initial, recordings, record.tolerances)
-    if fitted is initial:
+    neutral_strengths = np.array([candidate.neutral_strength for candidate in selected_candidates])
+    initial_hypothesis = Hypothesis(
+        selected_candidates,
+        neutral_strengths,
+        np.zeros((neutral_strengths.size, neutral_strengths.size)),
+        nominal_hypothesis.misfit,
+    )
+    recordings = [observation.recording for observation in prepared.fitted_recordings]
+    fitted_hypothesis = with_contact_fit(initial_hypothesis, recordings, record.tolerances)
+    if fitted_hypothesis is initial_hypothesis:
         return None
-    residual = fit_nuisance(record, fitted.applied_to(record.rig))[1]
-    return replace(fitted, misfit=misfit(record, prepared.searched.nominal_variances, residual))
+    residual = fit_nuisance(record, fitted_hypothesis.applied_to(record.rig))[1]
+    return replace(fitted_hypothesis, misfit=misfit(record, prepared.searched_recording.nominal_variances, residual))

@@ -26,7 +26,7 @@ from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.record import Record
 from identify.gaps.results import ParameterByRecord, RecordDifferences, Trend
 from identify.gaps.search.candidates import Candidate
-from identify.gaps.search.hypothesis import applied, parameters_of, steps_of
+from identify.gaps.search.hypothesis import parameters_of, steps_of, with_effects
 from identify.gaps.search.pooled import Information, LinearizedRecord, PooledEstimate, linearized_record, pooled
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
@@ -43,31 +43,31 @@ TREND_DEVIATIONS = 2.0
 class EffectValues:
     """Effects with each record's own values, and the rigs to which they are applied."""
 
-    rigs: tuple[Rig, ...]
+    rig_by_record: tuple[Rig, ...]
     candidates: tuple[Candidate, ...]
-    values: Float[np.ndarray, "records parameters"]
+    by_record: Float[np.ndarray, "records parameters"]
 
     def rig(self, record_index: int) -> Rig:
-        return applied(self.rigs[record_index], self.candidates, self.values[record_index])
+        return with_effects(self.rig_by_record[record_index], self.candidates, self.by_record[record_index])
 
     @property
     def effect_names(self) -> list[str]:
         return [candidate.name for candidate in self.candidates]
 
-    def columns(self, name: str) -> list[int]:
+    def columns_of(self, name: str) -> list[int]:
         """Columns of an effect's parameters."""
         return parameters_of(self.candidates).places_of(name)
 
     def strength_columns(self, name: str) -> list[int]:
         """Columns of an effect's strengths."""
-        return [self.columns(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
+        return [self.columns_of(name)[i] for i in self.candidates[self.effect_names.index(name)].parameters.strengths]
 
     def with_effect(self, candidate: Candidate, values: Float[np.ndarray, "records own"]) -> "EffectValues":
         """Effects with these values of one of them, which is replaced or added."""
         if candidate.name in self.effect_names:
-            return self.with_values(slice(None), self.columns(candidate.name), values)
+            return self.with_values(slice(None), self.columns_of(candidate.name), values)
         return replace(
-            self, candidates=(*self.candidates, candidate), values=np.concatenate([self.values, values], axis=1)
+            self, candidates=(*self.candidates, candidate), by_record=np.concatenate([self.by_record, values], axis=1)
         )
 
     def varying_strengths(self, candidate: Candidate) -> "VaryingParameters":
@@ -75,12 +75,12 @@ class EffectValues:
         return VaryingParameters(self, self.strength_columns(candidate.name))
 
     def with_values(
-        self, record_index: int | slice, columns: Sequence[int], values: Float[np.ndarray, "*records own"]
+        self, record_index: int | slice, columns: Sequence[int], column_values: Float[np.ndarray, "*records own"]
     ) -> "EffectValues":
         """Effects with these values in some columns of one record, or of all."""
-        all_values = self.values.copy()
-        all_values[record_index, columns] = values
-        return replace(self, values=all_values)
+        all_values = self.by_record.copy()
+        all_values[record_index, columns] = column_values
+        return replace(self, by_record=all_values)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class VaryingParameters:
 
     @property
     def record_values(self) -> Float[np.ndarray, "records varied"]:
-        return self.effects.values[:, self.columns]
+        return self.effects.by_record[:, self.columns]
 
     @property
     def steps(self) -> Values:
@@ -100,17 +100,17 @@ class VaryingParameters:
 
     @property
     def bounds(self) -> tuple[Values, Values]:
-        low, high = parameters_of(self.effects.candidates).bounds
-        return low[self.columns], high[self.columns]
+        lower_bounds, upper_bounds = parameters_of(self.effects.candidates).bounds
+        return lower_bounds[self.columns], upper_bounds[self.columns]
 
     def information(self, record_index: int, linearised_record: LinearizedRecord) -> Information:
-        def build(values: Values) -> Rig:
-            return self.effects.with_values(record_index, self.columns, values).rig(record_index)
+        def build(record_values: Values) -> Rig:
+            return self.effects.with_values(record_index, self.columns, record_values).rig(record_index)
 
         return linearised_record.with_parameters(build, self.record_values[record_index], self.steps, self.bounds[1])
 
     def pooled(self, information: Sequence[Information]) -> PooledEstimate:
-        return pooled(information, self.steps, self.bounds, self.record_values[0], per_record=True)
+        return pooled(information, self.steps, self.bounds, self.record_values[0], differs_by_record=True)
 
     def at_estimate(self, estimate: PooledEstimate) -> "VaryingParameters":
         """Parameters at the pooled estimate, within the bounds."""
@@ -123,13 +123,13 @@ class HomogeneityTest:
     """Fit of an effect with each record's own strength, and the log p-value of one strength for all records."""
 
     candidate: Candidate
-    varying: VaryingParameters
+    own_values: VaryingParameters
     cost: float
-    log_p: float
+    log_p_value: float
 
     @property
-    def values(self) -> Float[np.ndarray, "records own"]:
-        return self.varying.effects.values[:, self.varying.effects.columns(self.candidate.name)]
+    def effect_values(self) -> Float[np.ndarray, "records own"]:
+        return self.own_values.effects.by_record[:, self.own_values.effects.columns_of(self.candidate.name)]
 
 
 @dataclass(frozen=True)
@@ -141,64 +141,64 @@ class _RecordSet:
     candidates: Sequence[Candidate]
 
     def linearized_record(self, effects: EffectValues, record_index: int) -> LinearizedRecord:
-        record, variances = self.records[record_index], self.variances_by_record[record_index]
-        return linearized_record(record, variances, effects.rig(record_index))
+        record, nominal_variances = self.records[record_index], self.variances_by_record[record_index]
+        return linearized_record(record, nominal_variances, effects.rig(record_index))
 
-    def screened(self, effects: EffectValues, excluded: Sequence[str]) -> list[HomogeneityTest]:
+    def screened_tests(self, effects: EffectValues, excluded_names: Sequence[str]) -> list[HomogeneityTest]:
         """Linearised tests of every effect not excluded, each at its best place; the likeliest first."""
-        trials = [
+        varying_trials = [
             (candidate, effects.varying_strengths(candidate))
             for candidate in effects.candidates
-            if candidate.name not in excluded
+            if candidate.name not in excluded_names
         ]
         for candidate in self.candidates:
-            for start in candidate.starts() if candidate.name not in effects.effect_names else ():
+            for start in candidate.start_values() if candidate.name not in effects.effect_names else ():
                 with_candidate = effects.with_effect(candidate, np.tile(start, (len(self.records), 1)))
-                trials.append((candidate, with_candidate.varying_strengths(candidate)))
-        information: list[list[Information]] = [[] for _ in trials]
+                varying_trials.append((candidate, with_candidate.varying_strengths(candidate)))
+        trial_information: list[list[Information]] = [[] for _ in varying_trials]
         for record_index in range(len(self.records)):
             linearised_record = self.linearized_record(effects, record_index)
-            for record_information, (_, varying) in zip(information, trials, strict=True):
+            for record_information, (_, values) in zip(trial_information, varying_trials, strict=True):
                 with suppress(RigError):
-                    record_information.append(varying.information(record_index, linearised_record))
-        best: dict[str, HomogeneityTest] = {}
-        for record_information, (candidate, varying) in zip(information, trials, strict=True):
+                    record_information.append(values.information(record_index, linearised_record))
+        best_tests: dict[str, HomogeneityTest] = {}
+        for record_information, (candidate, values) in zip(trial_information, varying_trials, strict=True):
             if len(record_information) == len(self.records):
-                estimate = varying.pooled(record_information)
-                if candidate.name not in best or estimate.cost < best[candidate.name].cost:
-                    best[candidate.name] = _homogeneity_test(candidate, varying.at_estimate(estimate), estimate)
-        return sorted(best.values(), key=lambda test: test.cost)
+                estimate = values.pooled(record_information)
+                if candidate.name not in best_tests or estimate.cost < best_tests[candidate.name].cost:
+                    best_tests[candidate.name] = _homogeneity_test(candidate, values.at_estimate(estimate), estimate)
+        return sorted(best_tests.values(), key=lambda test: test.cost)
 
-    def fitted(self, initial: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+    def joint_fit(self, initial_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
         """Fit of each record's own values, linearised about the estimate."""
 
-        def refit(varying: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
-            estimate = self.pooled(varying)
-            return varying.at_estimate(estimate), estimate
+        def refit(own_values: VaryingParameters) -> tuple[VaryingParameters, PooledEstimate]:
+            estimate = self.pooled_estimate(own_values)
+            return own_values.at_estimate(estimate), estimate
 
-        return refit_until_settled(refit(initial), lambda fit: refit(fit[0]), rounds=ROUNDS - 1)
+        return refit_until_settled(refit(initial_values), lambda fitted: refit(fitted[0]), rounds=ROUNDS - 1)
 
-    def pooled(self, varying: VaryingParameters) -> PooledEstimate:
+    def pooled_estimate(self, varied: VaryingParameters) -> PooledEstimate:
         """Pooled estimate from all records, each linearised about its own values."""
         records = range(len(self.records))
-        return varying.pooled([varying.information(k, self.linearized_record(varying.effects, k)) for k in records])
+        return varied.pooled([varied.information(k, self.linearized_record(varied.effects, k)) for k in records])
 
     def most_different(self, effects: EffectValues, excluded: Sequence[str]) -> tuple[HomogeneityTest | None, int]:
         """Likeliest effect of those that differ between the records beyond chance, and the number of effects tested."""
-        tests = self.screened(effects, excluded)
-        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(tests))))
-        different = []
-        for test in [item for item in tests if item.log_p < log_threshold][:FITTED_EFFECTS]:
+        screened_tests = self.screened_tests(effects, excluded)
+        log_threshold = float(np.log(USUAL_P_VALUE / max(1, len(screened_tests))))
+        fitted_tests = []
+        for screened in [test for test in screened_tests if test.log_p_value < log_threshold][:FITTED_EFFECTS]:
             with suppress(RigError):
-                varying, estimate = self.fitted(test.varying)
-                different.append(_homogeneity_test(test.candidate, varying, estimate))
-        significant_tests = (item for item in different if item.log_p < log_threshold)
-        return min(significant_tests, key=lambda item: item.cost, default=None), len(tests)
+                own_values, estimate = self.joint_fit(screened.own_values)
+                fitted_tests.append(_homogeneity_test(screened.candidate, own_values, estimate))
+        significant_tests = (test for test in fitted_tests if test.log_p_value < log_threshold)
+        return min(significant_tests, key=lambda test: test.cost, default=None), len(screened_tests)
 
 
-def _homogeneity_test(candidate: Candidate, varying: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
-    log_p = _homogeneity_log_p(estimate, varying.record_values.shape)
-    return HomogeneityTest(candidate, varying, estimate.cost, log_p)
+def _homogeneity_test(candidate: Candidate, own_values: VaryingParameters, estimate: PooledEstimate) -> HomogeneityTest:
+    log_p_value = _homogeneity_log_p(estimate, own_values.record_values.shape)
+    return HomogeneityTest(candidate, own_values, estimate.cost, log_p_value)
 
 
 def differences(
@@ -206,146 +206,145 @@ def differences(
     variances_by_record: Sequence[NominalVariances],
     cause: ValidatedHypothesis | None,
     candidates: Sequence[Candidate],
-    titles: Sequence[str],
-    levels_n: Sequence[float],
+    record_titles: Sequence[str],
+    force_levels_n: Sequence[float],
     progress: Callable[[float], None] = lambda _: None,
 ) -> RecordDifferences:
     """Differences between the records of a rig with a cause, or of the nominal rig.
 
-    candidates are the effects at all places; titles and levels_n (root mean squares of the force, N) belong to the
-    records. Effects known by their spectrum alone, or with parameters of every record's own (the phase of a tone), are
-    not compared.
+    candidates are the effects at all places; record_titles and force_levels_n (root mean squares, N) belong to the
+    records. Effects known by spectrum alone, or with parameters of each record's own (a tone's phase), are left out.
     """
     comparable = [c for c in candidates if not (c.kind.stochastic or c.kind.of_a_record)]
     record_set = _RecordSet(records, variances_by_record, comparable)
     initial = _initial_effects(records, cause)
     tests, tested_effect_count = _differing_effects(record_set, initial, progress)
-    records_by_level = np.argsort(levels_n) if have_levels(levels_n) else None
-    varying, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, records_by_level)
-    different = [test.candidate.name for test in tests]
-    shared = _pool_shared_values(record_set, varying.effects, initial.effect_names, different)
+    records_by_level = np.argsort(force_levels_n) if have_levels(force_levels_n) else None
+    varied, differing = _fit_differing_values(record_set, initial, tests, tested_effect_count, records_by_level)
+    differing_names = [test.candidate.name for test in tests]
+    shared = _pool_shared_values(record_set, varied.effects, initial.effect_names, differing_names)
     progress(1.0)
-    rigs = [varying.effects.rig(record) for record in range(len(records))]
+    rig_by_record = [varied.effects.rig(record) for record in range(len(records))]
     highest_hz = max(record.highest_hz for record in records)
     return RecordDifferences(
-        records=tuple(titles),
-        cause=tuple(_parameter_rows(shared[0], shared[1], 0)) if shared else (),
+        records=tuple(record_titles),
+        cause=tuple(_parameters_by_record(shared[0], shared[1], 0)) if shared else (),
         cause_p_value=float(np.exp(_homogeneity_log_p(shared[1], shared[0].record_values.shape))) if shared else None,
         differing=tuple(differing),
         looked_at=tested_effect_count,
-        level_dependence=level_dependence(rigs, levels_n, differing, highest_hz),
+        level_dependence=level_dependence(rig_by_record, force_levels_n, differing, highest_hz),
     )
 
 
 def _differing_effects(
-    record_set: _RecordSet, initial: EffectValues, progress: Callable[[float], None]
+    record_set: _RecordSet, initial_effects: EffectValues, progress: Callable[[float], None]
 ) -> tuple[tuple[HomogeneityTest, ...], int]:
     """Differing effects, two at most, and the number of effects tested.
 
     Beside the second effect the first may be another one: the library is tested again with the second in the rig.
     """
-    first, tested_effect_count = record_set.most_different(initial, ())
+    first_test, tested_effect_count = record_set.most_different(initial_effects, ())
     progress(0.3)
-    if first is None:
+    if first_test is None:
         return (), tested_effect_count
-    second, _ = record_set.most_different(first.varying.effects, [first.candidate.name])
+    second_test, _ = record_set.most_different(first_test.own_values.effects, [first_test.candidate.name])
     progress(0.6)
-    if second is None:
-        return (first,), tested_effect_count
-    second_only = initial.with_effect(second.candidate, second.values)
-    first_refitted, _ = record_set.most_different(second_only, [second.candidate.name])
-    return (second, first_refitted) if first_refitted and first_refitted.cost < second.cost else (
-        first,
-        second,
+    if second_test is None:
+        return (first_test,), tested_effect_count
+    second_only = initial_effects.with_effect(second_test.candidate, second_test.effect_values)
+    first_again, _ = record_set.most_different(second_only, [second_test.candidate.name])
+    return (second_test, first_again) if first_again and first_again.cost < second_test.cost else (
+        first_test,
+        second_test,
     ), tested_effect_count
 
 
 def _fit_differing_values(
     record_set: _RecordSet,
-    initial: EffectValues,
-    tests: Sequence[HomogeneityTest],
+    initial_effects: EffectValues,
+    differing_tests: Sequence[HomogeneityTest],
     tested_effect_count: int,
     records_by_level: Int[np.ndarray, " records"] | None,
 ) -> tuple[VaryingParameters, list[ParameterByRecord]]:
     """Joint fit of each record's strengths of the effects that differ, and their rows."""
-    effects = initial
-    for test in tests:
-        effects = effects.with_effect(test.candidate, test.values)
-    columns = [column for test in tests for column in effects.strength_columns(test.candidate.name)]
-    varying = VaryingParameters(effects, columns)
-    if not tests:
-        return varying, []
-    varying, estimate = record_set.fitted(varying)
-    return varying, _parameter_rows(varying, estimate, tested_effect_count, records_by_level)
+    effects = initial_effects
+    for test in differing_tests:
+        effects = effects.with_effect(test.candidate, test.effect_values)
+    strength_columns = [column for test in differing_tests for column in effects.strength_columns(test.candidate.name)]
+    own_values = VaryingParameters(effects, strength_columns)
+    if not differing_tests:
+        return own_values, []
+    own_values, estimate = record_set.joint_fit(own_values)
+    return own_values, _parameters_by_record(own_values, estimate, tested_effect_count, records_by_level)
 
 
 def _pool_shared_values(
-    record_set: _RecordSet, effects: EffectValues, cause_effects: Sequence[str], differing: Sequence[str]
+    record_set: _RecordSet, effects: EffectValues, cause_effects: Sequence[str], differing_names: Sequence[str]
 ) -> tuple[VaryingParameters, PooledEstimate] | None:
     """Pooled estimate of each record's values of the cause's effects that do not differ; None if there are none."""
-    names = [name for name in cause_effects if name not in differing]
-    varying = VaryingParameters(effects, [column for name in names for column in effects.columns(name)])
-    return (varying, record_set.pooled(varying)) if varying.columns else None
+    shared_names = [name for name in cause_effects if name not in differing_names]
+    shared_values = VaryingParameters(effects, [column for name in shared_names for column in effects.columns_of(name)])
+    return (shared_values, record_set.pooled_estimate(shared_values)) if shared_values.columns else None
 
 
 def _initial_effects(records: Sequence[Record], cause: ValidatedHypothesis | None) -> EffectValues:
     """Effects of the cause, if every record can have values of its own; else rigs that hold them."""
     candidates = cause.hypothesis.candidates if cause else ()
     if cause and not any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
-        values = np.tile(cause.hypothesis.values, (len(records), 1))
-        return EffectValues(tuple(r.rig for r in records), candidates, values)
-    rigs = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
-    return EffectValues(rigs, (), np.zeros((len(records), 0)))
+        by_record = np.tile(cause.hypothesis.values, (len(records), 1))
+        return EffectValues(tuple(r.rig for r in records), candidates, by_record)
+    rig_by_record = tuple(record_specific_rig(r, cause.hypothesis) if cause else r.rig for r in records)
+    return EffectValues(rig_by_record, (), np.zeros((len(records), 0)))
 
 
 def _homogeneity_log_p(estimate: PooledEstimate, shape: tuple[int, ...], parameter_index: int | None = None) -> float:
     """Log p-value of one value for all records (tempered Wald test): of all varying parameters, or of one."""
     record_count, parameter_count = shape
-    selection = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
-    contrast = np.kron(np.diff(np.eye(record_count), axis=0), selection)
-    difference = contrast @ estimate.values
-    chi_squared = difference @ np.linalg.solve(contrast @ estimate.covariance @ contrast.T, difference)
-    return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrast)))
+    parameter_rows = np.eye(parameter_count) if parameter_index is None else np.eye(parameter_count)[[parameter_index]]
+    contrasts = np.kron(np.diff(np.eye(record_count), axis=0), parameter_rows)
+    value_differences = contrasts @ estimate.values
+    chi_squared = value_differences @ np.linalg.solve(contrasts @ estimate.covariance @ contrasts.T, value_differences)
+    return float(chi2.logsf(chi_squared / TEMPERATURE, len(contrasts)))
 
 
-def _parameter_rows(
-    varying: VaryingParameters,
+def _parameters_by_record(
+    own_values: VaryingParameters,
     estimate: PooledEstimate,
     comparison_count: int,
     records_by_level: Int[np.ndarray, " records"] | None = None,
 ) -> list[ParameterByRecord]:
-    """Result rows of the parameters; comparisons is the number of effects tested (Bonferroni), 0 for the cause."""
-    record_count, parameter_count = varying.record_values.shape
-    labelled = [(effect, parameter) for effect in varying.effects.candidates for parameter in effect.parameters]
-    rows = []
-    for i, column in enumerate(varying.columns):
-        candidate, parameter = labelled[column]
-        indices = np.arange(record_count) * parameter_count + i
-        covariance = TEMPERATURE * estimate.covariance[np.ix_(indices, indices)]
-        values = estimate.values[indices]
-        centring = np.eye(record_count) - 1 / record_count
-        errors = np.sqrt(np.maximum(np.diag(centring @ covariance @ centring), 0.0))
-        p_value = float(np.exp(_homogeneity_log_p(estimate, varying.record_values.shape, i)))
-        rows.append(
+    """Result rows of the parameters; comparison_count is that of effects tested (Bonferroni), 0 for the cause."""
+    record_count, parameter_count = own_values.record_values.shape
+    labelled = [(effect, parameter) for effect in own_values.effects.candidates for parameter in effect.parameters]
+    results = []
+    for parameter_index, column_index in enumerate(own_values.columns):
+        candidate, parameter = labelled[column_index]
+        value_indices = np.arange(record_count) * parameter_count + parameter_index
+        covariance = TEMPERATURE * estimate.covariance[np.ix_(value_indices, value_indices)]
+        values = estimate.values[value_indices]
+        centring_matrix = np.eye(record_count) - 1 / record_count
+        errors = np.sqrt(np.maximum(np.diag(centring_matrix @ covariance @ centring_matrix), 0.0))
+        p_value = float(np.exp(_homogeneity_log_p(estimate, own_values.record_values.shape, parameter_index)))
+        results.append(
             ParameterByRecord(
                 parameter=f"{candidate.kind.name}.{parameter.name}",
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 values=tuple(Value(float(v), float(e), parameter.unit) for v, e in zip(values, errors, strict=True)),
                 p_value=min(1.0, max(1, comparison_count) * p_value),
-                trend=_trend(values, covariance) if comparison_count else "none",
+                trend=_trend_of(values, covariance) if comparison_count else "none",
                 by_level="none"
                 if records_by_level is None
-                else _trend(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
+                else _trend_of(values[records_by_level], covariance[np.ix_(records_by_level, records_by_level)]),
             )
         )
-    return rows
+    return results
 
 
-def _trend(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
+def _trend_of(values: Float[np.ndarray, " records"], covariance: Float[np.ndarray, "records records"]) -> Trend:
     """Trend over the records in their order, by steps of more than `TREND_DEVIATIONS` standard errors."""
-    steps = np.diff(values)
-    errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
-    significant_steps = steps[np.abs(steps) > TREND_DEVIATIONS * errors]
+    value_steps = np.diff(values)
+    step_errors = np.sqrt(np.diag(np.diff(np.diff(covariance, axis=0), axis=1)))
+    significant_steps = value_steps[np.abs(value_steps) > TREND_DEVIATIONS * step_errors]
     if significant_steps.size and np.all(significant_steps > 0):
         return "grows"
     return "falls" if significant_steps.size and np.all(significant_steps < 0) else "differs"

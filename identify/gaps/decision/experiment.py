@@ -28,7 +28,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import SAME_EXPERIMENT, NextExperiment
-from identify.gaps.search.hypothesis import ROUNDS, Hypothesis, Search, applied, fit_from
+from identify.gaps.search.hypothesis import ROUNDS, Hypothesis, Search, fit_from, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from rig.errors import RigError
 from rig.model.description import PointMass, Rig, Station
@@ -58,15 +58,15 @@ FILTER_ORDER = 8
 class Experiment:
     """Experiment for the laboratory: its words, the change of the machine and its rig.json, and the forces (N)."""
 
-    words: str
-    modify_rig: Callable[[Rig], Rig]
+    instruction: str
+    rig_change: Callable[[Rig], Rig]
     forces_n: Float[np.ndarray, "forces samples"]
 
 
 def next_experiments(
     record: Record,
     forces_n: Float[np.ndarray, "forces samples"],
-    rivals: tuple[Hypothesis, Hypothesis],
+    rival_pair: tuple[Hypothesis, Hypothesis],
     simulate: Simulate,
     progress: Callable[[float], None] = lambda _: None,
 ) -> tuple[NextExperiment, ...]:
@@ -75,53 +75,59 @@ def next_experiments(
     The rivals are two causes that a record leaves alike, or one and the nominal rig. The gain is that of the true one,
     averaged over which of the two is true.
     """
-    options = list(experiments(record, forces_n))
+    possible_experiments = list(experiments(record, forces_n))
     proposals = []
-    for i, experiment in enumerate(options):
-        nominal_rig = experiment.modify_rig(record.rig)
+    for experiment_index, experiment in enumerate(possible_experiments):
+        nominal_rig = experiment.rig_change(record.rig)
         try:
             cost_differences = [
-                _cost_difference(nominal_rig, true, rival, experiment.forces_n, simulate, record.tolerances)
-                for true, rival in (rivals, rivals[::-1])
+                _cost_difference(nominal_rig, true_cause, rival_cause, experiment.forces_n, simulate, record.tolerances)
+                for true_cause, rival_cause in (rival_pair, rival_pair[::-1])
             ]
         except RigError:
             continue  # the machine cannot be shaken so
-        proposals.append(NextExperiment(experiment.words, float(np.mean(cost_differences)) / (2 * TEMPERATURE)))
-        progress((i + 1) / len(options))
+        proposals.append(NextExperiment(experiment.instruction, float(np.mean(cost_differences)) / (2 * TEMPERATURE)))
+        progress((experiment_index + 1) / len(possible_experiments))
     return tuple(sorted(proposals, key=lambda proposal: -proposal.log_odds))
 
 
 def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -> Iterator[Experiment]:
     """Experiments: the same again, other levels, halves of the band, a longer record, other places of a force that acts
     alone, a known mass on every body, displacement sensors."""
-    rate, rig = record.sample_rate_hz, record.rig
-    start = round(record.excited_s * rate)
+    rate_hz, rig = record.sample_rate_hz, record.rig
+    start_sample = round(record.excitation_start_s * rate_hz)
     rng = np.random.default_rng(11)
 
-    def randomized(rows: Float[np.ndarray, "forces samples"]) -> Float[np.ndarray, "forces samples"]:
-        return np.array([phase_randomized(row, start, rate, rng) for row in rows])
+    def randomized(given_forces_n: Float[np.ndarray, "forces samples"]) -> Float[np.ndarray, "forces samples"]:
+        return np.array([phase_randomized(force_n, start_sample, rate_hz, rng) for force_n in given_forces_n])
 
     repeated_n = randomized(forces_n)
-    yield Experiment(SAME_EXPERIMENT, _unchanged, repeated_n)
-    for factor in FORCE_FACTORS:
-        yield Experiment(f"record with {factor:g} times the force", _unchanged, factor * repeated_n)
+    yield Experiment(SAME_EXPERIMENT, _unchanged_rig, repeated_n)
+    for force_factor in FORCE_FACTORS:
+        yield Experiment(f"record with {force_factor:g} times the force", _unchanged_rig, force_factor * repeated_n)
     high_hz = float(record.omega[-1] / (2 * np.pi)) / REACH
-    for half, kind in (("lower", "lowpass"), ("upper", "highpass")):
-        sections = butter(FILTER_ORDER, SPLIT_SHARE * high_hz, kind, fs=rate, output="sos")
-        band_n = sosfiltfilt(sections, repeated_n)
-        band_n[:, :start] = 0.0
-        scaled_n = band_n * (np.std(repeated_n) / max(float(np.std(band_n)), 1e-300))
+    for band_half, filter_kind in (("lower", "lowpass"), ("upper", "highpass")):
+        filter_sections = butter(FILTER_ORDER, SPLIT_SHARE * high_hz, filter_kind, fs=rate_hz, output="sos")
+        band_n = sosfiltfilt(filter_sections, repeated_n)
+        band_n[:, :start_sample] = 0.0
+        scaled_band_n = band_n * (np.std(repeated_n) / max(float(np.std(band_n)), 1e-300))
         yield Experiment(
-            f"record with the {half} part of the band, split at {SPLIT_SHARE * high_hz:.3g} Hz", _unchanged, scaled_n
+            f"record with the {band_half} part of the band, split at {SPLIT_SHARE * high_hz:.3g} Hz",
+            _unchanged_rig,
+            scaled_band_n,
         )
-    longer_n, samples = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
-    while longer_n.shape[1] < samples:
-        longer_n = np.concatenate([longer_n, longer_n[:, :start:-1]], axis=1)  # mirrored, so that it does not jump
-    longer_n = randomized(longer_n[:, :samples])
-    duration_words = f"record {samples / rate:.3g} s"
-    yield Experiment(duration_words, _unchanged, longer_n)
+    longer_forces_n, longer_sample_count = forces_n, round(DURATION_FACTOR * forces_n.shape[1])
+    while longer_forces_n.shape[1] < longer_sample_count:
+        longer_forces_n = np.concatenate(
+            [longer_forces_n, longer_forces_n[:, :start_sample:-1]], axis=1
+        )  # mirrored, so that it does not jump
+    longer_forces_n = randomized(longer_forces_n[:, :longer_sample_count])
+    duration_words = f"record {longer_sample_count / rate_hz:.3g} s"
+    yield Experiment(duration_words, _unchanged_rig, longer_forces_n)
     yield Experiment(
-        f"{duration_words} with {FORCE_FACTORS[-1]:g} times the force", _unchanged, FORCE_FACTORS[-1] * longer_n
+        f"{duration_words} with {FORCE_FACTORS[-1]:g} times the force",
+        _unchanged_rig,
+        FORCE_FACTORS[-1] * longer_forces_n,
     )
     for station in _force_stations(rig) if len(rig.forces) == 1 else ():
         yield Experiment(
@@ -129,11 +135,13 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
         )
     for body in rig.bodies:
         mass_kg = ADDED_MASS_SHARE * getattr(body, "mass_kg", 1.0)
-        tip = Station(body.name, body.length_m)
-        add_mass = partial(_with_mass, mass=PointMass(station=tip, mass_kg=mass_kg))
-        yield Experiment(f"hang a known {1e3 * mass_kg:.3g} g on {_station_words(rig, tip)}", add_mass, repeated_n)
-    if any(s.measures.order and s.measures.translates for s in rig.sensors):
-        yield Experiment("measure displacements in place of accelerations", _with_displacements, repeated_n)
+        tip_station = Station(body.name, body.length_m)
+        add_mass = partial(_rig_with_mass, mass=PointMass(station=tip_station, mass_kg=mass_kg))
+        yield Experiment(
+            f"hang a known {1e3 * mass_kg:.3g} g on {_station_words(rig, tip_station)}", add_mass, repeated_n
+        )
+    if any(sensor.measures.order and sensor.measures.translates for sensor in rig.sensors):
+        yield Experiment("measure displacements in place of accelerations", _rig_with_displacements, repeated_n)
 
 
 def initial_search(record: Record, rig: Rig) -> Search:
@@ -145,18 +153,25 @@ def initial_search(record: Record, rig: Rig) -> Search:
     return Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, ())
 
 
-def refit_hypothesis(start: Search, hypothesis: Hypothesis, fix_parameters: bool = False) -> Hypothesis:
+def refit_hypothesis(search_start: Search, hypothesis: Hypothesis, fix_parameters: bool = False) -> Hypothesis:
     """Refit the parameters of a cause, from their present values, to a record whose rig may differ from the first one.
 
     Parameters can be fixed; those known by their spectrum alone keep their values. Raises RigError where the rig cannot
     have the cause.
     """
-    record = start.linearization.record
+    record = search_start.linearization.record
     if fix_parameters or any(candidate.kind.stochastic for candidate in hypothesis.candidates):
-        rig = hypothesis.applied_to(record.rig)
-        return replace(hypothesis, misfit=fit_from(start, lambda _: rig, (), np.zeros(0), ROUNDS).hypothesis.misfit)
+        hypothesis_rig = hypothesis.applied_to(record.rig)
+        return replace(
+            hypothesis,
+            misfit=fit_from(search_start, lambda _: hypothesis_rig, (), np.zeros(0), ROUNDS).hypothesis.misfit,
+        )
     return fit_from(
-        start, partial(applied, record.rig, hypothesis.candidates), hypothesis.candidates, hypothesis.values, ROUNDS
+        search_start,
+        partial(with_effects, record.rig, hypothesis.candidates),
+        hypothesis.candidates,
+        hypothesis.values,
+        ROUNDS,
     ).hypothesis
 
 
@@ -166,45 +181,54 @@ def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
     A typical effect replaces the standard error where it is smaller. A cause that a record hardly shows is fitted as
     almost nothing; simulated so, no experiment would discriminate it from another.
     """
-    values, deviations = hypothesis.values.copy(), np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
-    typical = np.concatenate([np.zeros(0), *(candidate.default for candidate in hypothesis.candidates)])
-    for i, parameter in enumerate(hypothesis.parameters):
+    enlarged_values, standard_errors = (
+        hypothesis.values.copy(),
+        np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0)),
+    )
+    typical_values = np.concatenate([np.zeros(0), *(candidate.typical_values for candidate in hypothesis.candidates)])
+    for parameter_index, parameter in enumerate(hypothesis.parameters):
         if parameter.neutral is not None:
-            direction = np.sign(values[i] - parameter.neutral) or np.sign(typical[i] - parameter.neutral)
-            values[i] += direction * ENLARGED_ERRORS * min(deviations[i], abs(typical[i] - parameter.neutral))
-            values[i] = np.clip(values[i], parameter.low, parameter.high)
-    return replace(hypothesis, values=values)
+            direction = np.sign(enlarged_values[parameter_index] - parameter.neutral) or np.sign(
+                typical_values[parameter_index] - parameter.neutral
+            )
+            enlarged_values[parameter_index] += (
+                direction
+                * ENLARGED_ERRORS
+                * min(standard_errors[parameter_index], abs(typical_values[parameter_index] - parameter.neutral))
+            )
+            enlarged_values[parameter_index] = np.clip(enlarged_values[parameter_index], parameter.low, parameter.high)
+    return replace(hypothesis, values=enlarged_values)
 
 
-def disagreement(first: Hypothesis, second: Hypothesis) -> float:
+def disagreement(first_fit: Hypothesis, second_fit: Hypothesis) -> float:
     """Excess of the joint -2 ln p of two records, with one value of each parameter, over the sum of their own.
 
     d' (C1 + C2)^-1 d with the difference d of both fits, without the record-specific parameters.
     """
-    shared = [
+    is_shared = [
         parameter.name not in candidate.kind.of_a_record and not candidate.kind.stochastic
-        for candidate in first.candidates
+        for candidate in first_fit.candidates
         for parameter in candidate.parameters
     ]
-    difference = (first.values - second.values)[shared]
-    covariance = (first.covariance + second.covariance)[np.ix_(shared, shared)]
-    return float(difference @ np.linalg.pinv(covariance, hermitian=True) @ difference)
+    value_differences = (first_fit.values - second_fit.values)[is_shared]
+    covariance = (first_fit.covariance + second_fit.covariance)[np.ix_(is_shared, is_shared)]
+    return float(value_differences @ np.linalg.pinv(covariance, hermitian=True) @ value_differences)
 
 
-def _unchanged(rig: Rig) -> Rig:
+def _unchanged_rig(rig: Rig) -> Rig:
     return rig
 
 
-def _with_mass(rig: Rig, mass: PointMass) -> Rig:
+def _rig_with_mass(rig: Rig, mass: PointMass) -> Rig:
     return with_fields(rig, masses=(*rig.masses, mass))
 
 
-def _with_displacements(rig: Rig) -> Rig:
+def _rig_with_displacements(rig: Rig) -> Rig:
     sensors = tuple(
-        with_fields(s, quantity="displacement", noise_density=DISPLACEMENT_NOISE, measuring_range=None, bits=None)
-        if s.measures.translates
-        else s
-        for s in rig.sensors
+        with_fields(sensor, quantity="displacement", noise_density=DISPLACEMENT_NOISE, measuring_range=None, bits=None)
+        if sensor.measures.translates
+        else sensor
+        for sensor in rig.sensors
     )
     return with_fields(rig, sensors=sensors)
 
@@ -212,7 +236,7 @@ def _with_displacements(rig: Rig) -> Rig:
 def _force_stations(rig: Rig) -> Iterator[Station]:
     """Stations of `FORCE_POSITIONS` at which the force does not act yet."""
     for body in rig.bodies:
-        for station in {Station(body.name, share * body.length_m): None for share in FORCE_POSITIONS}:
+        for station in {Station(body.name, length_share * body.length_m): None for length_share in FORCE_POSITIONS}:
             if station != rig.force_at:
                 yield station
 
@@ -223,17 +247,20 @@ def _station_words(rig: Rig, station: Station) -> str:
 
 def _cost_difference(
     nominal_rig: Rig,
-    true: Hypothesis,
-    rival: Hypothesis,
+    true_cause: Hypothesis,
+    rival_cause: Hypothesis,
     forces_n: Float[np.ndarray, "forces samples"],
     simulate: Simulate,
     tolerances: Tolerances,
 ) -> float:
     """-2 ln p of the rival less that of the true cause, on a recording that is simulated with the true cause."""
-    enlarged = enlarge_strengths(true)
-    actual = enlarged.applied_to(nominal_rig)
-    record = record_of(simulate(nominal_rig, actual, forces_n, 5), tolerances=tolerances)
-    start = initial_search(record, actual)
-    true_refit, rival_refit = refit_hypothesis(start, enlarged), refit_hypothesis(start, rival)
-    disagreement_excess = disagreement(rival, rival_refit) - disagreement(true, true_refit)
+    enlarged_cause = enlarge_strengths(true_cause)
+    actual_rig = enlarged_cause.applied_to(nominal_rig)
+    simulated_record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
+    common_start = initial_search(simulated_record, actual_rig)
+    true_refit, rival_refit = (
+        refit_hypothesis(common_start, enlarged_cause),
+        refit_hypothesis(common_start, rival_cause),
+    )
+    disagreement_excess = disagreement(rival_cause, rival_refit) - disagreement(true_cause, true_refit)
     return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + disagreement_excess

@@ -20,7 +20,7 @@ from identify.gaps.decision.comparison import (
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
-from identify.gaps.decision.prepare import Prepared, PreparedRecording, Searched
+from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
     RIVAL_PROBABILITY,
     Decision,
@@ -61,25 +61,25 @@ class PredictedDecision:
 
     ranked: Sequence[ValidatedHypothesis]
     decision: Decision
-    rollout: Attempt[Rollout] = field(default_factory=Attempt)
+    rollout_attempt: Attempt[Rollout] = field(default_factory=Attempt)
     ruled_out: tuple[ValidatedHypothesis, ...] = ()
 
     @property
-    def vetoed(self) -> bool:
-        return self.rollout.value is not None and self.rollout.value.vetoed
+    def is_vetoed(self) -> bool:
+        return self.rollout_attempt.result is not None and self.rollout_attempt.result.vetoed
 
 
 @dataclass(frozen=True)
-class Unmeasured:
+class UnmeasuredCauses:
     """Unmeasured force or modulated clearance, in the nominal rig or beside named effects that explain a part.
 
-    minus_two_log_decrease is that of the nominal rig's -2 ln p by the force that explains it best; None where none was
+    cost_decrease is that of the nominal rig's -2 ln p by the force that explains it best; None where none was
     looked for.
     """
 
-    force: UnmeasuredForceFit | None = None
-    modulation: ClearanceModulation | None = None
-    minus_two_log_decrease: float | None = None
+    force_fit: UnmeasuredForceFit | None = None
+    clearance_swing: ClearanceModulation | None = None
+    cost_decrease: float | None = None
     notes: tuple[Note, ...] = ()
 
 
@@ -87,54 +87,59 @@ class Unmeasured:
 class Judgement:
     """Decision on the validation record, and the predicted decision before an unmeasured force was looked for.
 
-    linearization and residual are those of the nominal rig on that record.
+    linearization and nominal_residual are on that record.
     """
 
     decision: Decision
     prediction: PredictedDecision
-    unmeasured: Unmeasured
+    unmeasured: UnmeasuredCauses
     linearization: Linearization
-    residual: Residual
+    nominal_residual: Residual
 
 
 def judge(
-    prepared: Prepared, searched: Searched, matters: Matters, progress: Callable[[float], None] = lambda _: None
+    prepared: PreparedRecordings,
+    search_result: SearchResult,
+    matters: Matters,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> Judgement:
     """Judge the difference, every hypothesis and the prediction with the named effects on the validation record.
 
     Where named effects do not suffice, an unmeasured force and a modulated clearance are looked for.
     """
-    validation = prepared.validation
+    validation = prepared.validation_recording
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig)
-    priors = log_priors(searched.hypotheses, searched.candidates)
-    ranked = validate_hypotheses(record, validation.nominal_variances, residual, searched.hypotheses, priors, progress)
+    priors = log_priors(search_result.hypotheses, search_result.candidates)
+    ranked = validate_hypotheses(
+        record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress
+    )
     ranked = _refit_contact_laws(prepared, ranked, residual)
-    difference = difference_of(prepared, searched.nominal_misfit, residual, matters, split_p_value(ranked))
-    ranked = with_contact_evidence(prepared, searched.candidates, ranked, difference, residual)
-    basis = _Basis(prepared, difference, residual, matters)
-    outcome = predicted_decision(
+    difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
+    ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
+    basis = _DecisionBasis(prepared, difference, residual, matters)
+    predicted = predicted_decision(
         ranked, basis.decide, lambda named: attempted("rollout", lambda: predicted_rollout(prepared, residual, named))
     )
-    decision, unmeasured = outcome.decision, Unmeasured()
+    decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
     if decision.verdict in INCOMPLETE_VERDICTS:
-        decision, unmeasured = _decide_with_force(basis, outcome.ranked, decision)
-    return Judgement(decision, outcome, unmeasured, linearization, residual)
+        decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
+    return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
 
 
 @dataclass(frozen=True)
-class _Basis:
+class _DecisionBasis:
     """Evidence common to all decisions on the hypotheses."""
 
-    prepared: Prepared
+    prepared: PreparedRecordings
     difference: Difference
-    residual: Residual
+    nominal_residual: Residual
     matters: Matters
 
     def decide(
-        self, ranked: Sequence[ValidatedHypothesis], vetoed: bool = False, rivals: ForceRivals | None = None
+        self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
     ) -> Decision:
-        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, rivals, vetoed)
+        return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
 
 
 def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
@@ -149,88 +154,95 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
 
 
 def difference_of(
-    prepared: Prepared, searched_misfit: Misfit, residual: Residual, matters: Matters, p_split: float
+    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, p_split: float
 ) -> Difference:
     """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
     nominal rig's on the one that was searched.
 
     Contact parameters are not compared where the other p-values already prove a difference that is not bounded.
     """
-    validation = prepared.validation
+    validation = prepared.validation_recording
 
     def nominal_misfit(observation: PreparedRecording) -> Misfit:
-        if observation is prepared.searched and observation is not validation:
+        if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
         fit = residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
         return misfit(observation.record, observation.nominal_variances, fit)
 
-    misfits = [nominal_misfit(observation) for observation in prepared.observations]
-    p_parts = p_values(list(zip(prepared.null_references, misfits, strict=True)))
-    p_value = with_bound(combined_p_value(p_parts), p_split)
+    nominal_misfits = [nominal_misfit(observation) for observation in prepared.observations]
+    p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
+    p_value = with_bound(combined_p_value(p_value_parts), p_split)
     rig = validation.record.rig
-    names = [f"force of {contact.name}" for contact in joined(rig).contacts]
-    motion, *contacts = share_bounds(misfits[prepared.validation_index], names, matters)
-    if p_value < CERTAIN_P_VALUE and not all_hold((motion, *contacts)):
-        return Difference(p_value, motion, tuple(contacts))
+    force_names = [f"force of {contact.name}" for contact in joined(rig).contacts]
+    motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
+    if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
+        return Difference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
     distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_parts, distances.p_values)), p_split)
-    return Difference(p_value, motion, tuple(contacts), distances.bounds, distances.estimates)
+    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), p_split)
+    return Difference(p_value, motion_bound, tuple(contact_bounds), distances.parameter_bounds, distances.law_estimates)
 
 
 def _refit_contact_laws(
-    prepared: Prepared, ranked: list[ValidatedHypothesis], residual: Residual
+    prepared: PreparedRecordings, ranked: list[ValidatedHypothesis], residual: Residual
 ) -> list[ValidatedHypothesis]:
     """Replace the likeliest hypothesis by one with contact laws fitted as `identify contact` fits them.
 
     It is kept where the refit raises -2 ln p of the validation record by `WORTH` or more, or where it is the nominal
     rig.
     """
-    best, *lower_ranked = ranked
-    recordings, record = [observation.recording for observation in prepared.fitted], prepared.validation.record
-    hypothesis = with_contact_fit(best.hypothesis, recordings, record.tolerances)
-    if hypothesis is best.hypothesis:
+    likeliest, *lower_ranked = ranked
+    recordings, record = (
+        [observation.recording for observation in prepared.fitted_recordings],
+        prepared.validation_recording.record,
+    )
+    refitted = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
+    if refitted is likeliest.hypothesis:
         return ranked
-    priors = {hypothesis.key: best.log_prior}
-    fitted = validate_hypotheses(record, prepared.validation.nominal_variances, residual, [hypothesis], priors)
-    better = [item for item in fitted if item.misfit.minus_two_log < best.misfit.minus_two_log + MIN_GAIN]
-    return sorted([*(better or [best]), *lower_ranked], key=lambda item: -item.log_posterior)
+    priors = {refitted.effect_names: likeliest.log_prior}
+    refits = validate_hypotheses(record, prepared.validation_recording.nominal_variances, residual, [refitted], priors)
+    kept = [item for item in refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN]
+    return sorted([*(kept or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
 
 
 def _decide_with_force(
-    basis: _Basis, ranked: Sequence[ValidatedHypothesis], decision: Decision
-) -> tuple[Decision, Unmeasured]:
+    basis: _DecisionBasis, ranked: Sequence[ValidatedHypothesis], decision: Decision
+) -> tuple[Decision, UnmeasuredCauses]:
     """Decide with an unmeasured force as a rival of effects, or as their companion where they explain half."""
-    prepared, residual, validation = basis.prepared, basis.residual, basis.prepared.validation
-    record, vetoed = validation.record, decision.evidence.vetoed
+    prepared, residual, validation = (basis.prepared, basis.nominal_residual, basis.prepared.validation_recording)
+    record, is_vetoed = validation.record, decision.evidence.vetoed
     force_in_nominal = attempted(
-        "unmeasured_force", lambda: likeliest_force(prepared.searched.record, record.rig, record)
+        "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, record.rig, record)
     )
-    nominal = nominal_of(ranked)
-    minus_two_log = (
-        minus_two_log_with_force(validation, record.rig, force_in_nominal.value, nominal.misfit)
-        if force_in_nominal.value
+    nominal_hypothesis = nominal_of(ranked)
+    force_cost = (
+        minus_two_log_with_force(validation, record.rig, force_in_nominal.result, nominal_hypothesis.misfit)
+        if force_in_nominal.result
         else None
     )
-    decrease = None if minus_two_log is None else nominal.misfit.minus_two_log - minus_two_log
-    decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log))
-    force, named = force_in_nominal, decision.named
+    cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
+    decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
+    force_attempt, named = force_in_nominal, decision.named_hypothesis
     if named and explained_share(named.nominal_misfit, named.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE:
         rig = named.rig
-        force_beside = attempted("unmeasured_force", lambda: likeliest_force(prepared.searched.record, rig, record))
-        companion = force_beside.value
-        if companion and acts_at_effects(companion.on_fit.candidate, record.rig, rig):
+        force_beside = attempted(
+            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, rig, record)
+        )
+        companion = force_beside.result
+        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, rig):
             companion = None
-        minus_two_log_beside = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
-        decision = basis.decide(ranked, vetoed, ForceRivals(minus_two_log, named, minus_two_log_beside))
+        companion_cost = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
+        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force, residual = force_beside, fit_nuisance(record, rig)[1]
-    modulation = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
-    return decision, Unmeasured(force.value, modulation.value, decrease, (*force.notes, *modulation.notes))
+            force_attempt, residual = force_beside, fit_nuisance(record, rig)[1]
+    swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
+    return decision, UnmeasuredCauses(
+        force_attempt.result, swing_attempt.result, cost_decrease, (*force_attempt.notes, *swing_attempt.notes)
+    )
 
 
 def minus_two_log_with_force(
-    validation: PreparedRecording, rig: Rig, force: UnmeasuredForceFit, misfit_without: Misfit
+    validation_recording: PreparedRecording, rig: Rig, force_fit: UnmeasuredForceFit, misfit_without: Misfit
 ) -> float:
     """-2 ln p of a validation record with an unmeasured force beside a rig whose misfit without it is given.
 
@@ -238,37 +250,37 @@ def minus_two_log_with_force(
     share of the residual's directions that a free time history of the force can follow. There is no gain where the
     records show different forces.
     """
-    if not force.same_place:
+    if not force_fit.same_place:
         return misfit_without.minus_two_log
-    record = validation.record
-    cleared = replace(record, delivered=record.delivered - force.delivered())
-    misfit_with = misfit(cleared, validation.nominal_variances, fit_nuisance(cleared, rig)[1])
-    followed_share = force.directions / force.held.whitened.rows
+    record = validation_recording.record
+    cleared = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
+    misfit_with = misfit(cleared, validation_recording.nominal_variances, fit_nuisance(cleared, rig)[1])
+    followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
-        misfit_without.linear + misfit_without.line_cost - misfit_with.linear - misfit_with.line_cost
+        misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
     )
 
 
-def predicted_rollout(prepared: Prepared, nominal_residual: Residual, named: ValidatedHypothesis) -> Rollout:
+def predicted_rollout(prepared: PreparedRecordings, nominal_residual: Residual, named: ValidatedHypothesis) -> Rollout:
     """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
     effects."""
     if prepared.predict is None:
         return Rollout(code="not_simulated")
-    validation, predict = prepared.validation, prepared.predict
+    validation, predict = prepared.validation_recording, prepared.predict
     corrected_residual = fit_nuisance(validation.record, named.rig)[1]
     nulls = prepared.null_reference.predictions
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
         return rollout
-    samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
+    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
     log_ratios = []
     for seed in range(CONFIRMING_SIMULATIONS):
-        simulated = prepared.simulate(
+        simulation = prepared.simulate(
             validation.recording.rig, named.corrected_rig, validation.recording.forces_n, seed
         )
-        record = record_of(simulated, tolerances=validation.record.tolerances)
+        record = record_of(simulation, tolerances=validation.record.tolerances)
         nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named.rig))
-        log_ratios.append(log_ratio_of(simulated, nominal_fit, corrected_fit, samples, predict))
+        log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 
 
@@ -283,18 +295,20 @@ def predicted_decision(
     whose strengths exclude their neutral values, until one is not vetoed. If all are, the first decision stays, with
     its veto. decide takes hypotheses, and whether their named effects are vetoed.
     """
-    first = outcome = _decision_with_rollout(ranked, decide, predict)
-    rivals = [item.validated for item in first.decision.weighted if item.probability > RIVAL_PROBABILITY]
+    first_decision = latest = _decision_with_rollout(ranked, decide, predict)
+    rivals = [
+        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
+    ]
     rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
-    while outcome.vetoed:
-        vetoed = outcome.decision.named
-        ruled_out += [hypothesis for hypothesis in outcome.ranked if hypothesis is vetoed]
-        rivals = [rival for rival in rivals if rival is not vetoed]
+    while latest.is_vetoed:
+        vetoed_set = latest.decision.named_hypothesis
+        ruled_out += [hypothesis for hypothesis in latest.ranked if hypothesis is vetoed_set]
+        rivals = [rival for rival in rivals if rival is not vetoed_set]
         if not rivals:
-            return first
-        outcome = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
-    return replace(outcome, ruled_out=tuple(ruled_out)) if outcome.decision.corrects_rig else first
+            return first_decision
+        latest = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
+    return replace(latest, ruled_out=tuple(ruled_out)) if latest.decision.corrects_rig else first_decision
 
 
 def _decision_with_rollout(
@@ -303,7 +317,7 @@ def _decision_with_rollout(
     predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
 ) -> PredictedDecision:
     decision = decide(ranked, False)
-    if not decision.corrects_rig or decision.named is None:
+    if not decision.corrects_rig or decision.named_hypothesis is None:
         return PredictedDecision(ranked, decision)
-    outcome = PredictedDecision(ranked, decision, predict(decision.named))
-    return PredictedDecision(ranked, decide(ranked, True), outcome.rollout) if outcome.vetoed else outcome
+    outcome = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+    return PredictedDecision(ranked, decide(ranked, True), outcome.rollout_attempt) if outcome.is_vetoed else outcome

@@ -33,7 +33,7 @@ DERIVATIVE_STEP = 1e-2
 def identifiable_change(
     rig: Rig,
     candidate: Candidate,
-    values: Float[np.ndarray, " parameters"],
+    effect_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
     highest_hz: float,
 ) -> str:
@@ -41,59 +41,69 @@ def identifiable_change(
 
     values and covariance are those of the effect's parameters; modes up to highest_hz are in the band.
     """
-    attached = attachments_of(rig, candidate.applied(rig, values))
-    items: tuple[PointSpring | PointDamper | PointMass, ...]
-    items = (*attached.springs, *attached.dampers, *attached.masses) if attached else ()
-    stations = [item.station for item in items]
-    if len(stations) != 1:
+    attached_elements = attachments_of(rig, candidate.applied(rig, effect_values))
+    added_elements: tuple[PointSpring | PointDamper | PointMass, ...]
+    added_elements = (
+        (*attached_elements.springs, *attached_elements.dampers, *attached_elements.masses) if attached_elements else ()
+    )
+    element_stations = [added_element.station for added_element in added_elements]
+    if len(element_stations) != 1:
         return ""
-    (station,) = stations
+    (station,) = element_stations
     neighbours_m = basis_places_beside(rig.body(station.body), station.position_m)
-    mode = _dominant_mode(rig, candidate, values, station, highest_hz) if neighbours_m else None
-    if mode is None:
+    mode_index = _dominant_mode(rig, candidate, effect_values, station, highest_hz) if neighbours_m else None
+    if mode_index is None:
         return ""
     modes = modes_of(rig, rig.body(station.body))
-    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode + 1)[:, mode] ** 2
+    shapes_squared = modes.shapes(np.array([station.position_m, *neighbours_m]), mode_index + 1)[:, mode_index] ** 2
     if shapes_squared.max() < SHAPE_RATIO_LIMIT * shapes_squared.min():
         return ""
-    reason = "not told, as no sensor stands there and one mode dominates"
-    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode + 1)[mode]))} Hz"
-    for index, (quantity, unit, scale) in enumerate((("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))):
+    reason_words = "not told, as no sensor stands there and one mode dominates"
+    mode_words = f"the mode at {number(float(modes.frequencies_hz(mode_index + 1)[mode_index]))} Hz"
+    for quantity_index, (quantity_name, unit, shown_per_unit) in enumerate(
+        (("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))
+    ):
 
-        def shift(parameters: Float[np.ndarray, " parameters"], index: int = index) -> float:
-            return float(_modal_changes(rig, candidate, parameters, station.body)[index][mode])
+        def shift(parameter_values: Float[np.ndarray, " parameters"], quantity_index: int = quantity_index) -> float:
+            return float(_modal_changes(rig, candidate, parameter_values, station.body)[quantity_index][mode_index])
 
-        if change := shift(values):
-            change_words = interval(scale * change, scale * _standard_error(shift, values, covariance), unit)
-            return f"{reason}; told: the {quantity} of {mode_words} changes by {change_words}"
-    return f"{reason}: {mode_words}"
+        if mode_change := shift(effect_values):
+            change_words = interval(
+                shown_per_unit * mode_change,
+                shown_per_unit * _standard_error_of(shift, effect_values, covariance),
+                unit,
+            )
+            return f"{reason_words}; told: the {quantity_name} of {mode_words} changes by {change_words}"
+    return f"{reason_words}: {mode_words}"
 
 
 def _modal_changes(
-    rig: Rig, candidate: Candidate, values: Float[np.ndarray, " parameters"], body_name: str
+    rig: Rig, candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], body_name: str
 ) -> Float[np.ndarray, "2 modes"]:
     """Changes of each mode of a body by an effect: natural frequency (Hz) and damping ratio."""
-    body, changed = rig.body(body_name), candidate.applied(rig, values)
-    count = mode_count(body, body.max_modes)
-    before, after = modes_of(rig, body), modes_of(changed, body)
-    frequencies_hz = before.frequencies_hz(count)
-    ratios = ratios_by_dampers(before, frequencies_hz, changed.dampers[len(rig.dampers) :])
-    return np.array([after.frequencies_hz(count) - frequencies_hz, ratios])
+    body, changed_rig = rig.body(body_name), candidate.applied(rig, effect_values)
+    compared_mode_count = mode_count(body, body.max_modes)
+    nominal_modes, changed_modes = modes_of(rig, body), modes_of(changed_rig, body)
+    frequencies_hz = nominal_modes.frequencies_hz(compared_mode_count)
+    added_damping_ratios = damping_ratios_by_dampers(
+        nominal_modes, frequencies_hz, changed_rig.dampers[len(rig.dampers) :]
+    )
+    return np.array([changed_modes.frequencies_hz(compared_mode_count) - frequencies_hz, added_damping_ratios])
 
 
-def ratios_by_dampers(
+def damping_ratios_by_dampers(
     modes: Modes, frequencies_hz: Float[np.ndarray, " modes"], dampers: Sequence[PointDamper]
 ) -> Float[np.ndarray, " modes"]:
     """Damping ratios c phi^2 / (2 omega) that dampers on a body add to its modes."""
-    ratios = np.zeros_like(frequencies_hz)
+    damping_ratios = np.zeros_like(frequencies_hz)
     for damper in dampers:
-        shape = modes.shapes(np.array([damper.station.position_m]), frequencies_hz.size)[0]
-        ratios += damper.damping_n_s_per_m * shape**2 / (4 * np.pi * np.maximum(frequencies_hz, 1e-9))
-    return ratios
+        shape_at_damper = modes.shapes(np.array([damper.station.position_m]), frequencies_hz.size)[0]
+        damping_ratios += damper.damping_n_s_per_m * shape_at_damper**2 / (4 * np.pi * np.maximum(frequencies_hz, 1e-9))
+    return damping_ratios
 
 
 def _dominant_mode(
-    rig: Rig, candidate: Candidate, values: Float[np.ndarray, " parameters"], station: Station, highest_hz: float
+    rig: Rig, candidate: Candidate, effect_values: Float[np.ndarray, " parameters"], station: Station, highest_hz: float
 ) -> int | None:
     """Mode that an effect changes most by far; None if none dominates, or if the body has rigid modes, whose shapes are
     lines.
@@ -101,31 +111,42 @@ def _dominant_mode(
     An effect on neither frequencies nor damping ratios (friction, a cubic spring) is treated as a spring.
     """
     body = rig.body(station.body)
-    modes, count = modes_of(rig, body), mode_count(body, body.max_modes)
-    frequencies_hz, ratios = modes.frequencies_hz(count), np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)
+    modes, compared_mode_count = modes_of(rig, body), mode_count(body, body.max_modes)
+    frequencies_hz, damping_ratios = (
+        modes.frequencies_hz(compared_mode_count),
+        np.maximum(modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO),
+    )
     if body.rigid_modes:
         return None
-    by_frequency, by_ratio = _modal_changes(rig, candidate, values, station.body)
-    sizes = np.hypot(by_frequency / frequencies_hz, by_ratio) / ratios
-    if not sizes.any():
-        sizes = modes.shapes(np.array([station.position_m]), count)[0] ** 2 / (frequencies_hz**2 * ratios)
-    in_band = np.where(frequencies_hz < highest_hz, sizes, 0.0) ** 2
-    largest = int(np.argmax(in_band))
-    return largest if in_band[largest] > DOMINANT_SHARE * in_band.sum() else None
+    frequency_changes_hz, damping_changes = _modal_changes(rig, candidate, effect_values, station.body)
+    change_in_half_widths = np.hypot(frequency_changes_hz / frequencies_hz, damping_changes) / damping_ratios
+    if not change_in_half_widths.any():
+        change_in_half_widths = modes.shapes(np.array([station.position_m]), compared_mode_count)[0] ** 2 / (
+            frequencies_hz**2 * damping_ratios
+        )
+    squares_in_band = np.where(frequencies_hz < highest_hz, change_in_half_widths, 0.0) ** 2
+    largest_index = int(np.argmax(squares_in_band))
+    return largest_index if squares_in_band[largest_index] > DOMINANT_SHARE * squares_in_band.sum() else None
 
 
-def _standard_error(
-    function: Callable[[Float[np.ndarray, " parameters"]], float],
-    values: Float[np.ndarray, " parameters"],
+def _standard_error_of(
+    parameter_function: Callable[[Float[np.ndarray, " parameters"]], float],
+    parameter_values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
-    steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    parameter_steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     try:
         slopes = np.array(
             [
-                (function(values + step) - function(values - step)) / (2 * step.sum()) if step.any() else 0.0
-                for step in steps
+                (
+                    parameter_function(parameter_values + parameter_step)
+                    - parameter_function(parameter_values - parameter_step)
+                )
+                / (2 * parameter_step.sum())
+                if parameter_step.any()
+                else 0.0
+                for parameter_step in parameter_steps
             ]
         )
     except RigError:
@@ -133,50 +154,61 @@ def _standard_error(
     return float(np.sqrt(max(slopes @ covariance @ slopes, 0.0)))
 
 
-def have_levels(levels_n: Sequence[float]) -> bool:
+def have_levels(force_levels_n: Sequence[float]) -> bool:
     """True if the forces are of several levels, not all within `LEVEL_FACTOR` of each other."""
-    return min(levels_n) > 0 and max(levels_n) > LEVEL_FACTOR * min(levels_n)
+    return min(force_levels_n) > 0 and max(force_levels_n) > LEVEL_FACTOR * min(force_levels_n)
 
 
 def level_dependence(
-    rigs: Sequence[Rig], levels_n: Sequence[float], differing: Sequence[ParameterByRecord], highest_hz: float
+    rig_by_record: Sequence[Rig],
+    force_levels_n: Sequence[float],
+    differing_parameters: Sequence[ParameterByRecord],
+    highest_hz: float,
 ) -> LevelDependence | None:
-    """Change, from the lowest to the highest level, of the mode that changes most; `rigs` are those of the records.
+    """Change, from the lowest to the highest level, of the mode that changes most; `rig_by_record` has a rig each.
 
     None where a strength does not follow the level, or no mode below `highest_hz` changes.
     """
-    if not differing or any(parameter.by_level not in ("grows", "falls") for parameter in differing):
+    if not differing_parameters or any(
+        parameter.by_level not in ("grows", "falls") for parameter in differing_parameters
+    ):
         return None
-    low, high = int(np.argmin(levels_n)), int(np.argmax(levels_n))
-    largest: tuple[float, LevelDependence] | None = None
-    for body in rigs[low].bodies:
+    lowest_index, highest_index = int(np.argmin(force_levels_n)), int(np.argmax(force_levels_n))
+    largest_dependence: tuple[float, LevelDependence] | None = None
+    for body in rig_by_record[lowest_index].bodies:
         (low_hz, low_ratios), (high_hz, high_ratios) = (
-            _modal_parameters(rigs[k], rigs[k].body(body.name)) for k in (low, high)
+            _modal_parameters(rig_by_record[record_index], rig_by_record[record_index].body(body.name))
+            for record_index in (lowest_index, highest_index)
         )
-        elastic = (low_hz > 0) & (low_hz < highest_hz)
-        if not elastic.any():
+        is_elastic = (low_hz > 0) & (low_hz < highest_hz)
+        if not is_elastic.any():
             continue
-        by_frequency, by_ratio = high_hz[elastic] / low_hz[elastic] - 1, high_ratios[elastic] / low_ratios[elastic] - 1
-        size = np.hypot(by_frequency / low_ratios[elastic], by_ratio)
-        mode = int(np.argmax(size))
-        dependence = LevelDependence(
-            lowest_n=float(levels_n[low]),
-            highest_n=float(levels_n[high]),
-            body=body.name,
-            frequency_hz=float(low_hz[elastic][mode]),
-            frequency_change=float(by_frequency[mode]),
-            damping_change=float(by_ratio[mode]),
+        frequency_changes, damping_changes = (
+            high_hz[is_elastic] / low_hz[is_elastic] - 1,
+            high_ratios[is_elastic] / low_ratios[is_elastic] - 1,
         )
-        if size[mode] > 0 and (largest is None or size[mode] > largest[0]):
-            largest = float(size[mode]), dependence
-    return largest[1] if largest else None
+        change_sizes = np.hypot(frequency_changes / low_ratios[is_elastic], damping_changes)
+        mode_index = int(np.argmax(change_sizes))
+        dependence = LevelDependence(
+            lowest_n=float(force_levels_n[lowest_index]),
+            highest_n=float(force_levels_n[highest_index]),
+            body=body.name,
+            frequency_hz=float(low_hz[is_elastic][mode_index]),
+            frequency_change=float(frequency_changes[mode_index]),
+            damping_change=float(damping_changes[mode_index]),
+        )
+        if change_sizes[mode_index] > 0 and (
+            largest_dependence is None or change_sizes[mode_index] > largest_dependence[0]
+        ):
+            largest_dependence = float(change_sizes[mode_index]), dependence
+    return largest_dependence[1] if largest_dependence else None
 
 
 def _modal_parameters(rig: Rig, body: Body) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]:
     """Natural frequencies (Hz) and damping ratios of a body's modes, including the dampers on it."""
-    modes, count = modes_of(rig, body), mode_count(body, body.max_modes)
-    natural_hz = modes.frequencies_hz(count)
-    dampers = [damper for damper in rig.dampers if damper.station.body == body.name]
-    return natural_hz, np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO) + ratios_by_dampers(
-        modes, natural_hz, dampers
-    )
+    modes, compared_mode_count = modes_of(rig, body), mode_count(body, body.max_modes)
+    natural_hz = modes.frequencies_hz(compared_mode_count)
+    body_dampers = [damper for damper in rig.dampers if damper.station.body == body.name]
+    return natural_hz, np.maximum(
+        modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO
+    ) + damping_ratios_by_dampers(modes, natural_hz, body_dampers)

@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 class Attempt(Generic[Result]):
     """Result of a side analysis, or the note that says why there is none."""
 
-    value: Result | None = None
+    result: Result | None = None
     notes: tuple[Note, ...] = ()
 
 

@@ -36,7 +36,7 @@ from identify.gaps.decision.null_simulations import (
     with_force_noise,
 )
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
-from identify.gaps.residual.record import Counted
+from identify.gaps.residual.record import CountedPart
 from identify.gaps.residual.residual import Residual, linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.rollout.results import NullErrors
@@ -111,9 +111,11 @@ class NullReference(msgspec.Struct, frozen=True):
         band_count = min(
             len(simulation.shares) for simulation in self.simulations
         )  # the bands of a record end where its force does
-        rows = np.array([simulation.shares[:band_count] for simulation in self.simulations])
-        deviations = student.ppf(0.95, len(rows) - 1) * np.sqrt(1 + 1 / len(rows))
-        return np.asarray(rows.mean(axis=0) + deviations * rows.std(axis=0, ddof=1))
+        shares_by_simulation = np.array([simulation.shares[:band_count] for simulation in self.simulations])
+        limit_deviations = student.ppf(0.95, len(shares_by_simulation) - 1) * np.sqrt(1 + 1 / len(shares_by_simulation))
+        return np.asarray(
+            shares_by_simulation.mean(axis=0) + limit_deviations * shares_by_simulation.std(axis=0, ddof=1)
+        )
 
 
 class _StoredReferences(msgspec.Struct, frozen=True):
@@ -122,7 +124,7 @@ class _StoredReferences(msgspec.Struct, frozen=True):
     null_references: tuple[NullReference, ...]
 
 
-def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
+def p_values(references_and_misfits: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarray, " parts"]:
     """p-values of the misfit of a rig on all records together, one for each statistic.
 
     The null simulations of several records are of the same machines, so their statistics are added machine by machine.
@@ -137,18 +139,28 @@ def p_values(records: Sequence[tuple[NullReference, Misfit]]) -> Float[np.ndarra
     with s at least 1. Of a statistic that hardly varies, the mean has p = 1/2, and the normal distribution takes the
     place of Student's, as no deviation is estimated.
     """
-    nulls = np.sum([reference.statistics for reference, _ in records], axis=0)
-    measured = np.sum([[misfit.minus_two_log - misfit.law, misfit.law, misfit.peak] for _, misfit in records], axis=0)
-    is_used = [True, bool(np.any(nulls[:, 1])), True]
-    nulls, measured = nulls[:, is_used], measured[is_used]
-    deviations = nulls.std(axis=0, ddof=1)
-    squares = np.maximum(deviations**2 / 2, 1.0)
-    excess = np.sqrt(2 / squares) * (measured - nulls.mean(axis=0)) / np.maximum(deviations, 1.0)
-    skew = 2 / (9 * squares)
-    normals = (np.cbrt(np.maximum(1 + excess, 0.0)) - 1 + skew) / np.sqrt(skew)
-    normals -= (1 - np.minimum(deviations**2 / 2, 1.0)) * np.sqrt(skew)
-    normals /= np.sqrt(1 + 1 / len(nulls))
-    return np.where(deviations < 1, norm.sf(normals), student.sf(normals, len(nulls) - 1))
+    null_statistics = np.sum([reference.statistics for reference, _ in references_and_misfits], axis=0)
+    measured_statistics = np.sum(
+        [
+            [misfit.minus_two_log - misfit.contact_cost, misfit.contact_cost, misfit.peak_band_cost]
+            for _, misfit in references_and_misfits
+        ],
+        axis=0,
+    )
+    is_used = [True, bool(np.any(null_statistics[:, 1])), True]
+    null_statistics, measured_statistics = null_statistics[:, is_used], measured_statistics[is_used]
+    null_deviations = null_statistics.std(axis=0, ddof=1)
+    degrees_of_freedom = np.maximum(null_deviations**2 / 2, 1.0)
+    standardised_excess = (
+        np.sqrt(2 / degrees_of_freedom)
+        * (measured_statistics - null_statistics.mean(axis=0))
+        / np.maximum(null_deviations, 1.0)
+    )
+    cube_root_skew = 2 / (9 * degrees_of_freedom)
+    normal_scores = (np.cbrt(np.maximum(1 + standardised_excess, 0.0)) - 1 + cube_root_skew) / np.sqrt(cube_root_skew)
+    normal_scores -= (1 - np.minimum(null_deviations**2 / 2, 1.0)) * np.sqrt(cube_root_skew)
+    normal_scores /= np.sqrt(1 + 1 / len(null_statistics))
+    return np.where(null_deviations < 1, norm.sf(normal_scores), student.sf(normal_scores, len(null_statistics) - 1))
 
 
 def combined_p_value(p_values: Float[np.ndarray, " parts"]) -> float:
@@ -176,7 +188,7 @@ def p_value(null_reference: NullReference, misfit: Misfit) -> float:
 
 
 def null_reference_of(
-    measured: Recording,
+    measured_recording: Recording,
     tolerances: Tolerances,
     simulate: Simulate,
     simulator: str,
@@ -190,89 +202,91 @@ def null_reference_of(
     Each null simulation is also predicted from its measured states, if a predictor is given. In a folder, the file is
     named after the key, so that references of many rigs and levels can share it.
     """
-    measured_record = record_of(measured, tolerances=tolerances)
-    key = null_key(measured, measured_record.counted, tolerances, simulator, simulation_count)
+    measured_record = record_of(measured_recording, tolerances=tolerances)
+    key_digest = null_key(measured_recording, measured_record.counted_part, tolerances, simulator, simulation_count)
     if path and path.is_dir():
-        path = path / f"{key[:16]}.json"
-    stored = _stored_references(path) if path else ()
-    if null_reference := next((item for item in stored if item.key == key), None):
+        path = path / f"{key_digest[:16]}.json"
+    stored_references = _stored_references(path) if path else ()
+    if null_reference := next(
+        (stored_reference for stored_reference in stored_references if stored_reference.key == key_digest), None
+    ):
         return replace(null_reference, checksum="")
     if path:
         check_target(path, new_folder=True)
-    simulation = _NullExperiment(
-        measured=measured,
+    null_run = _NullRun(
+        measured_recording=measured_recording,
         tolerances=tolerances,
-        force_noise_n=np.sqrt(measured_record.force_noise / measured_record.samples),
-        silent_samples=round(measured_record.excited_s * measured_record.sample_rate_hz),
-        counted=measured_record.counted,
+        force_noise_n=np.sqrt(measured_record.force_noise_variance / measured_record.sample_count),
+        silent_samples=round(measured_record.excitation_start_s * measured_record.sample_rate_hz),
+        counted_part=measured_record.counted_part,
         simulate=simulate,
         predict=predict,
     )
-    rows = mapped(
-        simulation,
-        list(enumerate(standard_normals(measured.rig, simulation_count))),
-        report_finished=lambda finished: progress(finished / simulation_count),
+    null_simulations = mapped(
+        null_run,
+        list(enumerate(standard_normals(measured_recording.rig, simulation_count))),
+        report_finished=lambda finished_count: progress(finished_count / simulation_count),
     )
-    null_reference = NullReference(key, tuple(rows))
+    null_reference = NullReference(key_digest, tuple(null_simulations))
     if path:
         make_folder(path.parent)
-        content = _StoredReferences(
-            (*stored[1 - STORED_REFERENCES :], replace(null_reference, checksum=_checksum(null_reference)))
+        file_content = _StoredReferences(
+            (*stored_references[1 - STORED_REFERENCES :], replace(null_reference, checksum=_checksum(null_reference)))
         )
-        write_bytes(msgspec.json.encode(content), path)
+        write_bytes(msgspec.json.encode(file_content), path)
     return null_reference
 
 
 @dataclass(frozen=True)
-class _NullExperiment:
+class _NullRun:
     """Null simulation of a recording as a function of its seed and of the standard normals that draw the machine."""
 
-    measured: Recording
+    measured_recording: Recording
     tolerances: Tolerances
     force_noise_n: Float[np.ndarray, " forces"]
     silent_samples: int
-    counted: Counted
+    counted_part: CountedPart
     simulate: Simulate
     predict: Predict | None
 
-    def __call__(self, run: tuple[int, Float[np.ndarray, " normals"]]) -> NullSimulation:
+    def __call__(self, seed_and_normals: tuple[int, Float[np.ndarray, " normals"]]) -> NullSimulation:
         """Record a machine that is drawn within the tolerances, and fit the nominal rig to it."""
-        seed, normals = run
-        recording = self._recorded(seed, draw_rig(self.measured.rig, self.tolerances, normals))
-        record = record_of(recording, tolerances=self.tolerances, counted=self.counted)
+        seed, normals = seed_and_normals
+        recording = self._recording_of(seed, draw_rig(self.measured_recording.rig, self.tolerances, normals))
+        record = record_of(recording, tolerances=self.tolerances, counted_part=self.counted_part)
         linearization = linearized(record, record.rig)
         nominal_variances = nominal_variances_of(linearization)
         residual = fit_nuisance(record, record.rig)[1]
         nominal_misfit = misfit(record, nominal_variances, residual)
         return NullSimulation(
             nominal_misfit.minus_two_log,
-            nominal_misfit.law,
-            nominal_misfit.peak,
-            tuple(nominal_misfit.shares.tolist()),
-            nominal_misfit.share,
+            nominal_misfit.contact_cost,
+            nominal_misfit.peak_band_cost,
+            tuple(nominal_misfit.share_by_band.tolist()),
+            nominal_misfit.motion_share,
             tuple(nominal_misfit.contact_shares.tolist()),
-            _prediction(recording, residual, self.predict),
+            _prediction_errors(recording, residual, self.predict),
         )
 
-    def _recorded(self, seed: int, actual: Rig) -> Recording:
+    def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
         """Recording of a machine under a force of the measured one's spectrum, with noise and crosstalk."""
         rng = np.random.default_rng([seed, 77])
-        rate_hz = self.measured.rig.sample_rate_hz
+        rate_hz = self.measured_recording.rig.sample_rate_hz
         forces_n = np.array(
             [
-                row if is_impulsive(row) else phase_randomized(row, self.silent_samples, rate_hz, rng)
-                for row in self.measured.forces_n
+                force_n if is_impulsive(force_n) else phase_randomized(force_n, self.silent_samples, rate_hz, rng)
+                for force_n in self.measured_recording.forces_n
             ]
         )
-        simulated = self.simulate(self.measured.rig, actual, forces_n, seed)
+        simulated_recording = self.simulate(self.measured_recording.rig, drawn_rig, forces_n, seed)
         gain_tolerance = (
             self.tolerances.force_gain if len(self.force_noise_n) > 1 else 0.0
         )  # of one force the rig that is drawn has it
-        noisy = with_force_noise(simulated, self.force_noise_n, gain_tolerance, rng)
-        return with_crosstalk(noisy, self.tolerances.crosstalk, rng)
+        noisy_recording = with_force_noise(simulated_recording, self.force_noise_n, gain_tolerance, rng)
+        return with_crosstalk(noisy_recording, self.tolerances.crosstalk, rng)
 
 
-def _prediction(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:
+def _prediction_errors(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:
     """Errors of predictions; None without a predictor, and for a rig that it cannot predict."""
     if predict is None:
         return None
@@ -283,8 +297,8 @@ def _prediction(recording: Recording, residual: Residual, predict: Predict | Non
 
 
 def null_key(
-    measured: Recording,
-    counted: Counted,
+    measured_recording: Recording,
+    counted_part: CountedPart,
     tolerances: Tolerances,
     simulator: str,
     simulation_count: int = NULL_SIMULATIONS,
@@ -295,18 +309,20 @@ def null_key(
     of a second, and up to which frequency.
     """
     level_signal = (
-        measured.forces_n if np.any(measured.forces_n) else measured.signals[measured.rig.sensors[-1].quantity].values
+        measured_recording.forces_n
+        if np.any(measured_recording.forces_n)
+        else measured_recording.signals[measured_recording.rig.sensors[-1].quantity].values
     )
-    level = round(float(np.log(max(np.std(level_signal), 1e-300)) / np.log(LEVEL_FACTOR)))
-    extent = f"{measured.samples} {counted.factor} {round(2 * counted.until_s)}"
-    version = importlib.metadata.version("rig-identify")
-    kind = " blows" * any(is_impulsive(row) for row in measured.forces_n)
-    fields = (
-        to_json(replace(measured.rig, tolerances=None)),
+    level_number = round(float(np.log(max(np.std(level_signal), 1e-300)) / np.log(LEVEL_FACTOR)))
+    extent_words = f"{measured_recording.samples} {counted_part.decimation} {round(2 * counted_part.end_s)}"
+    program_version = importlib.metadata.version("rig-identify")
+    blow_words = " blows" * any(is_impulsive(force_n) for force_n in measured_recording.forces_n)
+    key_parts = (
+        to_json(replace(measured_recording.rig, tolerances=None)),
         msgspec.json.encode(tolerances),
-        f"{simulator} {level} {extent} {simulation_count} {version}{kind}".encode(),
+        f"{simulator} {level_number} {extent_words} {simulation_count} {program_version}{blow_words}".encode(),
     )
-    return hashlib.sha256(b"\n".join(fields)).hexdigest()
+    return hashlib.sha256(b"\n".join(key_parts)).hexdigest()
 
 
 def _stored_references(path: Path) -> tuple[NullReference, ...]:
@@ -316,14 +332,18 @@ def _stored_references(path: Path) -> tuple[NullReference, ...]:
     """
     if not path.exists():
         return ()
-    content = contents(path)
-    if content and not content.startswith(b'{"null_references"') and not path.name.endswith(NULL_REFERENCE_SUFFIX):
+    file_content = contents(path)
+    if (
+        file_content
+        and not file_content.startswith(b'{"null_references"')
+        and not path.name.endswith(NULL_REFERENCE_SUFFIX)
+    ):
         raise RigError(f"{path}: is no null reference, and is not written over; give another name, or remove it")
     try:
-        references = msgspec.json.decode(content, type=_StoredReferences).null_references
+        stored_references = msgspec.json.decode(file_content, type=_StoredReferences).null_references
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         return ()
-    return tuple(reference for reference in references if reference.checksum == _checksum(reference))
+    return tuple(reference for reference in stored_references if reference.checksum == _checksum(reference))
 
 
 def _checksum(null_reference: NullReference) -> str:

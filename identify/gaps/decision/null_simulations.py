@@ -43,8 +43,8 @@ SHAPE_POSITIONS = 41
 
 def standard_normals(rig: Rig, simulation_count: int) -> Float[np.ndarray, "simulations draws"]:
     """Standard normal draws for every tolerance (Latin hypercube)."""
-    draws = 512 + 8 * len(rig.sensors)
-    return np.asarray(norm.ppf(qmc.LatinHypercube(draws, seed=7).random(simulation_count)))
+    draw_count = 512 + 8 * len(rig.sensors)
+    return np.asarray(norm.ppf(qmc.LatinHypercube(draw_count, seed=7).random(simulation_count)))
 
 
 def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draws"]) -> Rig:
@@ -54,49 +54,54 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     AC-coupled sensor is added to its corner frequency. The gains of several forces are not part of the rig (see
     `with_force_noise`).
     """
-    normal = iter(normals.tolist())
-    sensors = []
-    stations: dict[Station, Station] = {}
+    next_normals = iter(normals.tolist())
+    drawn_sensors = []
+    drawn_stations: dict[Station, Station] = {}
     for sensor in rig.sensors:
         sensor_tolerances = tolerances.of_sensor(sensor.name)
-        if sensor.station not in stations:  # sensors at one station sit on one block
+        if sensor.station not in drawn_stations:  # sensors at one station sit on one block
             length_m = rig.body(sensor.station.body).length_m
             position_m = float(
-                np.clip(sensor.station.position_m + sensor_tolerances.position_m * next(normal), 0.0, length_m)
+                np.clip(sensor.station.position_m + sensor_tolerances.position_m * next(next_normals), 0.0, length_m)
             )
-            stations[sensor.station] = Station(sensor.station.body, position_m)
-        gain, delay_s = 1 + sensor_tolerances.gain * next(normal), sensor_tolerances.delay_s * next(normal)
-        corner_hz = abs(sensor_tolerances.high_pass_hz * next(normal)) * sensor.measures.ac_coupled
-        chain = {"gain": sensor.gain * gain, "delay_s": sensor.delay_s + delay_s}
-        chain["high_pass_hz"] = sensor.high_pass_hz + corner_hz
+            drawn_stations[sensor.station] = Station(sensor.station.body, position_m)
+        drawn_gain, delay_s = (
+            1 + sensor_tolerances.gain * next(next_normals),
+            sensor_tolerances.delay_s * next(next_normals),
+        )
+        corner_hz = abs(sensor_tolerances.high_pass_hz * next(next_normals)) * sensor.measures.ac_coupled
+        chain_values = {"gain": sensor.gain * drawn_gain, "delay_s": sensor.delay_s + delay_s}
+        chain_values["high_pass_hz"] = sensor.high_pass_hz + corner_hz
         fibre_m = rig.fibre_m(sensor) or None  # a structure does not know how thick it is
-        sensors.append(replace(sensor, station=stations[sensor.station], fibre_m=fibre_m, **chain))
-    gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(normal) * (len(rig.forces) == 1))
-    contacts = tuple(_draw_contact(contact, tolerances, normal) for contact in rig.contacts)
-    bodies = tuple(_draw_body(rig, body, sensors, tolerances, normal) for body in rig.bodies)
-    modal_bodies = {b.name for b in bodies if not b.is_mass} & {b.name for b in rig.bodies}
+        drawn_sensors.append(replace(sensor, station=drawn_stations[sensor.station], fibre_m=fibre_m, **chain_values))
+    drawn_gain = rig.force_sensor.gain * (1 + tolerances.force_gain * next(next_normals) * (len(rig.forces) == 1))
+    drawn_contacts = tuple(_draw_contact(contact, tolerances, next_normals) for contact in rig.contacts)
+    drawn_bodies = tuple(_draw_body(rig, body, drawn_sensors, tolerances, next_normals) for body in rig.bodies)
+    modal_bodies = {b.name for b in drawn_bodies if not b.is_mass} & {b.name for b in rig.bodies}
     return replace(
         rig,
-        bodies=bodies,
-        sensors=tuple(sensors),
-        contacts=contacts,
-        force_sensor=replace(rig.force_sensor, gain=gain),
-        masses=tuple(m for m in rig.masses if m.station.body not in modal_bodies),
+        bodies=drawn_bodies,
+        sensors=tuple(drawn_sensors),
+        contacts=drawn_contacts,
+        force_sensor=replace(rig.force_sensor, gain=drawn_gain),
+        masses=tuple(mass for mass in rig.masses if mass.station.body not in modal_bodies),
         springs=tuple(_remaining_springs(rig, modal_bodies)),
         supports=(),
         clamps=(),
     )
 
 
-def with_crosstalk(recording: Recording, share: float, rng: np.random.Generator) -> Recording:
+def with_crosstalk(recording: Recording, crosstalk_share: float, rng: np.random.Generator) -> Recording:
     """Recording with crosstalk: random shares, of this standard deviation, of the adjacent channels of the same
     quantity."""
     signals = dict(recording.signals)
-    for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors) if share else ():
-        values = signals[quantity].values
-        neighbours = np.eye(len(values), k=1) + np.eye(len(values), k=-1)
-        mixing = np.eye(len(values)) + share * neighbours * rng.standard_normal(neighbours.shape)
-        signals[quantity] = with_fields(signals[quantity], values=mixing @ values)
+    for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors) if crosstalk_share else ():
+        channel_values = signals[quantity].values
+        neighbour_mask = np.eye(len(channel_values), k=1) + np.eye(len(channel_values), k=-1)
+        mixing_matrix = np.eye(len(channel_values)) + crosstalk_share * neighbour_mask * rng.standard_normal(
+            neighbour_mask.shape
+        )
+        signals[quantity] = with_fields(signals[quantity], values=mixing_matrix @ channel_values)
     return with_fields(recording, signals=signals)
 
 
@@ -109,64 +114,84 @@ def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
             yield replace(spring, stiffness_n_per_m=0.0, rotational_n_m_per_rad=0.0)
 
 
-def _draw_contact(contact: Contact, tolerances: Tolerances, normal: Iterator[float]) -> Contact:
-    law = contact.law
-    clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + tolerances.clearance * next(normal))
-    stiffness_factor = max(0.01, 1 + tolerances.stiffness * next(normal))
-    damping_n_s_per_m = tolerances.contact_damping_s * law.stiffness_n_per_m * abs(next(normal))
-    changed = replace(
-        law,
-        lower_clearance_m=law.lower_clearance_m * clearance_factor,
-        upper_clearance_m=law.upper_clearance_m * clearance_factor,
-        stiffness_n_per_m=law.stiffness_n_per_m * stiffness_factor,
-        damping_n_s_per_m=law.damping_n_s_per_m + damping_n_s_per_m,
+def _draw_contact(contact: Contact, tolerances: Tolerances, next_normals: Iterator[float]) -> Contact:
+    nominal_law = contact.law
+    clearance_factor = max(LEAST_CLEARANCE_FACTOR, 1 + tolerances.clearance * next(next_normals))
+    stiffness_factor = max(0.01, 1 + tolerances.stiffness * next(next_normals))
+    damping_n_s_per_m = tolerances.contact_damping_s * nominal_law.stiffness_n_per_m * abs(next(next_normals))
+    drawn_law = replace(
+        nominal_law,
+        lower_clearance_m=nominal_law.lower_clearance_m * clearance_factor,
+        upper_clearance_m=nominal_law.upper_clearance_m * clearance_factor,
+        stiffness_n_per_m=nominal_law.stiffness_n_per_m * stiffness_factor,
+        damping_n_s_per_m=nominal_law.damping_n_s_per_m + damping_n_s_per_m,
     )
-    return replace(contact, law=changed)
+    return replace(contact, law=drawn_law)
 
 
-def _draw_body(rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, normal: Iterator[float]) -> Body:
-    mass_factor = 1 + tolerances.mass * next(normal)
-    frequency_change, log_damping = tolerances.frequency * next(normal), tolerances.damping * next(normal)
+def _draw_body(
+    rig: Rig, body: Body, sensors: list[Sensor], tolerances: Tolerances, next_normals: Iterator[float]
+) -> Body:
+    mass_factor = 1 + tolerances.mass * next(next_normals)
+    frequency_change, log_damping = tolerances.frequency * next(next_normals), tolerances.damping * next(next_normals)
     if body.is_mass:
         return (
             body.scale_mass(mass_factor)
             .scale_frequencies(1 + frequency_change)
             .scale_damping(float(np.exp(log_damping)))
         )
-    modes, count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
-    mode_tolerances = [tolerances.of_mode(body.name, m + 1) for m in range(count)]
+    modes, drawn_mode_count = modes_of(rig, body), mode_count(body, DRAWN_MODES)
+    mode_tolerances = [tolerances.of_mode(body.name, mode_index + 1) for mode_index in range(drawn_mode_count)]
     frequency_factors = np.array(
-        [1 + frequency_change + tolerance.frequency * next(normal) for tolerance in mode_tolerances]
+        [1 + frequency_change + tolerance.frequency * next(next_normals) for tolerance in mode_tolerances]
     )
-    damping_factors = np.exp([log_damping + tolerance.damping * next(normal) for tolerance in mode_tolerances])
-    natural_hz = modes.frequencies_hz(count) * frequency_factors
-    order = np.argsort(natural_hz)
-    stations = [s.station for s in sensors] + [s.station for s in rig.sensors] + [*rig.forces]
-    stations += [s for c in rig.contacts for s in contact_stations(c)] + [load.station for load in rig.loads]
+    damping_factors = np.exp([log_damping + tolerance.damping * next(next_normals) for tolerance in mode_tolerances])
+    natural_hz = modes.frequencies_hz(drawn_mode_count) * frequency_factors
+    frequency_order = np.argsort(natural_hz)
+    needed_stations = (
+        [station.station for station in sensors] + [station.station for station in rig.sensors] + [*rig.forces]
+    )
+    needed_stations += [station for contact in rig.contacts for station in contact_stations(contact)] + [
+        load.station for load in rig.loads
+    ]
     shape_positions = body.places(SHAPE_POSITIONS)
-    positions_m = np.unique([*shape_positions, *(s.position_m for s in stations if s.body == body.name)])
+    positions_m = np.unique(
+        [*shape_positions, *(station.position_m for station in needed_stations if station.body == body.name)]
+    )
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
-    shapes = modes.shapes(positions_m, count) / np.sqrt(mass_factor)
-    ratios = np.minimum(modes.damping_ratios(count) * damping_factors, 0.9)
-    return structure_of(body.name, body.length_m, natural_hz[order], ratios[order], positions_m, shapes[:, order])
+    shapes = modes.shapes(positions_m, drawn_mode_count) / np.sqrt(mass_factor)
+    damping_ratios = np.minimum(modes.damping_ratios(drawn_mode_count) * damping_factors, 0.9)
+    return structure_of(
+        body.name,
+        body.length_m,
+        natural_hz[frequency_order],
+        damping_ratios[frequency_order],
+        positions_m,
+        shapes[:, frequency_order],
+    )
 
 
 def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
     """True for a hammer's force, or none: it is simulated as measured, as random phases would make it noise."""
-    energy = np.cumsum(np.sort(force_n**2)[::-1])
-    return bool(np.searchsorted(energy, IMPULSE_ENERGY_SHARE * energy[-1]) < IMPULSE_SAMPLE_SHARE * force_n.size)
+    cumulative_energy = np.cumsum(np.sort(force_n**2)[::-1])
+    return bool(
+        np.searchsorted(cumulative_energy, IMPULSE_ENERGY_SHARE * cumulative_energy[-1])
+        < IMPULSE_SAMPLE_SHARE * force_n.size
+    )
 
 
 def phase_randomized(
     force_n: Float[np.ndarray, " samples"], silent_samples: int, sample_rate_hz: float, rng: np.random.Generator
 ) -> Float[np.ndarray, " samples"]:
     """Force of the same spectrum with random phases, after `silent_samples` zeros."""
-    excited = force_n[silent_samples:]
-    spectrum = np.fft.rfft(excited)
-    randomized = np.fft.irfft(np.abs(spectrum) * np.exp(2j * np.pi * rng.uniform(size=spectrum.size)), excited.size)
-    onset = min(round(ONSET_S * sample_rate_hz), excited.size)
-    randomized[:onset] *= np.sin(np.linspace(0, np.pi / 2, onset)) ** 2
-    return np.concatenate([np.zeros(silent_samples), randomized])
+    excited_force_n = force_n[silent_samples:]
+    force_spectrum = np.fft.rfft(excited_force_n)
+    randomized_force_n = np.fft.irfft(
+        np.abs(force_spectrum) * np.exp(2j * np.pi * rng.uniform(size=force_spectrum.size)), excited_force_n.size
+    )
+    onset_samples = min(round(ONSET_S * sample_rate_hz), excited_force_n.size)
+    randomized_force_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
+    return np.concatenate([np.zeros(silent_samples), randomized_force_n])
 
 
 def with_force_noise(
@@ -176,10 +201,12 @@ def with_force_noise(
     rng: np.random.Generator,
 ) -> Recording:
     """Recording with noise and gain errors of the force channels, which the simulator does not know."""
-    group = recording.signals["force"]
-    values = group.values + force_noise_n[:, None] * rng.standard_normal(group.values.shape)
-    values = values * (1 + force_gain * rng.standard_normal((len(values), 1)))
-    return with_fields(recording, signals={**recording.signals, "force": with_fields(group, values=values)})
+    force_signals = recording.signals["force"]
+    noisy_forces_n = force_signals.values + force_noise_n[:, None] * rng.standard_normal(force_signals.values.shape)
+    noisy_forces_n = noisy_forces_n * (1 + force_gain * rng.standard_normal((len(noisy_forces_n), 1)))
+    return with_fields(
+        recording, signals={**recording.signals, "force": with_fields(force_signals, values=noisy_forces_n)}
+    )
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))
@@ -198,7 +225,7 @@ mean over a decay of wrong damping does not tell it. Set by hand."""
 
 def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
     """Simulator of a recording's test: with its force, or of its free decay."""
-    return simulate if record.forced else free_decay_simulator(measured, record, simulate)
+    return simulate if record.has_force else free_decay_simulator(measured, record, simulate)
 
 
 def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
@@ -208,66 +235,81 @@ def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate
     rig's largest counted motion is the measured one's and its spectrum the closest, octave by octave. A decay begins up
     to one period after it, depending on the seed.
     """
-    rate, start_s = measured.rig.sample_rate_hz, float(record.time_s[0])
-    scaled_samples = min(round((start_s + SCALED_S) * rate), measured.samples)
-    extent = slice(round(start_s * rate), scaled_samples)
-    measured_rows = _motion(measured, extent)
+    rate_hz, start_s = measured.rig.sample_rate_hz, float(record.residual_times_s[0])
+    scaled_samples = min(round((start_s + SCALED_S) * rate_hz), measured.samples)
+    counted_slice = slice(round(start_s * rate_hz), scaled_samples)
+    measured_motion = _sensor_motion(measured, counted_slice)
     natural_hz = np.concatenate(
         [modes_of(measured.rig, body).frequencies_hz(body.max_modes) for body in measured.rig.bodies]
     )
-    period = round(rate / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
+    longest_period_samples = round(rate_hz / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
 
-    def decay(rig: Rig, actual: Rig, excitation_n: Float[np.ndarray, " begin"], samples: int, seed: int) -> Recording:
-        start = excitation_n.size + round(period * np.random.default_rng([seed, 78]).uniform())
-        forces_n = np.zeros((len(rig.forces), start + samples))
+    def decay_recording(
+        rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_samples: int, seed: int
+    ) -> Recording:
+        start_sample = excitation_n.size + round(longest_period_samples * np.random.default_rng([seed, 78]).uniform())
+        forces_n = np.zeros((len(rig.forces), start_sample + decay_samples))
         forces_n[0, : excitation_n.size] = excitation_n
-        return _unforced(cut_recording(simulate(rig, actual, forces_n, seed), slice(start, start + samples)))
+        return _with_zero_force(
+            cut_recording(simulate(rig, actual_rig, forces_n, seed), slice(start_sample, start_sample + decay_samples))
+        )
 
-    def scaled(pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def scaled_excitation(unscaled_pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
-        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * pulse
+        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * unscaled_pulse
         for _ in range(SCALING_STEPS):
-            rows = _motion(decay(measured.rig, measured.rig, excitation_n, scaled_samples, 0), extent)
-            excitation_n = excitation_n * _largest(measured_rows) / _largest(rows)
-        levels, measured_levels = (_octave_levels(row, rate, record.highest_hz) for row in (rows, measured_rows))
-        return float(np.linalg.norm(levels - measured_levels)), excitation_n
+            simulated_motion = _sensor_motion(
+                decay_recording(measured.rig, measured.rig, excitation_n, scaled_samples, 0), counted_slice
+            )
+            excitation_n = excitation_n * _largest_motion(measured_motion) / _largest_motion(simulated_motion)
+        octave_levels, measured_octave_levels = (
+            _octave_levels(sensor_motion, rate_hz, record.highest_hz)
+            for sensor_motion in (simulated_motion, measured_motion)
+        )
+        return float(np.linalg.norm(octave_levels - measured_octave_levels)), excitation_n
 
-    half_sines = [max(2, round(share * period)) for share in BLOW_PERIODS]
-    pulses = [np.sin(np.pi * np.arange(samples) / samples) for samples in half_sines]
-    pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period)) ** 2)
-    _, excitation_n = min((scaled(pulse) for pulse in pulses), key=lambda result: result[0])
+    half_sine_samples = [max(2, round(period_share * longest_period_samples)) for period_share in BLOW_PERIODS]
+    unscaled_pulses = [np.sin(np.pi * np.arange(sine_samples) / sine_samples) for sine_samples in half_sine_samples]
+    unscaled_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * longest_period_samples)) ** 2)
+    _, excitation_n = min(
+        (scaled_excitation(pulse) for pulse in unscaled_pulses), key=lambda distance_and_force: distance_and_force[0]
+    )
 
-    def simulated(rig: Rig, actual: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int) -> Recording:
-        return decay(rig, actual, excitation_n, forces_n.shape[1], seed)
+    def simulated_decay(
+        rig: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int
+    ) -> Recording:
+        return decay_recording(rig, actual_rig, excitation_n, forces_n.shape[1], seed)
 
-    return simulated
+    return simulated_decay
 
 
-def _motion(recording: Recording, extent: slice) -> Float[np.ndarray, "sensors samples"]:
+def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarray, "sensors samples"]:
     """Signals of all sensors of the last sensor's quantity, without their means."""
-    rows = recording.signals[recording.rig.sensors[-1].quantity].values[:, extent]
-    return np.asarray(rows - rows.mean(axis=1, keepdims=True))
+    signals = recording.signals[recording.rig.sensors[-1].quantity].values[:, counted_slice]
+    return np.asarray(signals - signals.mean(axis=1, keepdims=True))
 
 
-def _largest(rows: Float[np.ndarray, "sensors samples"]) -> float:
+def _largest_motion(signals: Float[np.ndarray, "sensors samples"]) -> float:
     """Generalised mean of the magnitude over time, near its largest values."""
-    magnitude = np.linalg.norm(rows, axis=0)
-    highest = max(float(magnitude.max()), 1e-300)
-    return highest * float(np.mean((magnitude / highest) ** LARGE_MOTION_POWER)) ** (1 / LARGE_MOTION_POWER)
+    motion_magnitude = np.linalg.norm(signals, axis=0)
+    largest_magnitude = max(float(motion_magnitude.max()), 1e-300)
+    return largest_magnitude * float(np.mean((motion_magnitude / largest_magnitude) ** LARGE_MOTION_POWER)) ** (
+        1 / LARGE_MOTION_POWER
+    )
 
 
 def _octave_levels(
-    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
+    signals: Float[np.ndarray, "sensors samples"], rate_hz: float, highest_hz: float
 ) -> Float[np.ndarray, " octaves"]:
     """Logarithm of the rms of all sensors in each octave below a frequency."""
-    fading = np.hanning(2 * rows.shape[1])[rows.shape[1] :]
-    power = np.sum(np.abs(np.fft.rfft(rows * fading, axis=1)) ** 2, axis=0)[1:]
-    hz = np.fft.rfftfreq(rows.shape[1], 1 / rate_hz)[1:]
-    octaves = np.floor(np.log2(highest_hz / hz[hz <= highest_hz])).astype(int)
-    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octaves, power[hz <= highest_hz]), 1e-300)))
+    fade_window = np.hanning(2 * signals.shape[1])[signals.shape[1] :]
+    line_power = np.sum(np.abs(np.fft.rfft(signals * fade_window, axis=1)) ** 2, axis=0)[1:]
+    lines_hz = np.fft.rfftfreq(signals.shape[1], 1 / rate_hz)[1:]
+    octave_of_line = np.floor(np.log2(highest_hz / lines_hz[lines_hz <= highest_hz])).astype(int)
+    return np.asarray(0.5 * np.log(np.maximum(np.bincount(octave_of_line, line_power[lines_hz <= highest_hz]), 1e-300)))
 
 
-def _unforced(recording: Recording) -> Recording:
-    force = recording.signals["force"]
-    zero = Signals(force.channels, force.start_s, np.zeros_like(force.values))
-    return Recording(recording.rig, {**recording.signals, "force": zero}, recording.provenance)
+def _with_zero_force(recording: Recording) -> Recording:
+    force_signals = recording.signals["force"]
+    zero_force = Signals(force_signals.channels, force_signals.start_s, np.zeros_like(force_signals.values))
+    return Recording(recording.rig, {**recording.signals, "force": zero_force}, recording.provenance)

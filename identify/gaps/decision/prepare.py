@@ -42,12 +42,12 @@ PREDICTOR = "modal"
 
 def simulator_named(name: str) -> Simulator:
     """Simulator that an installed package offers under this name; raises RigError if none does."""
-    offered = {point.name: point for point in entry_points(group=SIMULATORS)}
-    if name not in offered:
-        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(offered))}")
-    predictors = {point.name: point for point in entry_points(group=PREDICTORS)}
-    predictor = predictors.get(name) or predictors.get(PREDICTOR)
-    return Simulator(name, offered[name].load(), predictor.load() if predictor else None)
+    simulator_points = {point.name: point for point in entry_points(group=SIMULATORS)}
+    if name not in simulator_points:
+        raise RigError(f"no simulator {name!r}; there are {', '.join(sorted(simulator_points))}")
+    predictor_points = {point.name: point for point in entry_points(group=PREDICTORS)}
+    predictor_point = predictor_points.get(name) or predictor_points.get(PREDICTOR)
+    return Simulator(name, simulator_points[name].load(), predictor_point.load() if predictor_point else None)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class PreparedRecording:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedRecordings:
     """Recordings of one rig in chronological order, each with the null reference of its level and length.
 
     The one at validation_index is not fitted. simulate makes recordings of that rig under a force, or of its free
@@ -85,17 +85,21 @@ class Prepared:
         return self.null_references[self.validation_index]
 
     @property
-    def validation(self) -> PreparedRecording:
+    def validation_recording(self) -> PreparedRecording:
         return self.observations[self.validation_index]
 
     @property
-    def fitted(self) -> tuple[PreparedRecording, ...]:
-        return tuple(observation for k, observation in enumerate(self.observations) if k != self.validation_index)
+    def fitted_recordings(self) -> tuple[PreparedRecording, ...]:
+        return tuple(
+            observation
+            for record_index, observation in enumerate(self.observations)
+            if record_index != self.validation_index
+        )
 
     @property
-    def searched(self) -> PreparedRecording:
+    def searched_recording(self) -> PreparedRecording:
         """Fitted recording of the strongest force, on which effects are searched."""
-        return max(self.fitted, key=lambda observation: observation.force_rms_n)
+        return max(self.fitted_recordings, key=lambda observation: observation.force_rms_n)
 
     @property
     def fits_several(self) -> bool:
@@ -103,7 +107,7 @@ class Prepared:
         return len(self.observations) > 2
 
     @property
-    def titles(self) -> tuple[str, ...]:
+    def record_titles(self) -> tuple[str, ...]:
         return tuple(
             f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validation_index)}"
             for k, observation in enumerate(self.observations)
@@ -117,35 +121,43 @@ def prepare(
     null_reference_path: Path | None,
     tolerances: Tolerances | None,
     progress: Callable[[float], None] = lambda _: None,
-) -> Prepared:
+) -> PreparedRecordings:
     """Recordings without faulty channels, their spectra, and the null reference of each.
 
     Tolerances default to those of the rig, then to a laboratory's. Raises RigError if the recordings do not fit
     together or allow no diagnosis.
     """
-    ordered, validating = ordered_recordings(recordings, validation)
-    rig_tolerances = tolerances or ordered[0].rig.tolerances or LABORATORY
-    ordered, channel_faults = without_faulty_channels(*ordered)
-    observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered)
-    simulate_functions = [null_simulator(o.recording, o.record, simulator.simulate) for o in observations]
-    keys = [
-        null_key(observation.recording, observation.record.counted, rig_tolerances, simulator.name)
+    ordered_by_time, validation_index = ordered_recordings(recordings, validation)
+    rig_tolerances = tolerances or ordered_by_time[0].rig.tolerances or LABORATORY
+    ordered_by_time, channel_faults = without_faulty_channels(*ordered_by_time)
+    observations = tuple(prepare_recording(recording, rig_tolerances) for recording in ordered_by_time)
+    simulate_functions = [
+        null_simulator(prepared_recording.recording, prepared_recording.record, simulator.simulate)
+        for prepared_recording in observations
+    ]
+    null_keys = [
+        null_key(observation.recording, observation.record.counted_part, rig_tolerances, simulator.name)
         for observation in observations
     ]
     references_by_key: dict[str, NullReference] = {}
-    first_indices = {key: index for index, key in reversed(list(enumerate(keys)))}
-    for number, (key, index) in enumerate(first_indices.items()):
+    first_index_by_key = {key: index for index, key in reversed(list(enumerate(null_keys)))}
+    for key_number, (key, record_index) in enumerate(first_index_by_key.items()):
 
-        def report(share: float, number: int = number) -> None:
-            progress((number + share) / len(first_indices))
+        def report(done_share: float, key_number: int = key_number) -> None:
+            progress((key_number + done_share) / len(first_index_by_key))
 
-        recording, simulate = observations[index].recording, simulate_functions[index]
+        recording, simulate = observations[record_index].recording, simulate_functions[record_index]
         references_by_key[key] = null_reference_of(
             recording, rig_tolerances, simulate, simulator.name, report, null_reference_path, predict=simulator.predict
         )
-    references = tuple(references_by_key[key] for key in keys)
-    return Prepared(
-        observations, validating, channel_faults, simulate_functions[validating], simulator.predict, references
+    null_references = tuple(references_by_key[key] for key in null_keys)
+    return PreparedRecordings(
+        observations,
+        validation_index,
+        channel_faults,
+        simulate_functions[validation_index],
+        simulator.predict,
+        null_references,
     )
 
 
@@ -156,7 +168,7 @@ def prepare_recording(recording: Recording, tolerances: Tolerances) -> PreparedR
 
 
 @dataclass(frozen=True)
-class Searched:
+class SearchResult:
     """Hypotheses, the nominal rig among them, and the candidates from which they were selected.
 
     nominal_misfit is that of the nominal rig on the searched record.
@@ -167,28 +179,36 @@ class Searched:
     nominal_misfit: Misfit
 
 
-def search(prepared: Prepared, progress: Callable[[float], None] = lambda _: None) -> Searched:
+def search(prepared: PreparedRecordings, progress: Callable[[float], None] = lambda _: None) -> SearchResult:
     """Hypotheses that explain most of the record of the strongest force; of several fitted records, with shared
     parameters."""
-    strongest, share = prepared.searched, 0.6 if prepared.fits_several else 1.0
-    searched = search_record(strongest.record, strongest.nominal_variances, lambda x: progress(share * x))
+    strongest_recording, search_share = prepared.searched_recording, 0.6 if prepared.fits_several else 1.0
+    search_result = search_record(
+        strongest_recording.record,
+        strongest_recording.nominal_variances,
+        lambda search_progress: progress(search_share * search_progress),
+    )
     if not prepared.fits_several:
-        return searched
-    records = [observation.record for observation in prepared.fitted]
-    variances = [observation.nominal_variances for observation in prepared.fitted]
+        return search_result
+    records = [observation.record for observation in prepared.fitted_recordings]
+    variances_by_record = [observation.nominal_variances for observation in prepared.fitted_recordings]
     return replace(
-        searched,
-        hypotheses=tuple(fitted_together(records, variances, hypothesis) for hypothesis in searched.hypotheses),
+        search_result,
+        hypotheses=tuple(
+            fitted_together(records, variances_by_record, hypothesis) for hypothesis in search_result.hypotheses
+        ),
     )
 
 
 def search_record(
     record: Record, nominal_variances: NominalVariances, progress: Callable[[float], None] = lambda _: None
-) -> Searched:
+) -> SearchResult:
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
-    library = candidates(
-        scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.forced
+    library_candidates = candidates(
+        scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.has_force
     )
-    hypotheses = ranked_hypotheses(Search(nominal_variances, linearization, residual, tuple(library)), progress)
-    return Searched(tuple(hypotheses), tuple(library), misfit(record, nominal_variances, residual))
+    hypotheses = ranked_hypotheses(
+        Search(nominal_variances, linearization, residual, tuple(library_candidates)), progress
+    )
+    return SearchResult(tuple(hypotheses), tuple(library_candidates), misfit(record, nominal_variances, residual))

@@ -53,40 +53,48 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
 
     Raises RigError if a recording without a force is no free decay.
     """
-    faults: dict[str, str] = {}
+    fault_by_channel: dict[str, str] = {}
     for recording in recordings:
-        faults |= sound_channels(recording, excluded=tuple(faults))[1]
-    sound_recordings = [sound_channels(recording, excluded=tuple(faults))[0] for recording in recordings]
+        fault_by_channel |= sound_channels(recording, excluded_channels=tuple(fault_by_channel))[1]
+    sound_recordings = [
+        sound_channels(recording, excluded_channels=tuple(fault_by_channel))[0] for recording in recordings
+    ]
     for recording in sound_recordings:
         if not np.any(recording.forces_n):
             check_decay(recording)
-    return sound_recordings, faults
+    return sound_recordings, fault_by_channel
 
 
 def ordered_recordings(
     recordings: Recording | Sequence[Recording], validation: Recording | None
 ) -> tuple[list[Recording], int]:
     """All recordings in their order, and the index of the one that validates."""
-    ordered = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not ordered:
+    recordings_in_order = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not recordings_in_order:
         raise RigError("no recording to diagnose; give one or more of the rig")
-    refuse_measured_base(ordered[0].rig, "identify gap")
-    if validation is None and len(ordered) == 1:
-        return list(_fitted_and_validating(ordered[0])), 1
-    if validation is not None and not any(validation is recording for recording in ordered):
-        ordered.append(validation)
-    _check_base_motion(ordered[0].rig)
-    for index, recording in enumerate(ordered):
-        if to_json(recording.rig) != to_json(ordered[0].rig):
+    refuse_measured_base(recordings_in_order[0].rig, "identify gap")
+    if validation is None and len(recordings_in_order) == 1:
+        return list(_fitted_and_validating(recordings_in_order[0])), 1
+    if validation is not None and not any(validation is recording for recording in recordings_in_order):
+        recordings_in_order.append(validation)
+    _check_base_motion(recordings_in_order[0].rig)
+    for recording_index, recording in enumerate(recordings_in_order):
+        if to_json(recording.rig) != to_json(recordings_in_order[0].rig):
             raise RigError(
-                f"recording {index + 1} is of another rig (their rig.json differ); give recordings of one rig"
+                f"recording {recording_index + 1} is of another rig (their rig.json differ); give recordings of one rig"
             )
-        if any(_have_same_samples(recording, earlier) for earlier in ordered[:index]):
-            raise RigError(f"recording {index + 1} is the same as an earlier one; give each recording once")
-    validating = next((index for index, recording in enumerate(ordered) if recording is validation), len(ordered) - 1)
-    if len(ordered) == 1:
+        if any(
+            _have_same_samples(recording, earlier_recording)
+            for earlier_recording in recordings_in_order[:recording_index]
+        ):
+            raise RigError(f"recording {recording_index + 1} is the same as an earlier one; give each recording once")
+    validation_index = next(
+        (index for index, recording in enumerate(recordings_in_order) if recording is validation),
+        len(recordings_in_order) - 1,
+    )
+    if len(recordings_in_order) == 1:
         raise RigError("the only recording cannot validate itself; leave --validate out, or give another recording")
-    return ordered, validating
+    return recordings_in_order, validation_index
 
 
 def _check_base_motion(rig: Rig) -> None:
@@ -102,57 +110,60 @@ def _check_base_motion(rig: Rig) -> None:
         )
 
 
-def _have_same_samples(first: Recording, second: Recording) -> bool:
+def _have_same_samples(first_recording: Recording, second_recording: Recording) -> bool:
     """True if two recordings hold the same samples."""
     return all(
-        np.array_equal(channels.values, second.signals[quantity].values) for quantity, channels in first.signals.items()
+        np.array_equal(channels.values, second_recording.signals[quantity].values)
+        for quantity, channels in first_recording.signals.items()
     )
 
 
 def _fitted_and_validating(recording: Recording) -> tuple[Recording, Recording]:
     """Two parts of a single record: the fitted one, and the one that validates."""
-    cut = round(FITTED_SHARE * recording.samples)
-    return cut_recording(recording, slice(0, cut)), cut_recording(recording, slice(cut, None))
+    cut_sample = round(FITTED_SHARE * recording.samples)
+    return cut_recording(recording, slice(0, cut_sample)), cut_recording(recording, slice(cut_sample, None))
 
 
-def cut_recording(recording: Recording, samples: slice) -> Recording:
+def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
     """Slice of the samples of a recording, with time zero at its start."""
     signals = {
-        quantity: Signals(group.channels, 0.0, group.values[:, samples])
-        for quantity, group in recording.signals.items()
+        quantity: Signals(channel_signals.channels, 0.0, channel_signals.values[:, sample_slice])
+        for quantity, channel_signals in recording.signals.items()
     }
     return Recording(recording.rig, signals, recording.provenance)
 
 
-def sound_channels(recording: Recording, excluded: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
-    """Recording without its faulty channels and those of `excluded`, and the fault of each of the former.
+def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
+    """Recording without its faulty channels and those of `excluded_channels`, and the fault of each of the former.
 
     Raises RigError if the force channel is clipped, or no sensor is left.
     """
-    faults: dict[str, str] = {}
-    for name, signals in recording.signals.items():
-        for channel, row in zip(signals.channels.names, signals.values, strict=True):
-            fault = fault_of(row)
-            if name == "force" and not np.any(row):
+    fault_by_channel: dict[str, str] = {}
+    for quantity, signals in recording.signals.items():
+        for channel, channel_values in zip(signals.channels.names, signals.values, strict=True):
+            fault = fault_of(channel_values)
+            if quantity == "force" and not np.any(channel_values):
                 continue
-            if fault and name == "force":
+            if fault and quantity == "force":
                 raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
-            if fault and channel not in excluded:
-                faults[channel] = fault
-    dropped = {*faults, *excluded}
-    if not dropped:
-        return recording, faults
-    sensors = tuple(s for s in recording.rig.sensors if s.name not in dropped)
+            if fault and channel not in excluded_channels:
+                fault_by_channel[channel] = fault
+    dropped_channels = {*fault_by_channel, *excluded_channels}
+    if not dropped_channels:
+        return recording, fault_by_channel
+    sensors = tuple(sensor for sensor in recording.rig.sensors if sensor.name not in dropped_channels)
     if not sensors:
         raise RigError("every channel is dead or clipped; check the sensors' cables and ranges, and record again")
     rig = replace(recording.rig, sensors=sensors)
     sound_signals = {}
-    for name, channels in channel_groups(rig).items():
-        group = recording.signals[name]
-        sound_signals[name] = Signals(
-            channels, group.start_s, group.values[[group.channels.names.index(name) for name in channels.names]]
+    for quantity, channels in channel_groups(rig).items():
+        quantity_signals = recording.signals[quantity]
+        sound_signals[quantity] = Signals(
+            channels,
+            quantity_signals.start_s,
+            quantity_signals.values[[quantity_signals.channels.names.index(name) for name in channels.names]],
         )
-    return Recording(rig, sound_signals, recording.provenance), faults
+    return Recording(rig, sound_signals, recording.provenance), fault_by_channel
 
 
 def check_decay(recording: Recording) -> None:
@@ -163,36 +174,43 @@ def check_decay(recording: Recording) -> None:
     """
     rig = recording.rig
     sensors = read_sensors(recording)
-    rate_hz, order = rig.sample_rate_hz, sensors[0].measures.order
-    rows = np.stack([recording.values_of(sensor) for sensor in sensors])
-    highest_hz = BAND_FACTOR * highest_ringing_hz(rows, rate_hz, order, sensor_densities(recording, sensors, 0))
-    rows = _velocities(rows, rate_hz, order, highest_hz)
+    rate_hz, derivative_order = rig.sample_rate_hz, sensors[0].measures.order
+    sensor_signals = np.stack([recording.values_of(sensor) for sensor in sensors])
+    highest_hz = BAND_FACTOR * highest_ringing_hz(
+        sensor_signals, rate_hz, derivative_order, sensor_densities(recording, sensors, 0)
+    )
+    sensor_signals = _filtered_velocities(sensor_signals, rate_hz, derivative_order, highest_hz)
     interval_samples = round(min(1.0, recording.duration_s / MIN_INTERVALS) * rate_hz)
-    intervals = rows[:, : rows.shape[1] // interval_samples * interval_samples].reshape(len(rows), -1, interval_samples)
-    levels = np.linalg.norm(intervals.std(axis=2), axis=0)
-    lowest_earlier = np.maximum(np.minimum.accumulate(levels), LEVEL_FLOOR_SHARE * levels.max())
-    if np.any(levels > LEVEL_RISE * lowest_earlier) or levels.min() > DECAYED_SHARE * levels.max():
+    signals_by_interval = sensor_signals[:, : sensor_signals.shape[1] // interval_samples * interval_samples].reshape(
+        len(sensor_signals), -1, interval_samples
+    )
+    interval_levels = np.linalg.norm(signals_by_interval.std(axis=2), axis=0)
+    lowest_level_so_far = np.maximum(np.minimum.accumulate(interval_levels), LEVEL_FLOOR_SHARE * interval_levels.max())
+    if (
+        np.any(interval_levels > LEVEL_RISE * lowest_level_so_far)
+        or interval_levels.min() > DECAYED_SHARE * interval_levels.max()
+    ):
         raise RigError(NO_DECAY)
 
 
-def _velocities(
-    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, order: int, highest_hz: float
+def _filtered_velocities(
+    sensor_signals: Float[np.ndarray, "sensors samples"], rate_hz: float, derivative_order: int, highest_hz: float
 ) -> Float[np.ndarray, "sensors fewer"]:
     """Derivatives of displacements, or other motion as it is, low-passed at highest_hz.
 
     The filter is not periodic: a spectrum cut off carries the blow at the beginning into the silence at the end.
     """
-    if order == 0:
-        rows = np.diff(rows) * rate_hz
+    if derivative_order == 0:
+        sensor_signals = np.diff(sensor_signals) * rate_hz
     if not 0 < highest_hz < rate_hz / 2:
-        return rows
-    return sosfiltfilt(butter(LOWPASS_ORDER, highest_hz, fs=rate_hz, output="sos"), rows)
+        return sensor_signals
+    return sosfiltfilt(butter(LOWPASS_ORDER, highest_hz, fs=rate_hz, output="sos"), sensor_signals)
 
 
-def fault_of(row: Float[np.ndarray, " samples"]) -> str | None:
+def fault_of(channel_values: Float[np.ndarray, " samples"]) -> str | None:
     """ "dead" if a channel never moves, "clipped" if it stands at its extremes, None if it is sound."""
-    low, high = float(row.min()), float(row.max())
-    if low == high:
+    lowest_value, highest_value = float(channel_values.min()), float(channel_values.max())
+    if lowest_value == highest_value:
         return "dead"
-    extreme_share = max(np.mean(row == high), np.mean(row == low))
+    extreme_share = max(np.mean(channel_values == highest_value), np.mean(channel_values == lowest_value))
     return "clipped" if extreme_share > CLIPPED_SHARE else None

@@ -37,19 +37,22 @@ def sentence(diagnosis: Diagnosis) -> str:
 
 def sentences(diagnosis: Diagnosis) -> list[str]:
     """Diagnosis in words: the verdict, look-alikes, parameters at their limits, what was not seen."""
-    words = [
+    all_sentences = [
         *_VERDICTS[diagnosis.verdict](diagnosis),
         *_look_alike_words(diagnosis),
         *_parameters_at_limit(diagnosis),
     ]
-    words += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen(diagnosis)
-    words += _ruled_out(diagnosis)
-    words += [UNSCALED] if diagnosis.free_decay else []
-    words += [between_records(diagnosis.between)] if diagnosis.between else []
-    return words + [f"Channel {name} is {fault} and was left out." for name, fault in diagnosis.channel_faults.items()]
+    all_sentences += [] if diagnosis.verdict == Verdict.CANNOT_TELL else _not_seen_sentences(diagnosis)
+    all_sentences += _ruled_out_sentence(diagnosis)
+    all_sentences += [UNSCALED] if diagnosis.free_decay else []
+    all_sentences += [between_records(diagnosis.between)] if diagnosis.between else []
+    return all_sentences + [
+        f"Channel {channel_name} is {fault} and was left out."
+        for channel_name, fault in diagnosis.channel_faults.items()
+    ]
 
 
-def _consistent(gap: Diagnosis) -> list[str]:
+def _consistent_sentences(gap: Diagnosis) -> list[str]:
     return [
         "The machine is as rig.json says, as far as it matters: "
         f"{_upper_bound_words(gap.evidence.quantities)}. What is left is no more than tolerances and "
@@ -57,29 +60,29 @@ def _consistent(gap: Diagnosis) -> list[str]:
     ]
 
 
-def _cannot_tell(gap: Diagnosis) -> list[str]:
-    p_value = p_value_words(gap.before.p_value)
-    clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_value})"
-    exceeding = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
-    if exceeding:
-        clause += f", though {joined([bound_words(bound) for bound in exceeding])}"
-    sentences = [f"{clause}."]
-    if named := _named_cause(gap):
-        sentences.append(f"{capitalised(joined(named.named))} would explain what is left.")
-    return sentences + _not_seen(gap)
+def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
+    p_words = p_value_words(gap.before.p_value)
+    first_clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
+    exceeding_bounds = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
+    if exceeding_bounds:
+        first_clause += f", though {joined([bound_words(bound) for bound in exceeding_bounds])}"
+    verdict_sentences = [f"{first_clause}."]
+    if named_cause := _named_cause(gap):
+        verdict_sentences.append(f"{capitalised(joined(named_cause.named))} would explain what is left.")
+    return verdict_sentences + _not_seen_sentences(gap)
 
 
-def _small(gap: Diagnosis) -> list[str]:
-    small = _upper_bound_words(gap.evidence.quantities)
+def _small_sentences(gap: Diagnosis) -> list[str]:
+    bounds = _upper_bound_words(gap.evidence.quantities)
     if named := _named_cause(gap):
-        return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {small}."]
+        return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {bounds}."]
     return [
-        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {small}. "
+        f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
         "No effect of the library is named for it."
     ]
 
 
-def _explained(gap: Diagnosis) -> list[str]:
+def _explained_sentences(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
     if not gap.evidence.held_back_shows:
@@ -88,10 +91,10 @@ def _explained(gap: Diagnosis) -> list[str]:
             "all records together: the one that was not fitted shows too little of it."
         ]
     if _is_hidden(gap) and gap.before.largest_pull >= STRAINED_DEVIATIONS:
-        pull = number(gap.before.largest_pull, 2)
+        pull_words = number(gap.before.largest_pull, 2)
         return [
             f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
-            f"without {_pronoun(named)}: it would be off by {pull} of its standard deviations."
+            f"without {_pronoun(named)}: it would be off by {pull_words} of its standard deviations."
         ]
     chance_words = (
         ""
@@ -101,11 +104,11 @@ def _explained(gap: Diagnosis) -> list[str]:
     return [
         f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
         f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
-        f"{unexplained_words(gap.before)}{_strain_if_bounded(gap)}."
+        f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}."
     ]
 
 
-def _strain_if_bounded(gap: Diagnosis) -> str:
+def _strain_words_if_bounded(gap: Diagnosis) -> str:
     """Clause on the most strained tolerance, where all shares without the named effects are bounded."""
     shares_hold = all(bound.holds for bound in gap.evidence.quantities if bound.unit == "1")
     return _strain_words(gap) if shares_hold else ""
@@ -117,41 +120,43 @@ def _strain_words(gap: Diagnosis) -> str:
     return f", with a tolerance off by {number(gap.before.largest_pull, 2)} of its standard deviations"
 
 
-def _partly_explained(gap: Diagnosis) -> list[str]:
+def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
     named = gap.causes[0]
     explain = "explains" if len(named.named) == 1 else "explain"
     return [
         f"{capitalised(joined(named.named))} {explain} the difference in part: "
         f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and {unexplained_words(gap.after)} "
         "stay unexplained.",
-        *_veto(gap),
+        *_veto_sentence(gap),
         _force_description(gap, "The rest"),
     ]
 
 
-def _unexplained(gap: Diagnosis) -> list[str]:
-    differs = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
-    sentences = [
-        f"{differs}, by what noise hides: no share of the motion is left beyond it{_strain_words(gap)}."
+def _unexplained_sentences(gap: Diagnosis) -> list[str]:
+    differs_clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
+    verdict_sentences = [
+        f"{differs_clause}, by what noise hides: no share of the motion is left beyond it{_strain_words(gap)}."
         if _is_hidden(gap)
-        else f"{differs}, which leaves {unexplained_words(gap.before)} unexplained."
+        else f"{differs_clause}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
-    if named := _named_cause(gap):
-        removal = _removal_words(gap, " of the difference")
-        sentences.append(f"{capitalised(joined(named.named))} {_verb_be(named)} likely, and {removal}.")
-        sentences += _veto(gap)
+    if named_cause := _named_cause(gap):
+        removal_clause = _removal_words(gap, " of the difference")
+        verdict_sentences.append(
+            f"{capitalised(joined(named_cause.named))} {_verb_be(named_cause)} likely, and {removal_clause}."
+        )
+        verdict_sentences += _veto_sentence(gap)
     else:
-        sentences.append("No effect of the library is named for it.")
-    return [*sentences, _force_description(gap, "The difference")]
+        verdict_sentences.append("No effect of the library is named for it.")
+    return [*verdict_sentences, _force_description(gap, "The difference")]
 
 
 _VERDICTS = {
-    Verdict.CONSISTENT: _consistent,
-    Verdict.CANNOT_TELL: _cannot_tell,
-    Verdict.SMALL: _small,
-    Verdict.EXPLAINED: _explained,
-    Verdict.PARTLY_EXPLAINED: _partly_explained,
-    Verdict.UNEXPLAINED: _unexplained,
+    Verdict.CONSISTENT: _consistent_sentences,
+    Verdict.CANNOT_TELL: _cannot_tell_sentences,
+    Verdict.SMALL: _small_sentences,
+    Verdict.EXPLAINED: _explained_sentences,
+    Verdict.PARTLY_EXPLAINED: _partly_explained_sentences,
+    Verdict.UNEXPLAINED: _unexplained_sentences,
 }
 
 
@@ -171,11 +176,15 @@ def _pronoun(cause: Cause) -> str:
 def _removal_words(gap: Diagnosis, of_what: str) -> str:
     """Clause on what the named effects remove of the mismatch."""
     cause = gap.causes[0]
-    verb = "removes" if len(cause.named) == 1 else "remove"
+    removes_verb = "removes" if len(cause.named) == 1 else "remove"
     if _is_hidden(gap):
-        share = max(gap.evidence.removed, 0.0)
-        return f"{verb} {percent(share)} of what strains its tolerances" if share else f"{verb} nothing that is seen"
-    return f"{verb} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
+        removed_share = max(gap.evidence.removed, 0.0)
+        return (
+            f"{removes_verb} {percent(removed_share)} of what strains its tolerances"
+            if removed_share
+            else f"{removes_verb} nothing that is seen"
+        )
+    return f"{removes_verb} {percent(cause.explained) if cause.explained > 0 else 'nothing'}{of_what}"
 
 
 def _is_hidden(gap: Diagnosis) -> bool:
@@ -183,11 +192,11 @@ def _is_hidden(gap: Diagnosis) -> bool:
     return gap.before.share == 0 and not any(gap.before.contact_shares.values())
 
 
-def _veto(gap: Diagnosis) -> list[str]:
+def _veto_sentence(gap: Diagnosis) -> list[str]:
     return [VETO_SENTENCES[gap.rollout.code]] if gap.rollout and gap.rollout.vetoed else []
 
 
-def _ruled_out(gap: Diagnosis) -> list[str]:
+def _ruled_out_sentence(gap: Diagnosis) -> list[str]:
     """Sentence on the likeliest hypothesis that prediction rules out."""
     if not gap.ruled_out:
         return []
@@ -200,22 +209,26 @@ def _ruled_out(gap: Diagnosis) -> list[str]:
 
 def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
     """Upper bounds: "at most 0.3 % of the motion and 1.2 % of the force of contact_1 differ"."""
-    shares = [bound for bound in quantities if bound.unit == "1"]
-    uppers = [(bound.name, max(bound.upper, SMALLEST_SHARE)) for bound in shares if bound.upper is not None]
-    share_words = joined([f"{percent(upper)} of the {name}" for name, upper in uppers])
-    parameters = ", and no clearance, stiffness or damping by more than three tolerances"
-    return f"at most {share_words} differ{parameters * (len(quantities) > len(shares))}".replace(
+    share_bounds = [bound for bound in quantities if bound.unit == "1"]
+    upper_share_by_name = [
+        (bound.name, max(bound.upper, SMALLEST_SHARE)) for bound in share_bounds if bound.upper is not None
+    ]
+    share_words = joined(
+        [f"{percent(upper_share)} of the {quantity_name}" for quantity_name, upper_share in upper_share_by_name]
+    )
+    parameter_clause = ", and no clearance, stiffness or damping by more than three tolerances"
+    return f"at most {share_words} differ{parameter_clause * (len(quantities) > len(share_bounds))}".replace(
         "at most < ", "less than "
     )
 
 
-def _not_seen(gap: Diagnosis) -> list[str]:
+def _not_seen_sentences(gap: Diagnosis) -> list[str]:
     """Sentences on quantities that the records neither bound nor show, and on what would show them."""
-    sentences = []
+    not_seen_sentences = []
     for bound in gap.not_seen:
-        words = bound_words(bound)
-        sentences.append(f"Not seen: {words}{f'; {bound.remedy}' if bound.remedy else ''}.")
-    return sentences
+        quantity_words = bound_words(bound)
+        not_seen_sentences.append(f"Not seen: {quantity_words}{f'; {bound.remedy}' if bound.remedy else ''}.")
+    return not_seen_sentences
 
 
 def _force_description(gap: Diagnosis, subject: str) -> str:
@@ -231,18 +244,20 @@ def _force_description(gap: Diagnosis, subject: str) -> str:
 def _look_alike_words(gap: Diagnosis) -> list[str]:
     """Sentences on candidates that may replace a named effect."""
     return [
-        f"Instead of {words} it may be {joined(look_alikes, 'or')}: these records hardly tell them apart."
-        for words, look_alikes in look_alikes_of(gap)
+        f"Instead of {effect_words} it may be {joined(look_alikes, 'or')}: these records hardly tell them apart."
+        for effect_words, look_alikes in look_alikes_of(gap)
     ]
 
 
 def _parameters_at_limit(gap: Diagnosis) -> list[str]:
     """Sentence on parameters at the limit of their range: their true value or their effect may be another."""
-    named = _named_cause(gap)
-    if not named:
+    named_cause = _named_cause(gap)
+    if not named_cause:
         return []
-    at_limit = [name for name, value in named.parameters.items() if value.at_limit]
-    if not at_limit:
+    names_at_limit = [parameter_name for parameter_name, value in named_cause.parameters.items() if value.at_limit]
+    if not names_at_limit:
         return []
-    range_words = "is the end of its range" if len(at_limit) == 1 else "are the ends of their ranges"
-    return [f"The best {joined(at_limit)} {range_words}: the true value may lie beyond, or the effect is another."]
+    range_words = "is the end of its range" if len(names_at_limit) == 1 else "are the ends of their ranges"
+    return [
+        f"The best {joined(names_at_limit)} {range_words}: the true value may lie beyond, or the effect is another."
+    ]

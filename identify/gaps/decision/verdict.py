@@ -46,37 +46,41 @@ class WeightedHypothesis:
 @dataclass(frozen=True)
 class ForceRivals:
     """-2 ln p of the validation record with an unmeasured force: with the best one in the nominal rig, and with the
-    best one beside the hypothesis `accompanied`. None where no force was looked for."""
+    best one beside the hypothesis `accompanied_hypothesis`. None where no force was looked for."""
 
-    minus_two_log_nominal: float | None = None
-    accompanied: ValidatedHypothesis | None = None
-    minus_two_log_accompanied: float | None = None
+    nominal_minus_two_log: float | None = None
+    accompanied_hypothesis: ValidatedHypothesis | None = None
+    accompanied_cost: float | None = None
 
 
 @dataclass(frozen=True)
 class Decision:
     """Evidence with its verdict, the hypotheses, likeliest first, and the probability of something unmeasured.
 
-    named is the hypothesis of the named effects alone, if it was validated, else the likeliest one with effects.
+    named_hypothesis is that of the named effects alone, if it was validated, else the likeliest one with effects.
     """
 
     evidence: Evidence
-    weighted: tuple[WeightedHypothesis, ...]
+    weighted_hypotheses: tuple[WeightedHypothesis, ...]
     probability_unmeasured: float
-    named: ValidatedHypothesis | None
+    named_hypothesis: ValidatedHypothesis | None
 
     @property
     def verdict(self) -> Verdict:
         return self.evidence.verdict
 
     @property
-    def nominal(self) -> ValidatedHypothesis:
+    def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([item.validated for item in self.weighted])
+        return nominal_of([weighted_hypothesis.validated for weighted_hypothesis in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
-        return next(item.probability for item in self.weighted if item.validated is self.nominal)
+        return next(
+            weighted_hypothesis.probability
+            for weighted_hypothesis in self.weighted_hypotheses
+            if weighted_hypothesis.validated is self.nominal_hypothesis
+        )
 
     @property
     def corrects_rig(self) -> bool:
@@ -86,7 +90,7 @@ class Decision:
     @property
     def likeliest_rig(self) -> Rig | None:
         """Rig with the named effects and the fitted nuisance parameters, whatever the verdict."""
-        return self.named.corrected_rig if self.named else None
+        return self.named_hypothesis.corrected_rig if self.named_hypothesis else None
 
     @property
     def corrected_rig(self) -> Rig | None:
@@ -95,134 +99,188 @@ class Decision:
     @property
     def named_misfit(self) -> Misfit:
         """Misfit with the named effects, or of the nominal rig without any."""
-        return self.named.misfit if self.named else self.nominal.misfit
+        return self.named_hypothesis.misfit if self.named_hypothesis else self.nominal_hypothesis.misfit
 
     @property
     def misfit_to_describe(self) -> Misfit:
         """Misfit with the named effects if they explain a part, else of the nominal rig."""
-        return self.named_misfit if self.verdict == Verdict.PARTLY_EXPLAINED else self.nominal.misfit
+        return self.named_misfit if self.verdict == Verdict.PARTLY_EXPLAINED else self.nominal_hypothesis.misfit
 
 
 def decide(
-    ranked: Sequence[ValidatedHypothesis],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
     difference: Difference,
     null_reference: NullReference,
     matters: Matters,
-    rivals: ForceRivals | None = None,
-    vetoed: bool = False,
+    force_rivals: ForceRivals | None = None,
+    is_vetoed: bool = False,
 ) -> Decision:
     """Decide from validated hypotheses, likeliest first.
 
     An unmeasured force is a rival of the effects; a force beside them adds its likelihood to theirs. Where the records
     differ from the nominal rig but the validation record alone does not show it, the fitted record counts too.
     """
-    rivals, nominal = rivals or ForceRivals(), nominal_of(ranked)
+    force_rivals, nominal_hypothesis = force_rivals or ForceRivals(), nominal_of(ranked_hypotheses)
     held_back_shows = (
-        difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal.misfit) < USUAL_P_VALUE
+        difference.p_value >= DIFFERENCE_P_VALUE or p_value(null_reference, nominal_hypothesis.misfit) < USUAL_P_VALUE
     )
-    scores = [item.log_posterior if held_back_shows else item.log_posterior_of_both for item in ranked]
-    for k, validated in enumerate(ranked):
-        if validated is rivals.accompanied:
-            with_force = _force_log_posterior(validated.log_prior, rivals.minus_two_log_accompanied)
-            scores[k] = float(np.logaddexp(scores[k], with_force))
-    scores.append(_force_log_posterior(0.0, rivals.minus_two_log_nominal))
-    *shares, probability_unmeasured = (float(p) for p in probabilities(np.array(scores)))
-    weighted = tuple(
-        WeightedHypothesis(*pair) for pair in sorted(zip(ranked, shares, strict=True), key=lambda pair: -pair[1])
+    log_posteriors = [
+        item.log_posterior if held_back_shows else item.log_posterior_of_both for item in ranked_hypotheses
+    ]
+    for hypothesis_index, validated in enumerate(ranked_hypotheses):
+        if validated is force_rivals.accompanied_hypothesis:
+            force_log_posterior = _force_log_posterior(validated.log_prior, force_rivals.accompanied_cost)
+            log_posteriors[hypothesis_index] = float(
+                np.logaddexp(log_posteriors[hypothesis_index], force_log_posterior)
+            )
+    log_posteriors.append(_force_log_posterior(0.0, force_rivals.nominal_minus_two_log))
+    *hypothesis_probabilities, probability_unmeasured = (
+        float(probability) for probability in probabilities(np.array(log_posteriors))
     )
-    likeliest = next((item.validated for item in weighted if item.validated.hypothesis.candidates), None)
-    strengths = strengths_of(likeliest.hypothesis, weighted) if likeliest else ()
-    named = _named_hypothesis(likeliest, strengths, ranked) if likeliest else None
-    named_or_nominal = named or nominal
-    contacts = [quantity.name for quantity in difference.contacts]
+    weighted_hypotheses = tuple(
+        WeightedHypothesis(*hypothesis_and_probability)
+        for hypothesis_and_probability in sorted(
+            zip(ranked_hypotheses, hypothesis_probabilities, strict=True),
+            key=lambda hypothesis_and_probability: -hypothesis_and_probability[1],
+        )
+    )
+    likeliest = next((item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None)
+    likeliest_strengths = strengths_of(likeliest.hypothesis, weighted_hypotheses) if likeliest else ()
+    named_hypothesis = _named_hypothesis(likeliest, likeliest_strengths, ranked_hypotheses) if likeliest else None
+    named_or_nominal = named_hypothesis or nominal_hypothesis
+    contact_names = [quantity.name for quantity in difference.contact_bounds]
     evidence = Evidence(
         p_value=difference.p_value,
         quantities=difference.quantities,
-        strengths=strengths,
+        strengths=likeliest_strengths,
         p_value_after=p_value(null_reference, named_or_nominal.misfit),
-        quantities_after=share_bounds(named_or_nominal.misfit, contacts, matters),
-        removed=removed_share(nominal.misfit, named_or_nominal.nominal_misfit, named_or_nominal.misfit, matters),
-        vetoed=vetoed,
+        quantities_after=share_bounds(named_or_nominal.misfit, contact_names, matters),
+        removed=removed_share(
+            nominal_hypothesis.misfit, named_or_nominal.nominal_misfit, named_or_nominal.misfit, matters
+        ),
+        vetoed=is_vetoed,
         held_back_shows=held_back_shows,
     )
-    return Decision(evidence, weighted, probability_unmeasured, named)
+    return Decision(evidence, weighted_hypotheses, probability_unmeasured, named_hypothesis)
 
 
-def strengths_of(hypothesis: Hypothesis, weighted: Sequence[WeightedHypothesis]) -> tuple[Strength, ...]:
+def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedHypothesis]) -> tuple[Strength, ...]:
     """Strength of every effect of a hypothesis, and the inclusion probability of it or a look-alike in its place.
 
     Of several strengths of an effect, the one that is most standard errors from its neutral value.
     """
-    strengths, first_column = [], 0
-    errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    effect_strengths, first_column = [], 0
+    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     for candidate in hypothesis.candidates:
-        columns = range(first_column, first_column := first_column + len(candidate.parameters))
-        look_alikes = _look_alikes(hypothesis, candidate, weighted)
+        column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
+        look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
         neutral_values = {
-            k: p.neutral for k, p in zip(columns, candidate.parameters, strict=True) if p.neutral is not None
+            k: parameter.neutral
+            for k, parameter in zip(column_indices, candidate.parameters, strict=True)
+            if parameter.neutral is not None
         }
-        significance = {
-            k: abs(hypothesis.values[k] - neutral) / max(errors[k], 1e-300) for k, neutral in neutral_values.items()
+        deviation_in_errors = {
+            k: abs(hypothesis.values[k] - neutral_value) / max(standard_errors[k], 1e-300)
+            for k, neutral_value in neutral_values.items()
         }
-        k = max(significance, key=lambda column: float(significance[column]))
-        value, half_width = float(hypothesis.values[k]), float(COVERED * errors[k])
-        names = {candidate.name, *look_alikes}
-        probability = sum(item.probability for item in weighted if names & set(item.validated.hypothesis.key))
-        interval = (value - half_width, value + half_width)
-        strengths.append(Strength(candidate.name, probability, interval, float(neutral_values[k]), look_alikes))
-    return tuple(strengths)
+        column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
+        strength_value, half_width = (
+            float(hypothesis.values[column_index]),
+            float(COVERED * standard_errors[column_index]),
+        )
+        interchangeable_names = {candidate.name, *look_alikes}
+        inclusion_probability = sum(
+            weighted_hypothesis.probability
+            for weighted_hypothesis in weighted_hypotheses
+            if interchangeable_names & set(weighted_hypothesis.validated.hypothesis.effect_names)
+        )
+        strength_interval = (strength_value - half_width, strength_value + half_width)
+        effect_strengths.append(
+            Strength(
+                candidate.name,
+                inclusion_probability,
+                strength_interval,
+                float(neutral_values[column_index]),
+                look_alikes,
+            )
+        )
+    return tuple(effect_strengths)
 
 
 def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
     """True if a hypothesis has effects, and the 95 % interval of every strength excludes its neutral value."""
-    strengths = strengths_of(hypothesis, ())
-    return bool(strengths) and all(not s.interval_95[0] <= s.neutral <= s.interval_95[1] for s in strengths)
+    effect_strengths = strengths_of(hypothesis, ())
+    return bool(effect_strengths) and all(
+        not strength.interval_95[0] <= strength.neutral <= strength.interval_95[1] for strength in effect_strengths
+    )
 
 
 def _look_alikes(
-    hypothesis: Hypothesis, candidate: Candidate, weighted: Sequence[WeightedHypothesis]
+    hypothesis: Hypothesis, candidate: Candidate, weighted_hypotheses: Sequence[WeightedHypothesis]
 ) -> tuple[str, ...]:
     """Names of candidates that replace an effect in other hypotheses above `RIVAL_PROBABILITY`."""
-    key = Counter(hypothesis.key)
-    look_alikes: list[str] = []
-    for rival in (item.validated.hypothesis for item in weighted if item.probability > RIVAL_PROBABILITY):
-        added, removed = Counter(rival.key) - key, key - Counter(rival.key)
-        if removed == Counter([candidate.name]) and added.total() == 1:
-            look_alikes += added
-    return tuple(dict.fromkeys(look_alikes))
+    effect_counts = Counter(hypothesis.effect_names)
+    look_alike_names: list[str] = []
+    for rival_hypothesis in (
+        weighted_hypothesis.validated.hypothesis
+        for weighted_hypothesis in weighted_hypotheses
+        if weighted_hypothesis.probability > RIVAL_PROBABILITY
+    ):
+        added_effects, removed_effects = (
+            Counter(rival_hypothesis.effect_names) - effect_counts,
+            effect_counts - Counter(rival_hypothesis.effect_names),
+        )
+        if removed_effects == Counter([candidate.name]) and added_effects.total() == 1:
+            look_alike_names += added_effects
+    return tuple(dict.fromkeys(look_alike_names))
 
 
 def _named_hypothesis(
-    likeliest: ValidatedHypothesis, strengths: Sequence[Strength], ranked: Sequence[ValidatedHypothesis]
+    likeliest: ValidatedHypothesis,
+    effect_strengths: Sequence[Strength],
+    ranked_hypotheses: Sequence[ValidatedHypothesis],
 ) -> ValidatedHypothesis:
     """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated."""
-    key = tuple(sorted(s.effect for s in strengths if s.is_named))
-    return next((item for item in ranked if key and item.hypothesis.key == key), likeliest)
+    named_effects = tuple(sorted(strength.effect for strength in effect_strengths if strength.is_named))
+    return next(
+        (
+            validated
+            for validated in ranked_hypotheses
+            if named_effects and validated.hypothesis.effect_names == named_effects
+        ),
+        likeliest,
+    )
 
 
-def acts_at_effects(force: ForcePlace, nominal: Rig, corrected: Rig) -> bool:
+def acts_at_effects(force_place: ForcePlace, nominal_rig: Rig, corrected_rig: Rig) -> bool:
     """True if an unmeasured force acts at an attachment, or at a contact or in a sensor that effects changed.
 
     One force of another law is then a rival of the effects, no companion.
     """
-    if force.kind == "sensor":
-        changed = [
-            after.name for before, after in zip(nominal.sensors, corrected.sensors, strict=True) if before != after
+    if force_place.kind == "sensor":
+        changed_sensor_names = [
+            corrected_sensor.name
+            for nominal_sensor, corrected_sensor in zip(nominal_rig.sensors, corrected_rig.sensors, strict=True)
+            if nominal_sensor != corrected_sensor
         ]
-        return changed == [force.sensor]
-    pairs = zip(corrected.contacts, nominal.contacts, strict=True)
-    effect_stations = [contact.at for contact, nominal_contact in pairs if contact.law != nominal_contact.law]
-    for kind in ATTACHED_FIELDS:
-        effect_stations += [item.station for item in getattr(corrected, kind)[len(getattr(nominal, kind)) :]]
+        return changed_sensor_names == [force_place.sensor_name]
+    contact_pairs = zip(corrected_rig.contacts, nominal_rig.contacts, strict=True)
+    effect_stations = [contact.at for contact, nominal_contact in contact_pairs if contact.law != nominal_contact.law]
+    for attachment_field in ATTACHED_FIELDS:
+        effect_stations += [
+            attached.station
+            for attached in getattr(corrected_rig, attachment_field)[len(getattr(nominal_rig, attachment_field)) :]
+        ]
     return any(
-        force_station.body == station.body and abs(force_station.position_m - station.position_m) <= SAME_M
-        for force_station in force.stations
-        for station in effect_stations
+        force_station.body == effect_station.body
+        and abs(force_station.position_m - effect_station.position_m) <= SAME_M
+        for force_station in force_place.stations
+        for effect_station in effect_stations
     )
 
 
-def _force_log_posterior(log_prior: float, cost: float | None) -> float:
+def _force_log_posterior(log_prior: float, force_minus_two_log: float | None) -> float:
     """Log posterior of an unmeasured force, which may be at any of `UNKNOWN_PLACES`; -inf without one."""
-    if cost is None:
+    if force_minus_two_log is None:
         return -np.inf
-    return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - cost / (2 * TEMPERATURE)
+    return log_prior + float(np.log(PRIOR_UNKNOWN / UNKNOWN_PLACES)) - force_minus_two_log / (2 * TEMPERATURE)

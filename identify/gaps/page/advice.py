@@ -25,7 +25,7 @@ BRIDGED_HZ = 10.0
 LOG_MILLION = 13.8
 """Natural logarithm of the odds above which no number is written."""
 
-_BY_DEPENDENCE = {
+_STEP_BY_ARGUMENT = {
     "displacement": "The force grows with the displacement: push there with known weights and measure the deflection.",
     "clearance": "The force acts beyond a clearance: push there until something touches, and measure the deflection.",
     "velocity": "The force grows with the velocity: record a free decay, or record at two levels of force.",
@@ -36,15 +36,15 @@ _BY_DEPENDENCE = {
 
 def next_steps(gap: Gap) -> list[str]:
     """Next steps after a diagnosis, most useful first."""
-    by_verdict = {
-        Verdict.CONSISTENT: _consistent,
-        Verdict.CANNOT_TELL: _cannot_tell,
-        Verdict.SMALL: _small,
-        Verdict.EXPLAINED: _explained,
-        Verdict.PARTLY_EXPLAINED: _partly_explained,
-        Verdict.UNEXPLAINED: _unexplained,
+    steps_by_verdict = {
+        Verdict.CONSISTENT: _consistent_steps,
+        Verdict.CANNOT_TELL: _cannot_tell_steps,
+        Verdict.SMALL: _small_steps,
+        Verdict.EXPLAINED: _explained_steps,
+        Verdict.PARTLY_EXPLAINED: _partly_explained_steps,
+        Verdict.UNEXPLAINED: _steps_if_unexplained,
     }
-    return [*_record_difference_steps(gap), *by_verdict[gap.verdict](gap)]
+    return [*_record_difference_steps(gap), *steps_by_verdict[gap.verdict](gap)]
 
 
 def _record_difference_steps(gap: Gap) -> list[str]:
@@ -65,13 +65,13 @@ def _record_difference_steps(gap: Gap) -> list[str]:
 
 def unexplained_ranges_hz(gap: Gap) -> list[tuple[float, float]]:
     """Frequency ranges, widest first, whose unexplained share exceeds what matters and what null simulations leave."""
-    ranges: list[tuple[float, float]] = []
+    ranges_hz: list[tuple[float, float]] = []
     for band in gap.bands:
         if band.after <= max(band.usual, gap.matters.motion):
             continue
-        adjacent = ranges and band.low_hz - ranges[-1][1] < BRIDGED_HZ
-        ranges.append((ranges.pop()[0] if adjacent else band.low_hz, band.high_hz))
-    return sorted(ranges, key=lambda r: r[0] - r[1])
+        is_adjacent = ranges_hz and band.low_hz - ranges_hz[-1][1] < BRIDGED_HZ
+        ranges_hz.append((ranges_hz.pop()[0] if is_adjacent else band.low_hz, band.high_hz))
+    return sorted(ranges_hz, key=lambda range_hz: range_hz[0] - range_hz[1])
 
 
 SENSITIVITY_ADVICE = (
@@ -87,15 +87,15 @@ UNKNOWN_ADVICE = (
 
 
 def _unchanged_rig_steps(gap: Gap) -> list[str]:
-    unchanged = not (gap.between and gap.between.differing)
-    return ["Nothing needs to be done: simulate with rig.json as it is."] if unchanged else []
+    is_unchanged = not (gap.between and gap.between.differing)
+    return ["Nothing needs to be done: simulate with rig.json as it is."] if is_unchanged else []
 
 
-def _consistent(gap: Gap) -> list[str]:
+def _consistent_steps(gap: Gap) -> list[str]:
     return [*_unchanged_rig_steps(gap), SENSITIVITY_ADVICE, *_experiment_steps(gap)]
 
 
-def _cannot_tell(gap: Gap) -> list[str]:
+def _cannot_tell_steps(gap: Gap) -> list[str]:
     """Steps that would show the quantities that were not seen."""
     remedies = dict.fromkeys(capitalised(quantity.remedy) for quantity in gap.not_seen if quantity.remedy)
     steps = [f"{remedy}, and diagnose again." for remedy in remedies]
@@ -106,14 +106,16 @@ def _cannot_tell(gap: Gap) -> list[str]:
     ]
 
 
-def _small(gap: Gap) -> list[str]:
+def _small_steps(gap: Gap) -> list[str]:
     if gap.causes and gap.causes[0].named:
-        step = "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine."
-        return [step, *_discriminating_steps(gap)]
+        simulation_step = (
+            "Simulate with rig.json as it is; the corrected rig.json (--out writes it) is closer to the machine."
+        )
+        return [simulation_step, *_discriminating_steps(gap)]
     return [*_unchanged_rig_steps(gap), "To see its cause, lower --matters and --matters-contact and diagnose again."]
 
 
-def _explained(gap: Gap) -> list[str]:
+def _explained_steps(gap: Gap) -> list[str]:
     likeliest = gap.causes[0]
     steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {joined(likeliest.named)}."]
     if gap.after.p_value < USUAL_P_VALUE:
@@ -126,7 +128,7 @@ def _explained(gap: Gap) -> list[str]:
     return steps + _discriminating_steps(gap)
 
 
-def _partly_explained(gap: Gap) -> list[str]:
+def _partly_explained_steps(gap: Gap) -> list[str]:
     likeliest = gap.causes[0]
     steps = [
         "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
@@ -140,7 +142,7 @@ def _partly_explained(gap: Gap) -> list[str]:
     )
 
 
-def _unexplained(gap: Gap) -> list[str]:
+def _steps_if_unexplained(gap: Gap) -> list[str]:
     steps = ["Keep rig.json as it is for now: no effect of the library would make it right."]
     steps += (_inspection_steps(gap.unknown) if gap.unknown else []) or _unexplained_steps(gap) or [UNKNOWN_ADVICE]
     if gap.causes and is_effective(gap.causes[0]):
@@ -149,18 +151,20 @@ def _unexplained(gap: Gap) -> list[str]:
 
 
 def _unexplained_steps(gap: Gap) -> list[str]:
-    ranges = unexplained_ranges_hz(gap)[:MAX_RANGES]
-    if not ranges:
-        share = max(gap.after.contact_shares.items(), key=lambda item: item[1], default=("", 0.0))
-        if share[1] <= gap.matters.contact:
+    ranges_hz = unexplained_ranges_hz(gap)[:MAX_RANGES]
+    if not ranges_hz:
+        largest = max(gap.after.contact_shares.items(), key=lambda name_and_share: name_and_share[1], default=("", 0.0))
+        if largest[1] <= gap.matters.contact:
             return []
-        return [f"Look at {share[0]}: the rest lies in its force, of which {percent(share[1])} is unexplained."]
-    if sum(high - low for low, high in ranges) > BROADBAND_SHARE * (gap.bands[-1].high_hz - gap.bands[0].low_hz):
+        return [f"Look at {largest[0]}: the rest lies in its force, of which {percent(largest[1])} is unexplained."]
+    if sum(high_hz - low_hz for low_hz, high_hz in ranges_hz) > BROADBAND_SHARE * (
+        gap.bands[-1].high_hz - gap.bands[0].low_hz
+    ):
         return [
             "What is left is spread over all frequencies: check what acts on all of them, such as gains, stations, "
             "cables and cross-axis sensitivity."
         ]
-    band_words = joined([f"{low:g} to {high:g} Hz" for low, high in sorted(ranges)])
+    band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
     return [
         f"Look for something that acts from {band_words}: there more is left than what matters and what noise leaves."
     ]
@@ -171,8 +175,8 @@ def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
     if unknown.explained < HINT_EXPLAINED:
         return []
     if unknown.explained < DESCRIPTION_EXPLAINED:
-        hint = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
-        return [f"{hint}look at {_suspect_words(unknown)}."]
+        hint_words = f"Take this as a hint, as it explains only {percent(unknown.explained)} of what is left: "
+        return [f"{hint_words}look at {_suspect_words(unknown)}."]
     if unknown.kind == "sensor":
         return [f"Look at sensor {unknown.sensor}, its mounting and its cable; exchange it and record again."]
     if unknown.kind == "contact":
@@ -181,8 +185,8 @@ def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
             "Measure the clearance while the machine stands still, in several positions of what turns.",
         ]
     if unknown.kind == "distributed":
-        bodies = joined([f"the {body}" for body in unknown.growth])
-        return [f"Measure the temperature of {bodies} along the record, and record again after it has settled."]
+        body_words = joined([f"the {body}" for body in unknown.growth])
+        return [f"Measure the temperature of {body_words} along the record, and record again after it has settled."]
     steps = [f"Look at {place(unknown)}: what touches it, hangs on it or drives it there is not in rig.json."]
     if not unknown.same_place:
         steps.append("Doubt this place: the second record alone shows another. Record again at another level of force.")
@@ -191,8 +195,8 @@ def _inspection_steps(unknown: UnmeasuredForce) -> list[str]:
             f"Record without the exciting force and switch motors and mains supplies off one by one: find what runs at "
             f"{unknown.frequency_hz:.1f} Hz."
         )
-    elif unknown.against in _BY_DEPENDENCE:
-        steps.append(_BY_DEPENDENCE[unknown.against])
+    elif unknown.against in _STEP_BY_ARGUMENT:
+        steps.append(_STEP_BY_ARGUMENT[unknown.against])
     elif unknown.when == "in contact":
         steps.append("Look at the surfaces that touch: it acts only while contacts are closed.")
     elif unknown.when == "growing with time":
@@ -213,16 +217,16 @@ def _suspect_words(unknown: UnmeasuredForce) -> str:
 
 def place(unknown: UnmeasuredForce) -> str:
     """Place of an unmeasured force in words: "the barrel near 0.89 m"."""
-    position = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
+    position_words = f"the {unknown.body} near {unknown.position_m or 0.0:.2f} m"
     if unknown.against_body:
-        return f"{position} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
-    return position
+        return f"{position_words} and the {unknown.against_body} near {unknown.against_position_m or 0.0:.2f} m"
+    return position_words
 
 
 def _discriminating_steps(gap: Gap) -> list[str]:
     steps = [
-        f"Before anything is changed, find out whether it is {joined([words, *look_alikes], 'or')}."
-        for words, look_alikes in look_alikes_of(gap)
+        f"Before anything is changed, find out whether it is {joined([effect_words, *look_alikes], 'or')}."
+        for effect_words, look_alikes in look_alikes_of(gap)
     ]
     return steps + _experiment_steps(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
 
@@ -242,6 +246,6 @@ def _experiment_steps(gap: Gap) -> list[str]:
     ]
 
 
-def _odds_factor(logarithm: float) -> str:
+def _odds_factor(log_odds: float) -> str:
     """Factor of the odds in words, "a million or more" at most."""
-    return "a million or more" if logarithm > LOG_MILLION else number(math.exp(max(logarithm, 0.0)), 2)
+    return "a million or more" if log_odds > LOG_MILLION else number(math.exp(max(log_odds, 0.0)), 2)

@@ -32,87 +32,112 @@ def pictures(gap: Gap) -> dict[str, Picture]:
 
     What the diagnosis lacks is left out.
     """
-    return {name: picture(draw, *size) for name, size, draw in _drawings(gap)}
+    return {name: picture(draw_function, *size_in) for name, size_in, draw_function in _drawings(gap)}
 
 
 def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     """Name, width and height in inches, and drawing function of each picture."""
     if gap.next_experiments:
-        height = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
-        yield "next_experiments", (_WIDE_IN, height), partial(_experiments, gap=gap)
-    if any(b.before or b.after or b.usual for b in gap.bands):
-        yield "large_bands", (_WIDE_IN, 3.6), partial(_bands, gap=gap)
+        height_in = _FRAME_IN + _ROW_IN * len(gap.next_experiments)
+        yield "next_experiments", (_WIDE_IN, height_in), partial(_draw_experiments, gap=gap)
+    if any(band.before or band.after or band.usual for band in gap.bands):
+        yield "large_bands", (_WIDE_IN, 3.6), partial(_draw_bands, gap=gap)
     if gap.causes:
-        rows = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
-        yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_probability, gap=gap)
-        yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * rows), partial(_closes, gap=gap)
+        row_count = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
+        yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_probabilities, gap=gap)
+        yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_closed_shares, gap=gap)
     if gap.unknown:
-        for name, height, draw in drawings(gap.unknown):
-            yield f"unknown_{name}", (_WIDTH_IN, height), draw
+        for picture_name, height_in, draw_function in drawings(gap.unknown):
+            yield f"unknown_{picture_name}", (_WIDTH_IN, height_in), draw_function
     if gap.rollout and gap.rollout.example:
-        yield "prediction_motion", (_WIDE_IN, _HEIGHT_IN), partial(_motion, example=gap.rollout.example)
-    for name, height, draw in _attribution_drawings(gap.attribution):
-        yield f"where_{name}", (_WIDTH_IN, height), draw
+        yield "prediction_motion", (_WIDE_IN, _HEIGHT_IN), partial(_draw_motion, example=gap.rollout.example)
+    for picture_name, height_in, draw_function in _attribution_drawings(gap.attribution):
+        yield f"where_{picture_name}", (_WIDTH_IN, height_in), draw_function
 
 
-def _bands(figure: Any, gap: Gap) -> None:
+def _draw_bands(figure: Any, gap: Gap) -> None:
     """Unexplained shares over frequency, in per cent; zeros of a logarithmic axis are not drawn."""
-    edges = [b.low_hz for b in gap.bands] + [gap.bands[-1].high_hz]
+    band_edges_hz = [band.low_hz for band in gap.bands] + [gap.bands[-1].high_hz]
     axes = figure.subplots()
-    rows = [("the model as it is", RED, [b.before for b in gap.bands])]
+    drawn_curves = [("the model as it is", RED, [band.before for band in gap.bands])]
     if gap.causes and is_effective(gap.causes[0]):
-        rows.append(("with the likeliest causes", BLUE, [b.after for b in gap.bands]))
-    rows.append(("95 % limit of tolerances and noise", GREEN, [b.usual for b in gap.bands]))
-    for label, colour, shares in rows:
-        width = 3.2 if colour == RED else 1.4  # seen beside a line that lies on it
-        axes.stairs(100 * np.array(shares), edges, baseline=None, color=colour, lw=width, label=label)
+        drawn_curves.append(("with the likeliest causes", BLUE, [band.after for band in gap.bands]))
+    drawn_curves.append(("95 % limit of tolerances and noise", GREEN, [band.usual for band in gap.bands]))
+    for label, colour, band_shares in drawn_curves:
+        line_width = 3.2 if colour == RED else 1.4  # seen beside a line that lies on it
+        axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, color=colour, lw=line_width, label=label)
     axes.axhline(
         100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=f"matters above {percent(gap.matters.motion)}"
     )
     axes.set_yscale("log", nonpositive="mask")
-    axes.set_xlim(edges[0], edges[-1])
+    axes.set_xlim(band_edges_hz[0], band_edges_hz[-1])
     axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
     figure.legend(loc="outside upper center", ncols=2)
 
 
-def _probability(figure: Any, gap: Gap) -> None:
+def _draw_probabilities(figure: Any, gap: Gap) -> None:
     """Probabilities of the likeliest causes, all others, no cause, and something unmeasured; they sum to one."""
     top_causes, remaining_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
-    rows = [(_cause_lines(cause_name(c)), c.probability) for c in top_causes]
+    labels_and_probabilities = [(_cause_lines(cause_name(cause)), cause.probability) for cause in top_causes]
     if remaining_causes:
-        rows.append((f"{len(remaining_causes)} further causes", sum(c.probability for c in remaining_causes)))
-    rows += remaining_probabilities(gap)
-    colours = [BLUE] * (len(rows) - 2) + [GREEN, GREY]
-    names, sizes = [r[0] for r in rows], [100 * r[1] for r in rows]
-    axes = _horizontal_bars(figure, names, sizes, [probability(r[1]) for r in rows], colours)
+        labels_and_probabilities.append(
+            (f"{len(remaining_causes)} further causes", sum(cause.probability for cause in remaining_causes))
+        )
+    labels_and_probabilities += remaining_probabilities(gap)
+    bar_colours = [BLUE] * (len(labels_and_probabilities) - 2) + [GREEN, GREY]
+    bar_names, percentages = (
+        [label_and_probability[0] for label_and_probability in labels_and_probabilities],
+        [100 * label_and_probability[1] for label_and_probability in labels_and_probabilities],
+    )
+    axes = _horizontal_bar_axes(
+        figure,
+        bar_names,
+        percentages,
+        [probability(label_and_probability[1]) for label_and_probability in labels_and_probabilities],
+        bar_colours,
+    )
     axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
 
-def _closes(figure: Any, gap: Gap) -> None:
+def _draw_closed_shares(figure: Any, gap: Gap) -> None:
     """Share of the mismatch that each of the likeliest causes removes, with its 95 % interval."""
     top_causes = gap.causes[:MAX_CAUSES]
-    sizes = [100 * min(max(c.explained, 0.0), 1.0) for c in top_causes]
-    intervals_percent = 100 * np.clip([c.interval_95 for c in top_causes], 0, 1)
-    names = [_cause_lines(cause_name(c)) for c in top_causes]
-    axes = _horizontal_bars(figure, names, sizes, [""] * len(top_causes), BLUE)
-    for row, (cause, (low, high)) in enumerate(zip(top_causes, intervals_percent, strict=True)):
-        axes.plot([low, high], [row, row], color=INK, lw=2.0, marker="|", ms=8)
+    closed_percentages = [100 * min(max(top_cause.explained, 0.0), 1.0) for top_cause in top_causes]
+    intervals_percent = 100 * np.clip([top_cause.interval_95 for top_cause in top_causes], 0, 1)
+    cause_names = [_cause_lines(cause_name(top_cause)) for top_cause in top_causes]
+    axes = _horizontal_bar_axes(figure, cause_names, closed_percentages, [""] * len(top_causes), BLUE)
+    for bar_index, (cause, (lower_percent, upper_percent)) in enumerate(
+        zip(top_causes, intervals_percent, strict=True)
+    ):
+        axes.plot([lower_percent, upper_percent], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
         axes.annotate(
-            removed_share_words(cause), (max(high, sizes[row]), row), (6, 0), textcoords="offset points", va="center"
+            removed_share_words(cause),
+            (max(upper_percent, closed_percentages[bar_index]), bar_index),
+            (6, 0),
+            textcoords="offset points",
+            va="center",
         )
     axes.set(xlim=(0, 210), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
     axes.set_ylim(len(top_causes) - 0.4, -0.6)
     figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
 
 
-def _experiments(figure: Any, gap: Gap) -> None:
+def _draw_experiments(figure: Any, gap: Gap) -> None:
     """Expected gain of each further recording in the log odds of the true one of two causes."""
-    experiments = gap.next_experiments
-    sizes = [e.log_odds for e in experiments]
-    names = [e.words + " (reference)" * (e.words == SAME_EXPERIMENT) for e in experiments]
-    colours = [GREY if e.words == SAME_EXPERIMENT else BLUE for e in experiments]
-    axes = _horizontal_bars(figure, names, sizes, [f"{size:.1f}" for size in sizes], colours)
+    next_experiments = gap.next_experiments
+    log_odds_gains = [experiment.log_odds for experiment in next_experiments]
+    experiment_words = [
+        experiment.words + " (reference)" * (experiment.words == SAME_EXPERIMENT) for experiment in next_experiments
+    ]
+    bar_colours = [GREY if experiment.words == SAME_EXPERIMENT else BLUE for experiment in next_experiments]
+    axes = _horizontal_bar_axes(
+        figure,
+        experiment_words,
+        log_odds_gains,
+        [f"{log_odds_gain:.1f}" for log_odds_gain in log_odds_gains],
+        bar_colours,
+    )
     axes.axvline(LOG_ODDS_95, color=INK, lw=1.2, ls="--", label="turns even odds into 95 %")
     axes.margins(x=0.12)
     axes.set(xlabel="expected gain of the log odds of the true one (natural logarithm)")
@@ -120,18 +145,18 @@ def _experiments(figure: Any, gap: Gap) -> None:
     figure.suptitle(f"Which further recording tells {' from '.join(gap.next_between)}", fontsize=10)
 
 
-def _motion(figure: Any, example: PredictionExample) -> None:
+def _draw_motion(figure: Any, example: PredictionExample) -> None:
     """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
-    for values, colour, width, style, label in (
+    for signal_values, colour, line_width, line_style, label in (
         (example.measured, GREY, 3.0, "-", "measured"),
         (example.nominal, RED, 1.2, "--", "predicted by the model as it is"),
         (example.corrected, BLUE, 1.2, "-", "with the named effects"),
     ):
-        axes.plot(example.time_s, values, color=colour, lw=width, ls=style, label=label)
+        axes.plot(example.time_s, signal_values, color=colour, lw=line_width, ls=line_style, label=label)
     figure.legend(loc="outside lower center", ncols=3)
-    quantity = "displacement" if example.unit == "m" else "velocity"
-    axes.set(xlabel="time, s", ylabel=f"{quantity} of {example.sensor}, {example.unit}")
+    quantity_name = "displacement" if example.unit == "m" else "velocity"
+    axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {example.unit}")
 
 
 def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:
@@ -140,89 +165,131 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
     Left out where all shares are zero, as those of the acceleration of a single mass, whose mismatch is in the contact
     force.
     """
-    if any(any(stations.values()) for stations in attribution.positions_m.values()):
-        yield "positions", 0.6 + 1.5 * len(attribution.positions_m), partial(_positions, bodies=attribution.positions_m)
-    if any(s.share for s in attribution.band_hz):
-        yield "band", _HEIGHT_IN, partial(_row, shares=attribution.band_hz, title="By frequency", x_label="band, Hz")
-    for name, shares, title in (
+    if any(any(share_by_station.values()) for share_by_station in attribution.positions_m.values()):
+        yield (
+            "positions",
+            0.6 + 1.5 * len(attribution.positions_m),
+            partial(_draw_positions, shares_by_body=attribution.positions_m),
+        )
+    if any(share_item.share for share_item in attribution.band_hz):
+        yield (
+            "band",
+            _HEIGHT_IN,
+            partial(_draw_share_row, interval_shares=attribution.band_hz, title="By frequency", x_label="band, Hz"),
+        )
+    for picture_name, share_by_part, title in (
         ("channels", attribution.channels, "By channel"),
         ("modal_equations", attribution.modal_equations, "By modal equation"),
         ("parts", attribution.parts, "Linear structure or contact laws"),
         ("contact_state", attribution.contact_state, "By contact state"),
     ):
-        if any(shares.values()):
-            yield name, _FRAME_IN + _ROW_IN * len(shares), partial(_bars, shares=shares, title=title)
-    if any(s.share for s in attribution.time_s):
-        yield "time", _HEIGHT_IN, partial(_row, shares=attribution.time_s, title="Over time", x_label="time, s")
-    for j, (contact, surface) in enumerate(attribution.surface.items(), 1):
-        yield f"surface_{j}", _HEIGHT_IN, partial(_surface, surface=surface, contact=contact)
+        if any(share_by_part.values()):
+            yield (
+                picture_name,
+                _FRAME_IN + _ROW_IN * len(share_by_part),
+                partial(_draw_share_bars, share_by_part=share_by_part, title=title),
+            )
+    if any(share_item.share for share_item in attribution.time_s):
+        yield (
+            "time",
+            _HEIGHT_IN,
+            partial(_draw_share_row, interval_shares=attribution.time_s, title="Over time", x_label="time, s"),
+        )
+    for surface_number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
+        yield (
+            f"surface_{surface_number}",
+            _HEIGHT_IN,
+            partial(_draw_surface, residual_map=residual_map, contact_name=contact_name),
+        )
 
 
-def _bars(figure: Any, shares: Mapping[str, float], title: str) -> None:
-    sizes = [100 * s for s in shares.values()]
-    axes = _horizontal_bars(figure, [_shortened(n) for n in shares], sizes, [f"{s:.1f}" for s in sizes], BLUE)
+def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str) -> None:
+    percentages = [100 * share for share in share_by_part.values()]
+    axes = _horizontal_bar_axes(
+        figure,
+        [_shortened_name(part_name) for part_name in share_by_part],
+        percentages,
+        [f"{share:.1f}" for share in percentages],
+        BLUE,
+    )
     axes.margins(x=0.18)
     axes.set(xlabel="share of the gap, %")
     figure.suptitle(title, fontsize=10)
 
 
-def _row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
+def _draw_share_row(figure: Any, interval_shares: Sequence[Share], title: str, x_label: str) -> None:
     axes = figure.subplots()
-    axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
-    labelled = slice(None, None, -(-len(shares) // MAX_LABELS))
-    names = [_shortened(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
-    axes.set_xticks(np.arange(len(shares))[labelled], names[labelled], rotation=40, ha="right", rotation_mode="anchor")
+    axes.bar(
+        np.arange(len(interval_shares)),
+        [100 * interval_share.share for interval_share in interval_shares],
+        width=0.85,
+        color=BLUE,
+    )
+    labelled_slice = slice(None, None, -(-len(interval_shares) // MAX_LABELS))
+    interval_names = [
+        _shortened_name(f"{interval_share.begin:.3g} to {interval_share.end:.3g}") for interval_share in interval_shares
+    ]
+    axes.set_xticks(
+        np.arange(len(interval_shares))[labelled_slice],
+        interval_names[labelled_slice],
+        rotation=40,
+        ha="right",
+        rotation_mode="anchor",
+    )
     axes.grid(axis="x", visible=False)
     axes.set(xlabel=x_label, ylabel="share of the gap, %", title=title)
 
 
-def _positions(figure: Any, bodies: Mapping[str, Mapping[float, float]]) -> None:
+def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, float]]) -> None:
     """Each body as a thick line from its left end, a bar at every station."""
-    panels = figure.subplots(len(bodies), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
-    longest = max([position_m for stations in bodies.values() for position_m in stations], default=0.0) or 1.0
-    for axes, (body, stations) in zip(panels, bodies.items(), strict=True):
-        places = np.array(list(stations))
-        sizes = 100 * np.array(list(stations.values()))
-        axes.plot([0.0, max(places.max(initial=0.0), 0.02 * longest)], [0, 0], color=INK, lw=5, zorder=3)
-        bars = axes.bar(places, sizes, width=0.04 * longest, color=BLUE)
-        axes.plot(places, 0 * places, "^", ms=5, color="white", mec=INK, zorder=4, clip_on=False)
-        if places.size <= MAX_LABELS:
-            axes.bar_label(bars, [f"{s:.0f}" for s in sizes], padding=2)
+    panels = figure.subplots(len(shares_by_body), 1, squeeze=False, sharex=True, sharey=True)[:, 0]
+    longest_m = max([position_m for stations in shares_by_body.values() for position_m in stations], default=0.0) or 1.0
+    for axes, (body_name, share_by_station) in zip(panels, shares_by_body.items(), strict=True):
+        positions_m = np.array(list(share_by_station))
+        percentages = 100 * np.array(list(share_by_station.values()))
+        axes.plot([0.0, max(positions_m.max(initial=0.0), 0.02 * longest_m)], [0, 0], color=INK, lw=5, zorder=3)
+        station_bars = axes.bar(positions_m, percentages, width=0.04 * longest_m, color=BLUE)
+        axes.plot(positions_m, 0 * positions_m, "^", ms=5, color="white", mec=INK, zorder=4, clip_on=False)
+        if positions_m.size <= MAX_LABELS:
+            axes.bar_label(station_bars, [f"{percentage:.0f}" for percentage in percentages], padding=2)
         axes.margins(y=0.22)
-        axes.set_title(_shortened(body), loc="left", fontsize=9)
+        axes.set_title(_shortened_name(body_name), loc="left", fontsize=9)
     panels[-1].set_xlabel("distance from the left end, m")
     panels[0].set_ylabel("share of the gap, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
-def _surface(figure: Any, surface: ResidualMap, contact: str) -> None:
+def _draw_surface(figure: Any, residual_map: ResidualMap, contact_name: str) -> None:
     axes = figure.subplots()
-    share = 100 * np.array(surface.share)
-    cells = axes.pcolormesh(
-        1e3 * np.array(surface.eta_m), surface.rate_m_per_s, np.where(share > 0, share, np.nan).T, cmap="viridis_r"
+    percentages = 100 * np.array(residual_map.share)
+    cell_mesh = axes.pcolormesh(
+        1e3 * np.array(residual_map.eta_m),
+        residual_map.rate_m_per_s,
+        np.where(percentages > 0, percentages, np.nan).T,
+        cmap="viridis_r",
     )
-    figure.colorbar(cells, label="share of the gap, %")
-    axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened(contact)}")
+    figure.colorbar(cell_mesh, label="share of the gap, %")
+    axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened_name(contact_name)}")
 
 
-def _shortened(name: str) -> str:
+def _shortened_name(name: str) -> str:
     return name if len(name) <= MAX_NAME_CHARACTERS else f"{name[: MAX_NAME_CHARACTERS - 1]}…"
 
 
 def _cause_lines(name: str) -> str:
     """Name of a cause with one effect per line."""
-    first, *further_effects = name.split(" + ")
-    return "\n".join([_shortened(first), *(_shortened(f"+ {effect}") for effect in further_effects)])
+    first_effect, *further_effects = name.split(" + ")
+    return "\n".join([_shortened_name(first_effect), *(_shortened_name(f"+ {effect}") for effect in further_effects)])
 
 
-def _horizontal_bars(
-    figure: Any, names: Sequence[str], sizes: Sequence[float], bar_labels: Sequence[str], colours: Any
+def _horizontal_bar_axes(
+    figure: Any, bar_names: Sequence[str], bar_lengths: Sequence[float], bar_labels: Sequence[str], colours: Any
 ) -> Any:
     """Axes with horizontal bars, the first on top, and a label at the end of each."""
     axes = figure.subplots()
-    bars = axes.barh(np.arange(len(names)), sizes, height=0.62, color=colours)
-    axes.bar_label(bars, bar_labels, padding=4)
-    axes.set_yticks(np.arange(len(names)), names)
+    drawn_bars = axes.barh(np.arange(len(bar_names)), bar_lengths, height=0.62, color=colours)
+    axes.bar_label(drawn_bars, bar_labels, padding=4)
+    axes.set_yticks(np.arange(len(bar_names)), bar_names)
     axes.invert_yaxis()
     axes.grid(axis="y", visible=False)
     return axes

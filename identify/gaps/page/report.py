@@ -48,21 +48,21 @@ DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("larg
 
 
 def write_all(
-    gap: Gap, corrected: Rig, title: str, folder: Path, sources: Sequence[Path] = (), findings: Sequence[str] = ()
+    gap: Gap, corrected_rig: Rig, title: str, folder: Path, sources: Sequence[Path] = (), findings: Sequence[str] = ()
 ) -> None:
     """Write gap.html, the corrected rig.json and gap.json, each atomically; `findings` are those of the check."""
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    drawing = rig_drawing(corrected, {}, marks(gap, corrected))
+    drawing = rig_drawing(corrected_rig, {}, marks(gap, corrected_rig))
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
-    write_bytes(to_json(corrected), folder / "rig.json")
+    write_bytes(to_json(corrected_rig), folder / "rig.json")
     write_json(gap, folder / "gap.json")
 
 
 def write_page(
     gap: Gap,
-    figures: Mapping[str, Picture],
+    figure_by_name: Mapping[str, Picture],
     title: str,
     path: Path,
     sources: Sequence[Path] = (),
@@ -73,18 +73,24 @@ def write_page(
 
     The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
-    figures = dict(figures)
-    decisive = next((name for name in DECISIVE_FIGURES[gap.verdict] if name in figures), None)
+    figure_by_name = dict(figure_by_name)
+    decisive_figure = next(
+        (figure_name for figure_name in DECISIVE_FIGURES[gap.verdict] if figure_name in figure_by_name), None
+    )
     first_column = page.list_html(findings) if findings else ""
     if drawing:
         first_column += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
     second_column = (
-        page.figure(decisive, figures.pop(decisive), CAPTIONS.get(decisive, ""), page.FIRST_PLOT_PX) if decisive else ""
+        page.figure(
+            decisive_figure, figure_by_name.pop(decisive_figure), CAPTIONS.get(decisive_figure, ""), page.FIRST_PLOT_PX
+        )
+        if decisive_figure
+        else ""
     )
     unknown_heading = "What the rest looks like" if gap.verdict == Verdict.PARTLY_EXPLAINED else "What is not explained"
-    experiments = _figures_html(figures, "next")
-    folded = [
+    experiment_figures = _figures_html(figure_by_name, "next")
+    folded_sections = [
         ("How large is the difference?", "large", mismatch_size(gap)),
         ("What causes it?", "why", cause_tables(gap)),
         *([("Does the model move as the machine?", "prediction", prediction(gap.rollout))] if gap.rollout else []),
@@ -101,20 +107,31 @@ def write_page(
             "yellow" if findings and colour(gap) == "green" else colour(gap), verdict(gap), sentences(gap)
         ),
         top_blocks=[first_column, second_column],
-        sections=[("Which further recording?", experiments)] if experiments else [],
-        folded_sections=[(heading, f"{text}\n{_figures_html(figures, key)}") for heading, key, text in folded],
+        sections=[("Which further recording?", experiment_figures)] if experiment_figures else [],
+        folded_sections=[
+            (heading, f"{section_html}\n{_figures_html(figure_by_name, section_key)}")
+            for heading, section_key, section_html in folded_sections
+        ],
         foot_text="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
     )
 
 
-def _figures_html(figures: Mapping[str, Picture], section: str) -> str:
-    section_pictures = {name: picture for name, picture in figures.items() if name.split("_")[0] == section}
+def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> str:
+    section_pictures = {
+        figure_name: picture
+        for figure_name, picture in figure_by_name.items()
+        if figure_name.split("_")[0] == section_key
+    }
     wide_figures = "".join(
-        page.figure(name, picture, CAPTIONS[name]) for name, picture in section_pictures.items() if name in CAPTIONS
+        page.figure(figure_name, picture, CAPTIONS[figure_name])
+        for figure_name, picture in section_pictures.items()
+        if figure_name in CAPTIONS
     )
     small_figures = "".join(
-        page.figure(name, picture) for name, picture in section_pictures.items() if name not in CAPTIONS
+        page.figure(figure_name, picture)
+        for figure_name, picture in section_pictures.items()
+        if figure_name not in CAPTIONS
     )
     return wide_figures + (f'<div class="pictures">\n{small_figures}</div>' if small_figures else "")
 
@@ -125,11 +142,14 @@ def curves(gap: Gap) -> dict[str, Table]:
 
 
 def _band_table(gap: Gap) -> Table:
-    names = {
+    heading_by_field = {
         "low_hz": "from Hz",
         "high_hz": "to Hz",
         "before": "unexplained by the believed rig",
         "after": "unexplained with the likeliest cause",
         "usual": "nineteen of twenty null simulations stay below",
     }
-    return {heading: np.array([getattr(band, name) for band in gap.bands]) for name, heading in names.items()}
+    return {
+        heading: np.array([getattr(band, field_name) for band in gap.bands])
+        for field_name, heading in heading_by_field.items()
+    }

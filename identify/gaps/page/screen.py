@@ -41,46 +41,48 @@ def colour(gap: Gap) -> Colour:
 
 def screen_view(gap: Gap) -> RenderableType:
     """Sentence, causes with what each removes and leaves, unmeasured force, and next steps."""
-    lines: list[RenderableType] = [
+    screen_parts: list[RenderableType] = [
         Text.assemble((verdict(gap), f"bold {colour(gap)}"), ": ", gap.sentence),
-        _cause_lines(gap),
+        _cause_table(gap),
     ]
     if gap.unknown:
-        lines.append(
+        screen_parts.append(
             Text.assemble(("what is unknown: ", "bold"), gap.unknown.sentence, f"; {_unknown_summary(gap.unknown)}")
         )
-    lines += [Text(note) for note in not_computed(gap)]
-    lines.append(Text("what to do next:", style="bold"))
-    steps = Table.grid(padding=(0, 1))
-    for i, step in enumerate(next_steps(gap), 1):
-        steps.add_row(f" {i}.", Text(step))
-    return Group(*lines, steps)
+    screen_parts += [Text(note) for note in not_computed(gap)]
+    screen_parts.append(Text("what to do next:", style="bold"))
+    step_table = Table.grid(padding=(0, 1))
+    for step_number, step in enumerate(next_steps(gap), 1):
+        step_table.add_row(f" {step_number}.", Text(step))
+    return Group(*screen_parts, step_table)
 
 
 def _unknown_summary(unknown: UnmeasuredForce) -> str:
     """Size, band, times and explained share of an unmeasured force."""
-    low, high = unknown.band_hz
+    low_hz, high_hz = unknown.band_hz
     unit = "m/s²" if unknown.kind == "sensor" else "N"
     when = "" if unknown.when == "always" else f", {WHEN[unknown.when]}"
     return (
-        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low:.3g} to {high:.3g} Hz{when}; it explains "
+        f"{number(unknown.rms_n, 3)} {unit} rms, mostly from {low_hz:.3g} to {high_hz:.3g} Hz{when}; it explains "
         f"{percent(unknown.explained)} of the linear residual's mean square"
     )
 
 
-def _cause_lines(gap: Gap) -> RenderableType:
+def _cause_table(gap: Gap) -> RenderableType:
     """Causes, no cause and something unmeasured, whose probabilities sum to one, each with its numbers in lines."""
-    rows = [(cause.probability, _cause_text(cause)) for cause in gap.causes[:MAX_CAUSES]]
-    if further := gap.causes[MAX_CAUSES:]:
-        rows.append((sum(cause.probability for cause in further), f"{len(further)} further causes"))
+    probabilities_and_words = [(cause.probability, _cause_text(cause)) for cause in gap.causes[:MAX_CAUSES]]
+    if further_causes := gap.causes[MAX_CAUSES:]:
+        probabilities_and_words.append(
+            (sum(cause.probability for cause in further_causes), f"{len(further_causes)} further causes")
+        )
     (nominal_words, nominal_probability), (unmeasured_words, unmeasured_probability) = remaining_probabilities(gap)
-    rows.append((nominal_probability, f"{nominal_words}: leaves {unexplained_words(gap.before)}"))
-    rows.append((unmeasured_probability, unmeasured_words))
-    lines = Table.grid(padding=(0, 2))
-    lines.add_column(justify="right", no_wrap=True)
-    for share, words in rows:
-        lines.add_row(probability(share), Text(words))
-    return Group(Text("causes by probability (± 95 %):", style="bold"), lines)
+    probabilities_and_words.append((nominal_probability, f"{nominal_words}: leaves {unexplained_words(gap.before)}"))
+    probabilities_and_words.append((unmeasured_probability, unmeasured_words))
+    cause_table = Table.grid(padding=(0, 2))
+    cause_table.add_column(justify="right", no_wrap=True)
+    for cause_probability, cause_words in probabilities_and_words:
+        cause_table.add_row(probability(cause_probability), Text(cause_words))
+    return Group(Text("causes by probability (± 95 %):", style="bold"), cause_table)
 
 
 def _cause_text(cause: Cause) -> str:
@@ -88,6 +90,6 @@ def _cause_text(cause: Cause) -> str:
     return "\n".join(
         [
             f"{cause_name(cause)}: closes {removed_share_words(cause)}, leaves {unexplained_words(cause.left)}",
-            *(f"  {name} {interval(value)}" for name, value in cause.parameters.items()),
+            *(f"  {parameter_name} {interval(value)}" for parameter_name, value in cause.parameters.items()),
         ]
     )

@@ -61,8 +61,8 @@ def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
     motion_sensors = [s for s in recording.rig.sensors if s.measures.translates]
     if not motion_sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
-    preferred = max if np.any(recording.forces_n) else min
-    return sensors_of(recording.rig, preferred(motion_sensors, key=lambda s: s.measures.order).quantity)
+    max_or_min = max if np.any(recording.forces_n) else min
+    return sensors_of(recording.rig, max_or_min(motion_sensors, key=lambda s: s.measures.order).quantity)
 
 
 @dataclass(frozen=True)
@@ -70,66 +70,68 @@ class Beginning:
     """Start of a record, and whether its signals are integrated.
 
     zero_known: displacements are measured. integrates: relative displacements at contacts follow from velocities or
-    accelerations. counts_from_blow: a free motion whose initial state is estimated. free: all bodies are unsupported
-    masses, so that nothing rings. floats_in_contacts: contacts alone hold an elastic body. excited_from is the first
-    sample at which a force acts; the quiet samples before it determine the noise.
+    accelerations. counts_from_blow: a free motion whose initial state is estimated. all_free: all bodies are
+    unsupported masses, so that nothing rings. floats_in_contacts: contacts alone hold an elastic body.
+    excitation_start_sample is the first sample at which a force acts; the quiet samples before it determine the noise.
     """
 
     zero_known: bool
-    contacts: bool
+    has_contacts: bool
     integrates: bool
     counts_from_blow: bool
-    free: bool
+    all_free: bool
     floats_in_contacts: bool
-    excited_from: int
+    excitation_start_sample: int
     quiet_samples: int
-    faded_s: float
+    fade_length_s: float
     duration_s: float
 
     @property
-    def quiet(self) -> bool:
+    def starts_quiet(self) -> bool:
         """True if the record starts with quiet samples."""
         return self.quiet_samples > 0
 
     @property
     def omitted_s(self) -> tuple[float, float]:
         """Seconds omitted at the start and at the end."""
-        rings = not self.free and (self.contacts or not self.counts_from_blow)
-        at_end_s = min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings else OMITTED_FADES * self.faded_s
-        if self.quiet:
-            return 0.0, at_end_s
+        rings_on = not self.all_free and (self.has_contacts or not self.counts_from_blow)
+        omitted_end_s = (
+            min(OMITTED_S, OMITTED_SHARE * self.duration_s) if rings_on else OMITTED_FADES * self.fade_length_s
+        )
+        if self.starts_quiet:
+            return 0.0, omitted_end_s
         if self.counts_from_blow:
-            return RELEASE_S * self.floats_in_contacts, at_end_s
-        return at_end_s if self.free else OMITTED_S, at_end_s
+            return RELEASE_S * self.floats_in_contacts, omitted_end_s
+        return omitted_end_s if self.all_free else OMITTED_S, omitted_end_s
 
 
 def beginning_of(recording: Recording, sensors: tuple[Sensor, ...]) -> Beginning:
     """Start of a recording as given sensors show it."""
-    rig, rate = recording.rig, recording.rig.sample_rate_hz
+    rig, rate_hz = recording.rig, recording.rig.sample_rate_hz
     zero_known = all(s.measures.order == 0 for s in sensors)
-    contacts = bool(rig.contacts)
-    integrates = contacts and not zero_known
-    excited_from = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate)
-    before = excited_from - round(QUIET_MARGIN_S * rate)
+    has_contacts = bool(rig.contacts)
+    integrates = has_contacts and not zero_known
+    excitation_start_sample = excitation_start(recording.forces_n, (recording.values_of(s) for s in sensors), rate_hz)
+    samples_before = excitation_start_sample - round(QUIET_MARGIN_S * rate_hz)
     counts_from_blow = not np.any(recording.forces_n) and not integrates
-    faded_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
+    fade_length_s = 2 * TAPER_S if zero_known and not counts_from_blow else TAPER_S
     return Beginning(
         zero_known=zero_known,
-        contacts=contacts,
+        has_contacts=has_contacts,
         integrates=integrates,
         counts_from_blow=counts_from_blow,
-        free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
+        all_free=zero_known and all(is_free(rig, b.name) for b in rig.bodies),
         floats_in_contacts=floats_in_contacts(rig),
-        excited_from=excited_from,
-        quiet_samples=before if before > QUIET_S * rate else 0,
-        faded_s=faded_s if contacts else min(faded_s, FADE_SHARE * recording.duration_s),
+        excitation_start_sample=excitation_start_sample,
+        quiet_samples=samples_before if samples_before > QUIET_S * rate_hz else 0,
+        fade_length_s=fade_length_s if has_contacts else min(fade_length_s, FADE_SHARE * recording.duration_s),
         duration_s=recording.duration_s,
     )
 
 
 def check_length(recording: Recording, beginning: Beginning) -> None:
     """Check a record's length; raises RigError if it is too short."""
-    is_uncut = not beginning.contacts and (beginning.quiet or beginning.counts_from_blow)
+    is_uncut = not beginning.has_contacts and (beginning.starts_quiet or beginning.counts_from_blow)
     shortest_s = SHORTEST_UNCUT_S if is_uncut else SHORTEST_S
     if recording.duration_s < shortest_s:
         raise RigError(
@@ -141,23 +143,23 @@ def check_length(recording: Recording, beginning: Beginning) -> None:
 def high_hz_of(
     recording: Recording,
     sensors: tuple[Sensor, ...],
-    densities: Float[np.ndarray, " sensors"],
+    noise_densities: Float[np.ndarray, " sensors"],
     tolerances: Tolerances,
 ) -> float:
     """Highest frequency of the diagnosis, Hz; raises RigError if nothing above `CORNER_HZ` is excited."""
-    rate = recording.rig.sample_rate_hz
+    rate_hz = recording.rig.sample_rate_hz
     if np.any(recording.forces_n):
-        excited_hz = _excited_hz(recording.forces_n, rate)
+        excited_hz = _excited_hz(recording.forces_n, rate_hz)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
         excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
-        rows = np.stack([recording.values_of(s) for s in sensors])
+        signals = np.stack([recording.values_of(s) for s in sensors])
         excited_hz = REACH * (
-            highest_vibrating_hz(rows, rate, densities)
+            highest_vibrating_hz(signals, rate_hz, noise_densities)
             if recording.rig.contacts
-            else highest_ringing_hz(rows, rate, sensors[0].measures.order, densities)
+            else highest_ringing_hz(signals, rate_hz, sensors[0].measures.order, noise_densities)
         )
-    high_hz = min(excited_hz, PASSBAND * rate, tolerances.highest_hz or np.inf)
+    high_hz = min(excited_hz, PASSBAND * rate_hz, tolerances.highest_hz or np.inf)
     if high_hz <= CORNER_HZ:
         raise RigError(
             f"the force excites the rig up to {high_hz:.2g} Hz alone; the diagnosis needs more than {CORNER_HZ:g} Hz: "
@@ -169,16 +171,16 @@ def high_hz_of(
 def _excited_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> float:
     """Highest frequency to which forces excite the rig, Hz."""
     return max(
-        min(REACH * force_band(row, rate_hz)[1], POWER_REACH * force_band(row, rate_hz, 1 - POWER_SHARE)[1])
-        for row in forces_n
-        if np.any(row)
+        min(REACH * force_band(force_n, rate_hz)[1], POWER_REACH * force_band(force_n, rate_hz, 1 - POWER_SHARE)[1])
+        for force_n in forces_n
+        if np.any(force_n)
     )
 
 
 def noise_corner_hz(
     rig: Rig,
     omega: Float[np.ndarray, " lines"],
-    power: Float[np.ndarray, "sensors lines"],
+    signal_power: Float[np.ndarray, "sensors lines"],
     noise_power: Float[np.ndarray, " sensors"],
 ) -> float:
     """Corner of the high-pass under integration, Hz, for a rig without contacts.
@@ -187,24 +189,28 @@ def noise_corner_hz(
     `CORNER_SHARE` of the lowest natural frequency. Noise integrated twice grows as omega^-2, and a law of the
     displacement that is fitted to it is biased: a cubic spring on a beam of 12 Hz came out half as strong.
     """
-    lowest_hz = np.inf
+    lowest_natural_hz = np.inf
     for body in rig.bodies:
         natural_hz = modes_of(rig, body).frequencies_hz(body.max_modes)
-        lowest_hz = min(lowest_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
-    hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
-    while (next_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_hz:
-        in_band = (hz >= corner_hz) & (hz < next_hz)
-        if not in_band.any() or np.any(power[:, in_band].mean(axis=1) > SIGNAL_RATIO * noise_power):
+        lowest_natural_hz = min(lowest_natural_hz, float(np.min(natural_hz[natural_hz > 0], initial=np.inf)))
+    lines_hz, corner_hz = omega / (2 * np.pi), CORNER_HZ
+    while (next_corner_hz := corner_hz * np.sqrt(2)) < CORNER_SHARE * lowest_natural_hz:
+        in_half_octave = (lines_hz >= corner_hz) & (lines_hz < next_corner_hz)
+        if not in_half_octave.any() or np.any(
+            signal_power[:, in_half_octave].mean(axis=1) > SIGNAL_RATIO * noise_power
+        ):
             break
-        corner_hz = float(next_hz)
+        corner_hz = float(next_corner_hz)
     return corner_hz
 
 
-def is_free(rig: Rig, body: str) -> bool:
+def is_free(rig: Rig, body_name: str) -> bool:
     """True if a body is an unsupported mass."""
-    mass = rig.body(body)
-    supports = [s.station for s in rig.springs] + [s for contact in rig.contacts for s in contact_stations(contact)]
-    return mass.is_mass and bool(mass.rigid_modes) and all(s.body != body for s in supports)
+    body = rig.body(body_name)
+    support_stations = [s.station for s in rig.springs] + [
+        s for contact in rig.contacts for s in contact_stations(contact)
+    ]
+    return body.is_mass and bool(body.rigid_modes) and all(s.body != body_name for s in support_stations)
 
 
 def floats_in_contacts(rig: Rig) -> bool:
@@ -212,16 +218,21 @@ def floats_in_contacts(rig: Rig) -> bool:
     return bool(rig.contacts) and any(b.rigid_modes and not b.is_mass for b in rig.bodies)
 
 
-def end_of_motion_s(rows: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
+def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: float) -> float:
     """End of the last second with motion, s; inf for the whole record. Raises RigError if the sensors show none."""
-    second_samples = max(1, round(min(1.0, rows.shape[1] / rate_hz / 4) * rate_hz))
-    seconds = rows.shape[1] // second_samples
-    power = (rows[:, : seconds * second_samples] ** 2).sum(axis=0).reshape(seconds, second_samples).mean(axis=1)
-    moving_seconds = np.flatnonzero(power > DECAYED_SHARE**2 * power.max())
+    second_samples = max(1, round(min(1.0, accelerations.shape[1] / rate_hz / 4) * rate_hz))
+    second_count = accelerations.shape[1] // second_samples
+    power_by_second = (
+        (accelerations[:, : second_count * second_samples] ** 2)
+        .sum(axis=0)
+        .reshape(second_count, second_samples)
+        .mean(axis=1)
+    )
+    moving_seconds = np.flatnonzero(power_by_second > DECAYED_SHARE**2 * power_by_second.max())
     if not moving_seconds.size:
         raise RigError("the sensors show no motion; look at their channels")
-    moving_until = int(moving_seconds[-1]) + 1
-    return np.inf if moving_until == seconds else moving_until * second_samples / rate_hz
+    motion_end_second = int(moving_seconds[-1]) + 1
+    return np.inf if motion_end_second == second_count else motion_end_second * second_samples / rate_hz
 
 
 def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
@@ -234,8 +245,8 @@ def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Toleranc
         return np.zeros(len(forces_n))
     if quiet_samples:
         return np.asarray(np.std(forces_n[:, :quiet_samples], axis=1))
-    stated_n = tolerances.force_noise_density * np.sqrt(recording.rig.sample_rate_hz / 2)
-    return np.full(len(forces_n), stated_n)
+    stated_noise_n = tolerances.force_noise_density * np.sqrt(recording.rig.sample_rate_hz / 2)
+    return np.full(len(forces_n), stated_noise_n)
 
 
 def sensor_densities(
@@ -247,15 +258,15 @@ def sensor_densities(
     the median of an exponential distribution is ln 2 times its mean. The record's own estimate is limited to the
     described noise unless it is certain, or unless it is a free decay, between whose sharp modes the noise shows.
     """
-    rate_hz, is_free_decay, densities = recording.rig.sample_rate_hz, not np.any(recording.forces_n), []
+    rate_hz, is_free_decay, noise_densities = recording.rig.sample_rate_hz, not np.any(recording.forces_n), []
     for sensor in sensors:
-        row = recording.values_of(sensor)
+        signal = recording.values_of(sensor)
         if quiet_samples:
-            hz, power = periodogram(row[:quiet_samples], rate_hz, "hann")
+            hz, power = periodogram(signal[:quiet_samples], rate_hz, "hann")
             in_band = (hz > 0) & (hz < PASSBAND * rate_hz)
-            density = float(np.sqrt(np.median(power[in_band]) / np.log(2)))
+            noise_density = float(np.sqrt(np.median(power[in_band]) / np.log(2)))
         else:
-            density, is_certain = spectrogram_noise_density(row, rate_hz)
-            density = density if is_certain or is_free_decay else min(density, sensor.noise_density)
-        densities.append(max(density, rounding_noise_density(row, rate_hz)))
-    return np.array(densities)
+            noise_density, is_certain = spectrogram_noise_density(signal, rate_hz)
+            noise_density = noise_density if is_certain or is_free_decay else min(noise_density, sensor.noise_density)
+        noise_densities.append(max(noise_density, rounding_noise_density(signal, rate_hz)))
+    return np.array(noise_densities)

@@ -60,13 +60,13 @@ class Fit:
 class NormalEquations:
     """Normal equations H d = g of nuisance parameters and effect parameters; contact unknowns are eliminated.
 
-    eliminated holds each contact's solution u = a - B d as (a, B); cost_decrease_by_contacts is that by the
+    unknown_solutions holds each contact's solution u = a - B d as (a, B); cost_decrease_by_contacts is that by the
     contact unknowns alone.
     """
 
     matrix: Float[np.ndarray, "global global"]
     gradient: Float[np.ndarray, " global"]
-    eliminated: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
+    unknown_solutions: tuple[tuple[Float[np.ndarray, " _"], Float[np.ndarray, "_ global"]], ...]
     cost_decrease_by_contacts: float
 
     def predicted_decrease(self, step: Float[np.ndarray, " global"]) -> float:
@@ -75,25 +75,26 @@ class NormalEquations:
 
     def unknown_steps(self, step: Float[np.ndarray, " global"]) -> list[Float[np.ndarray, " _"]]:
         """Steps of each contact's unknowns that belong to a step of the other parameters."""
-        return [start - unknowns_by_nuisance @ step for start, unknowns_by_nuisance in self.eliminated]
+        return [step_alone - step_by_parameter @ step for step_alone, step_by_parameter in self.unknown_solutions]
 
 
 @dataclass(frozen=True)
 class Eliminated:
     """Unknowns of one contact, eliminated from the normal equations of the nuisance parameters.
 
-    With J the contact residual's columns by its unknowns and r the residual: rows are its columns N by the nuisance
-    parameters, unknowns_by_nuisance = J'N, solved = (J'J)^-1 J'N, gradient = J'r, solved_gradient = (J'J)^-1 J'r.
-    straight_fall is the fall of the cost to that of r, in which the excess of pulls is straight (`residual_beyond`).
+    With J the contact residual's columns by its unknowns and r the residual: nuisance_columns are its columns N by the
+    nuisance parameters, unknowns_by_nuisance = J'N, solved_by_nuisance = (J'J)^-1 J'N, unknowns_gradient = J'r,
+    unknowns_step = (J'J)^-1 J'r. straight_cost_fall is the fall of the cost to that of r, in which the excess of pulls
+    is straight (`residual_beyond`).
     """
 
-    solver: SuperLU
-    rows: Float[np.ndarray, "_ nuisances"]
+    unknowns_solver: SuperLU
+    nuisance_columns: Float[np.ndarray, "_ nuisances"]
     unknowns_by_nuisance: Float[np.ndarray, "unknowns nuisances"]
-    solved: Float[np.ndarray, "unknowns nuisances"]
-    gradient: Float[np.ndarray, " unknowns"]
-    solved_gradient: Float[np.ndarray, " unknowns"]
-    straight_fall: float
+    solved_by_nuisance: Float[np.ndarray, "unknowns nuisances"]
+    unknowns_gradient: Float[np.ndarray, " unknowns"]
+    unknowns_step: Float[np.ndarray, " unknowns"]
+    straight_cost_fall: float
 
 
 @dataclass(frozen=True)
@@ -104,11 +105,11 @@ class ReducedEquations:
     residual: Residual
     matrix: Float[np.ndarray, "nuisances nuisances"]
     gradient: Float[np.ndarray, " nuisances"]
-    contacts: tuple[Eliminated, ...]
+    eliminated_contacts: tuple[Eliminated, ...]
 
     def with_lines(self) -> "ReducedEquations":
         """Equations whose gradient includes the outstanding lines, for effects that may explain them."""
-        residual = replace(self.residual, linear_without_lines=self.residual.linear)
+        residual = replace(self.residual, linear_without_lines=self.residual.linear_residual)
         gradient_of_lines = self.linearization.columns.products(
             (residual.linear_without_lines - self.residual.linear_without_lines).ravel()
         )
@@ -116,25 +117,27 @@ class ReducedEquations:
 
     def with_columns(self, columns: list[Column]) -> NormalEquations:
         """Normal equations of the nuisance parameters, followed by one parameter for each column."""
-        count, size = len(self.gradient), len(self.gradient) + len(columns)
-        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
+        matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.residual.linear.size)
+        linear = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.residual.linear_residual.size)
         matrix[:count, count:] = self.linearization.columns.products(linear)
         matrix[count:, count:] = linear @ linear.T
         gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
-        unknown_solutions = []
-        for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.contacts, strict=True)):
+        solutions = []
+        for j, (contact, own) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
-            unknowns_by_nuisance = contact.columns.T @ contact_columns
-            solved = eliminated.solver.solve(unknowns_by_nuisance)
-            matrix[:count, count:] += eliminated.rows.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved
-            matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_nuisance.T @ solved
-            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.gradient
-            unknown_solutions.append((eliminated.solved_gradient, np.concatenate([eliminated.solved, solved], axis=1)))
+            unknowns_by_column = contact.columns.T @ contact_columns
+            solved = own.unknowns_solver.solve(unknowns_by_column)
+            matrix[:count, count:] += own.nuisance_columns.T @ contact_columns - own.unknowns_by_nuisance.T @ solved
+            matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
+            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ own.unknowns_gradient
+            solutions.append((own.unknowns_step, np.concatenate([own.solved_by_nuisance, solved], axis=1)))
         matrix[count:, :count] = matrix[:count, count:].T
-        cost_decrease_by_contacts = float(sum(e.gradient @ e.solved_gradient + e.straight_fall for e in self.contacts))
-        return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
+        cost_decrease_by_contacts = float(
+            sum(e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts)
+        )
+        return NormalEquations(matrix, gradient, tuple(solutions), cost_decrease_by_contacts)
 
 
 def reduced_equations(
@@ -144,23 +147,21 @@ def reduced_equations(
 
     `sides` are those of each contact's pulls, by default the present ones.
     """
-    count = len(linearization.columns.parameters)
-    matrix = linearization.gram + linearization.record.sample_ratio * np.eye(count)
+    nuisance_count = len(linearization.columns.parameters)
+    matrix = linearization.column_gram + linearization.record.sample_ratio * np.eye(nuisance_count)
     gradient = linearization.columns.products(residual.linear_without_lines.ravel())
-    gradient = gradient - linearization.record.sample_ratio * residual.nuisance
+    gradient = gradient - linearization.record.sample_ratio * residual.nuisance_pulls
     eliminated = []
     for j, contact in enumerate(residual.contacts):
         side = contact.sides_after() if sides is None else sides[j]
-        columns, piece = contact.columns_beyond(side), contact.residual_beyond(side)
-        solver, rows = splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j)
-        unknown_gradient, unknowns_by_nuisance = columns.T @ piece, columns.T @ rows
-        solved = solver.solve(unknowns_by_nuisance)
-        matrix = matrix + rows.T @ rows - unknowns_by_nuisance.T @ solved
-        gradient = gradient + rows.T @ contact.residual - solved.T @ unknown_gradient
-        unknown_step, straight_fall = solver.solve(unknown_gradient), contact.cost - float(piece @ piece)
-        eliminated.append(
-            Eliminated(solver, rows, unknowns_by_nuisance, solved, unknown_gradient, unknown_step, straight_fall)
-        )
+        columns, straight = (contact.columns_beyond(side), contact.residual_beyond(side))
+        solver, by_nuisance = (splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j))
+        own_gradient, coupling = (columns.T @ straight, columns.T @ by_nuisance)
+        solved = solver.solve(coupling)
+        matrix = matrix + by_nuisance.T @ by_nuisance - coupling.T @ solved
+        gradient = gradient + by_nuisance.T @ contact.residual - solved.T @ own_gradient
+        own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight @ straight))
+        eliminated.append(Eliminated(solver, by_nuisance, coupling, solved, own_gradient, own_step, cost_fall))
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
@@ -170,17 +171,17 @@ def contact_jacobian(
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
     weights, contact = linearization.observations[contact_index].weights, residual.contacts[contact_index]
     columns = linearization.columns
-    force_n, eta_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
-    moving = np.any(eta_m, axis=1)
-    force_n[moving] -= contact.tangent.force_change_n(linearization.record.in_finer_time(eta_m[moving]))
-    rows = np.zeros((contact.residual.size, len(columns.parameters)))
-    rows[: weights.size] = weights[:, None] * force_n.T
-    return rows
+    forces_n, etas_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
+    moves_contact = np.any(etas_m, axis=1)
+    forces_n[moves_contact] -= contact.tangent.force_change_n(linearization.record.in_finer_time(etas_m[moves_contact]))
+    jacobian = np.zeros((contact.residual.size, len(columns.parameters)))
+    jacobian[: weights.size] = weights[:, None] * forces_n.T
+    return jacobian
 
 
 def fit(
     linearization: Linearization,
-    build: Build,
+    build_rig: Build,
     values: Values,
     steps: Values,
     bounds: tuple[Values, Values],
@@ -191,15 +192,17 @@ def fit(
 
     `initial` gives the nuisance parameters and contact unknowns to start from.
     """
-    nuisance, unknowns = (initial.nuisance, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
-    if nuisance is not None and linearization.tuned.pulls and not nuisance.any():
+    nuisance, unknowns = (
+        (initial.nuisance_pulls, tuple(c.unknowns for c in initial.contacts)) if initial else (None, None)
+    )
+    if nuisance is not None and linearization.tuning.pulls and not nuisance.any():
         nuisance = None  # the modes' parameters start at the values that the record's modes give
-    start = _Point(values, residual_of(linearization, build(values), nuisance, unknowns))
-    step_from = partial(_step, linearization, build, steps, bounds)
-    optimum, step = gauss_newton(start, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
-    if linearization.record.modes:  # within a sharp mode's width the nuisance columns change already
-        step = step_from(start)
-    return Fit(optimum.values, step.covariance, optimum.residual)
+    start_point = _Point(values, residual_of(linearization, build_rig(values), nuisance, unknowns))
+    step_from = partial(_step, linearization, build_rig, steps, bounds)
+    best_point, last_step = gauss_newton(start_point, step_from, _negligible_decrease, max_steps, NEGLIGIBLE_SHARE)
+    if linearization.record.measured_modes:  # within a sharp mode's width the nuisance columns change already
+        last_step = step_from(start_point)
+    return Fit(best_point.values, last_step.covariance, best_point.residual)
 
 
 @dataclass(frozen=True)
@@ -218,72 +221,75 @@ class _Step(Step[_Point]):
 
 
 def _negligible_decrease(point: _Point) -> float:
-    return max(COST_TOLERANCE * point.cost, UNEXPLAINED_TOLERANCE * (point.cost - point.residual.rows))
+    return max(COST_TOLERANCE * point.cost, UNEXPLAINED_TOLERANCE * (point.cost - point.residual.residual_count))
 
 
 def _step(
-    linearization: Linearization, build: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
+    linearization: Linearization, build_rig: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
 ) -> _Step:
     """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
     values, residual, count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
-    columns = [_step_column(linearization, build, values, s, residual) for s in np.eye(values.size) * inward_steps]
-    ranges = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
-    low = np.concatenate([-LIMIT - residual.nuisance, ranges[0]])
-    high = np.concatenate([LIMIT - residual.nuisance, ranges[1]])
+    columns = [_step_column(linearization, build_rig, values, s, residual) for s in np.eye(values.size) * inward_steps]
+    scaled_bounds = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
+    least_step = np.concatenate([-LIMIT - residual.nuisance_pulls, scaled_bounds[0]])
+    greatest_step = np.concatenate([LIMIT - residual.nuisance_pulls, scaled_bounds[1]])
     sides = [contact.sides_after() for contact in residual.contacts]
     for _ in range(MAX_SIDES):
-        normal = reduced_equations(linearization, residual, sides).with_columns(columns)
-        ridge = np.r_[np.zeros(count), 1e-9 * np.diag(normal.matrix)[count:] + 1e-300]
-        full_step = bounded_minimum(normal.matrix + np.diag(ridge), normal.gradient, low, high)
-        steps_of_contacts = zip(residual.contacts, normal.unknown_steps(full_step), strict=True)
+        equations = reduced_equations(linearization, residual, sides).with_columns(columns)
+        ridge = np.r_[np.zeros(count), 1e-9 * np.diag(equations.matrix)[count:] + 1e-300]
+        full_step = bounded_minimum(equations.matrix + np.diag(ridge), equations.gradient, least_step, greatest_step)
+        steps_of_contacts = zip(residual.contacts, equations.unknown_steps(full_step), strict=True)
         sides_before, sides = sides, [contact.sides_after(step) for contact, step in steps_of_contacts]
         if all(np.array_equal(*pair) for pair in zip(sides_before, sides, strict=True)):
             break
 
     def point_after(share: float) -> _Point | None:
         step = share * full_step
-        step_values = np.clip(values + step[count:] * inward_steps, *bounds)
-        step[count:] = (step_values - values) / inward_steps
+        stepped_values = np.clip(values + step[count:] * inward_steps, *bounds)
+        step[count:] = (stepped_values - values) / inward_steps
         unknowns = [
-            c.unknowns + share * u for c, u in zip(residual.contacts, normal.unknown_steps(step / share), strict=True)
+            c.unknowns + share * u
+            for c, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
         ]
         try:
-            rig = build(step_values)
+            rig = build_rig(stepped_values)
             return _Point(
-                step_values,
-                residual_of(linearization, rig, residual.nuisance + step[:count], tuple(unknowns), base=residual),
+                stepped_values,
+                residual_of(linearization, rig, residual.nuisance_pulls + step[:count], tuple(unknowns), base=residual),
             )
         except RigError:  # no such rig
             return None
 
-    inverse = scaled_inverse(normal.matrix)[count:, count:]
-    covariance = linearization.record.sample_ratio * inverse * np.outer(inward_steps, inward_steps)
-    return _Step(point_after, normal.predicted_decrease(full_step), covariance)
+    scaled_covariance = scaled_inverse(equations.matrix)[count:, count:]
+    covariance = linearization.record.sample_ratio * scaled_covariance * np.outer(inward_steps, inward_steps)
+    return _Step(point_after, equations.predicted_decrease(full_step), covariance)
 
 
 def _step_column(
-    linearization: Linearization, build: Build, values: Values, step: Values, residual: Residual
+    linearization: Linearization, build_rig: Build, values: Values, step: Values, residual: Residual
 ) -> Column:
     """Decrease of the residuals by a step; where sharp modes ring, by extrapolation, 2 d(step) - d(2 step) / 2.
 
     A shift by a fraction of a resonance's width is nonlinear, and nuisance parameters cannot absorb its curvature.
     """
-    single_step = derivative(linearization, build(values + step), residual)
-    if not linearization.record.modes:
+    single_step = derivative(linearization, build_rig(values + step), residual)
+    if not linearization.record.measured_modes:
         return single_step
-    linear, contacts = single_step
-    double_linear, double_contacts = derivative(linearization, build(values + 2 * step), residual)
-    contacts = [2 * single - double / 2 for single, double in zip(contacts, double_contacts, strict=True)]
-    return 2 * linear - double_linear / 2, contacts
+    linear_decrease, contact_decreases = single_step
+    double_linear_decrease, double_decreases = derivative(linearization, build_rig(values + 2 * step), residual)
+    contact_decreases = [
+        2 * single - double / 2 for single, double in zip(contact_decreases, double_decreases, strict=True)
+    ]
+    return 2 * linear_decrease - double_linear_decrease / 2, contact_decreases
 
 
 def scaled_inverse(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Pseudo-inverse of normal equations after scaling to a unit diagonal; zero for parameters without information."""
-    size = np.sqrt(np.diag(matrix))
-    scale = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-    scaling = np.outer(scale, scale)
-    return np.asarray(np.linalg.pinv(matrix * scaling, hermitian=True) * scaling)
+    root_diagonal = np.sqrt(np.diag(matrix))
+    inverse_root = np.divide(1.0, root_diagonal, out=np.zeros_like(root_diagonal), where=root_diagonal > 0)
+    scaling_matrix = np.outer(inverse_root, inverse_root)
+    return np.asarray(np.linalg.pinv(matrix * scaling_matrix, hermitian=True) * scaling_matrix)
 
 
 def bounded_minimum(
@@ -308,9 +314,9 @@ def bounded_minimum(
 
 def _cholesky(matrix: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     """Cholesky factor of a matrix of single-precision products; a diagonal shift if rounding made it indefinite."""
-    for rounding in (0.0, SINGLE_PRECISION):
+    for diagonal_share in (0.0, SINGLE_PRECISION):
         with suppress(np.linalg.LinAlgError):
-            return np.asarray(np.linalg.cholesky(matrix + rounding * np.diag(np.diag(matrix))))
+            return np.asarray(np.linalg.cholesky(matrix + diagonal_share * np.diag(np.diag(matrix))))
     raise RigError(
         "the recording does not tell contact forces and tolerances of this rig apart; measure more stations, or "
         "describe fewer contacts in rig.json"

@@ -27,58 +27,65 @@ def free_motion_of(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
-    by_input: Complex[np.ndarray, "inputs sensors lines"],
-    deviation: Float[np.ndarray, "sensors lines"],
+    signal_per_input: Complex[np.ndarray, "inputs sensors lines"],
+    error_deviation: Float[np.ndarray, "sensors lines"],
     scaled_response: Complex[np.ndarray, "sensors lines"],
     unexplained: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[FreeMode, ...]:
     """Free modes that, beside the unknown inputs, explain most of what known forces leave; none with a force.
 
-    by_input, scaled_response and unexplained are in standard deviations of the sensors' errors (deviation).
+    signal_per_input, scaled_response and unexplained are in standard deviations of the sensors' errors.
     """
     if not record.counts_from_blow:
         return ()
     sampling = None if floats_in_contacts(record.rig) else record.sampling
-    sensors = {s.name: s for s in rig.sensors}
-    stations = [sensors[s.name].station for s in record.sensors]
-    free = free_modes(responses, _free_modes(record, responses), stations, sampling)
-    free_modes_to_fit, mass_modes = _split_by_state(record, rig, free, responses)
+    sensors_by_name = {s.name: s for s in rig.sensors}
+    sensor_stations = [sensors_by_name[s.name].station for s in record.sensors]
+    all_free_modes = free_modes(responses, _free_mode_indices(record, responses), sensor_stations, sampling)
+    free_modes_to_fit, mass_modes = _split_by_state(record, rig, all_free_modes, responses)
     if free_modes_to_fit:
-        unexplained = unexplained - scaled_response * sum((m.sensed for m in mass_modes), np.zeros_like(unexplained))
-        projected = projection(by_input, deviation, len(rig.contacts))
-        residual = projected.of(unexplained * deviation)[0][: len(stations)]
-        free_modes_to_fit = fitted_modes(free_modes_to_fit, projected, scaled_response, residual)
+        unexplained = unexplained - scaled_response * sum(
+            (mass_mode.sensed for mass_mode in mass_modes), np.zeros_like(unexplained)
+        )
+        contact_projection = projection(signal_per_input, error_deviation, len(rig.contacts))
+        projected_residual = contact_projection.of(unexplained * error_deviation)[0][: len(sensor_stations)]
+        free_modes_to_fit = fitted_modes(free_modes_to_fit, contact_projection, scaled_response, projected_residual)
     return (*mass_modes, *free_modes_to_fit)
 
 
-def _free_modes(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
+def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[Int[np.ndarray, "_"]]:
     """Modes of each body with a free motion in a record without a force, by the nominal rig: all rigs have the same.
 
     Without contacts they reach beyond the band until the omitted ones no longer matter in it, but not beyond the
     sensors' passband.
     """
-    reach_hz = record.highest_hz
+    highest_mode_hz = record.highest_hz
     if not record.rig.contacts:
-        reach_hz = min(FREE_MODE_REACH * reach_hz, PASSBAND * record.sample_rate_hz)
-    nominal = [modes_of(record.rig, record.rig.body(r.body.name)).frequencies_hz(r.count) for r in responses]
-    return [np.flatnonzero(hz < reach_hz) for hz in nominal]
+        highest_mode_hz = min(FREE_MODE_REACH * highest_mode_hz, PASSBAND * record.sample_rate_hz)
+    nominal_hz = [
+        modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.count)
+        for response in responses
+    ]
+    return [np.flatnonzero(natural_hz < highest_mode_hz) for natural_hz in nominal_hz]
 
 
 def _split_by_state(
-    record: Record, rig: Rig, free: tuple[FreeMode, ...], responses: tuple[Response, ...]
+    record: Record, rig: Rig, all_free_modes: tuple[FreeMode, ...], responses: tuple[Response, ...]
 ) -> tuple[tuple[FreeMode, ...], tuple[FreeMode, ...]]:
     """Free modes whose initial state is to be fitted, and those of masses in contacts with the measured one."""
     if not rig.contacts:
-        return free, ()
+        return all_free_modes, ()
     free_modes_to_fit, mass_modes = [], []
-    for mode in free:
-        body = responses[mode.body_index].body
-        on_body = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
-        if on_body:
-            first, gains = on_body[0], {s.name: s.gain for s in rig.sensors}
-            scale = record.sample_rate_hz / (gains[record.sensors[first].name] * mode.shape[first])
-            state = record.first_states[first] * scale
-            mass_modes.append(replace(mode, initial_state=state))
+    for free_mode in all_free_modes:
+        body = responses[free_mode.body_index].body
+        body_sensors = [k for k, s in enumerate(record.sensors) if s.station.body == body.name] if body.is_mass else []
+        if body_sensors:
+            first_sensor, gain_by_sensor = body_sensors[0], {s.name: s.gain for s in rig.sensors}
+            modal_per_signal = record.sample_rate_hz / (
+                gain_by_sensor[record.sensors[first_sensor].name] * free_mode.shape[first_sensor]
+            )
+            initial_state = record.first_states[first_sensor] * modal_per_signal
+            mass_modes.append(replace(free_mode, initial_state=initial_state))
         else:
-            free_modes_to_fit.append(mode)
+            free_modes_to_fit.append(free_mode)
     return tuple(free_modes_to_fit), tuple(mass_modes)

@@ -40,21 +40,21 @@ Sides = Float[np.ndarray, " pulls"]
 
 
 def initial_unknowns(
-    signals: ContactSignals, observation: ContactObservation, law: JoinedLaw, rate_hz: float
+    signals: ContactSignals, observation: ContactObservation, law: JoinedLaw, force_rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
 
     Clearance and stiffness are regressed together with the drift; the law provides its other terms.
     """
-    unknowns = np.zeros(observation.curve.knots + len(observation.prior_deviations) * len(law.laws))
-    first_law, (lower, upper) = law.laws[0], law.clearances_m
+    unknowns = np.zeros(observation.drift_spline.knots + len(observation.law_prior_deviations) * len(law.laws))
+    first_law, (lower_m, upper_m) = law.laws[0], law.clearances_m
     eta_m, velocity_m_per_s, time_s = (
-        x[:: signals.factor] for x in (signals.eta_m, signals.rate_m_per_s, signals.time_s)
+        x[:: signals.decimation] for x in (signals.eta_m, signals.eta_rate_m_per_s, signals.time_s)
     )
     elastic_n = signals.force_n - law.force_n(
         np.zeros_like(eta_m), velocity_m_per_s
     )  # less what acts in the open contact too
-    off_centre_m = (upper - lower) / 2 if np.isfinite(upper - lower) else 0.0
+    off_centre_m = (upper_m - lower_m) / 2 if np.isfinite(upper_m - lower_m) else 0.0
     middle_m = off_centre_m + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
     depth_m = _depth_m(law, elastic_n)
     if len(law.laws) > 1:  # ringing of an open contact would penetrate a soft one deeply
@@ -62,7 +62,7 @@ def initial_unknowns(
     contact_record = ContactRecord(
         eta_m=eta_m - middle_m,
         velocity_m_per_s=velocity_m_per_s,
-        sample_rate_hz=rate_hz,
+        sample_rate_hz=force_rate_hz,
         force_n=first_law.stiffness_n_per_m * depth_m,
         factor=1,
         quiet_n=0.0,
@@ -76,9 +76,9 @@ def initial_unknowns(
         nuisance_m=np.zeros((0, elastic_n.size)),
         initial=np.zeros(0, dtype=bool),
     )
-    if observation.curve.knots:
+    if observation.drift_spline.knots:
         with suppress(RigError):
-            unknowns[: observation.curve.knots] = regressed_guess(contact_record, observation.curve)[1]
+            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record, observation.drift_spline)[1]
     return unknowns
 
 
@@ -89,11 +89,11 @@ def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.n
     if slopes_n_per_m:
         deepest_m = DEPTH_REACH * np.max(np.abs(force_n)) / np.array(slopes_n_per_m)
         depth_grid_m = np.sort(np.linspace(0.0, deepest_m, DEPTH_COUNT).ravel())
-        for sign, clearance in zip((-1, 1), law.clearances_m, strict=True):
-            if not np.isfinite(clearance):
+        for sign, clearance_m in zip((-1, 1), law.clearances_m, strict=True):
+            if not np.isfinite(clearance_m):
                 continue
-            elastic_n = np.maximum.accumulate(sign * law.force_n(sign * (clearance + depth_grid_m)))
-            penetration_m += sign * np.interp(np.maximum(sign * force_n, 0.0), elastic_n, depth_grid_m)
+            force_grid_n = np.maximum.accumulate(sign * law.force_n(sign * (clearance_m + depth_grid_m)))
+            penetration_m += sign * np.interp(np.maximum(sign * force_n, 0.0), force_grid_n, depth_grid_m)
     return penetration_m
 
 
@@ -103,8 +103,8 @@ class ContactResidual:
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
     the same places. adjusted_law has the first two of these. eta_m is the relative displacement with the drift,
-    rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the priors,
-    those of the pulls' excess beyond `LIMIT` last.
+    eta_rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the
+    priors, those of the pulls' excess beyond `LIMIT` last.
     """
 
     observation: ContactObservation
@@ -113,7 +113,7 @@ class ContactResidual:
     adjusted_law: JoinedLaw
     unknowns: Float[np.ndarray, " unknowns"]
     eta_m: Float[np.ndarray, " samples"]
-    rate_m_per_s: Float[np.ndarray, " samples"]
+    eta_rate_m_per_s: Float[np.ndarray, " samples"]
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -126,35 +126,37 @@ class ContactResidual:
         undamped_laws = [changed(law, damping_n_s_per_m=0.0) for law in self.adjusted_law.laws]
         signs = self.adjusted_law.signs
 
-        def slope_rows(eta: Signal, rate: Signal, *time_s: Signal) -> Results:
+        def slope_rows(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Results:
             tangents = self._tangents(eta, *time_s)
             per_stiffness = [
                 sign * force_increase_n(law, sign * eta, 0.0, *time_s, stiffness_n_per_m=1.0)
                 for law, sign in zip(undamped_laws, signs, strict=True)
             ]
             per_damping = [
-                sign * force_increase_n(law, sign * eta, sign * rate, *time_s, damping_n_s_per_m=1.0)
+                sign * force_increase_n(law, sign * eta, sign * eta_rate, *time_s, damping_n_s_per_m=1.0)
                 for law, sign in zip(self.adjusted_law.laws, signs, strict=True)
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
 
-        return self._low_passed(slope_rows, self.eta_m, self.rate_m_per_s, multiple=self.signals.multiple)
+        return self._low_passed(
+            slope_rows, self.eta_m, self.eta_rate_m_per_s, rate_multiple=self.signals.slope_rate_multiple
+        )
 
     @cached_property
     def slopes(self) -> Float[np.ndarray, "4 laws times"]:
         """Derivatives of each law: by eta (N/m), by clearance, i.e. times the sign of eta (N/m), and the force at rest
         per stiffness (m), and per damping (m/s)."""
-        return decimated(self._finer_slopes, self.signals.multiple)
+        return decimated(self._finer_slopes, self.signals.slope_rate_multiple)
 
     @cached_property
     def tangent(self) -> Tangent:
         """Tangent stiffness of all laws together."""
-        return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.multiple)
+        return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
 
-    def _low_passed(self, function: Callable[..., Results], *signals: Signal, multiple: int = 1) -> Results:
+    def _low_passed(self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1) -> Results:
         """Low-passed function of signals, and of the time where the law wears."""
-        times_s = _wear_times(self.adjusted_law, self.signals)
-        return self.signals.low_passed(function, *signals, *times_s, multiple=multiple)
+        wear_times_s = _wear_times(self.adjusted_law, self.signals)
+        return self.signals.low_passed(law_function, *signals, *wear_times_s, rate_multiple=rate_multiple)
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         """Tangent stiffness of each law at a relative displacement, N/m."""
@@ -180,19 +182,19 @@ class ContactResidual:
     @property
     def fitted_laws(self) -> tuple[ContactLaw, ...]:
         """Laws with clearance, stiffness and damping as fitted within their tolerances."""
-        *_, damping_s = self.observation.prior_deviations
-        damping_increase_s = self.pulls[2::3] * damping_s
+        *_, damping_deviation_s = self.observation.law_prior_deviations
+        increases_s = self.pulls[2::3] * damping_deviation_s
         return tuple(
             changed(
                 adjusted, damping_n_s_per_m=max(0.0, float(law.damping_n_s_per_m + increase_s * law.stiffness_n_per_m))
             )
-            for adjusted, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, damping_increase_s, strict=True)
+            for adjusted, law, increase_s in zip(self.adjusted_law.laws, self.law.laws, increases_s, strict=True)
         )
 
     @property
     def drift_m(self) -> Float[np.ndarray, " times"]:
         """Slow part of the relative displacement that integration loses, m."""
-        return np.asarray(self.observation.curve.value @ self.unknowns[: self.observation.curve.knots])
+        return np.asarray(self.observation.drift_spline.value @ self.unknowns[: self.observation.drift_spline.knots])
 
     def sides_after(self, step: Float[np.ndarray, " unknowns"] | float = 0.0) -> Sides:
         """Sides of the pulls, after a step of the unknowns."""
@@ -205,9 +207,11 @@ class ContactResidual:
 
     def columns_beyond(self, sides: Sides) -> csr_matrix:
         """Columns where the pulls' excess is straight, as on given sides."""
-        prior = np.diag(self.observation.prior_weight * np.ones(sides.size))
-        prior_rows = np.concatenate([prior, EXCESS_WEIGHT * prior * (sides != 0)])
-        return vstack([self._force_columns, block_diag([self.observation.curve.curvature, prior_rows], "csr")], "csr")
+        prior_diagonal = np.diag(self.observation.prior_weight * np.ones(sides.size))
+        prior_rows = np.concatenate([prior_diagonal, EXCESS_WEIGHT * prior_diagonal * (sides != 0)])
+        return vstack(
+            [self._force_columns, block_diag([self.observation.drift_spline.curvature, prior_rows], "csr")], "csr"
+        )
 
     def residual_beyond(self, sides: Sides) -> Float[np.ndarray, " rows"]:
         """Residual with the same straight excess."""
@@ -219,23 +223,23 @@ class ContactResidual:
     @cached_property
     def _force_columns(self) -> csr_matrix:
         """Rows of `columns` of the force, without those of the priors."""
-        weights, curve = self.observation.weights, self.observation.curve
-        by_clearance, by_stiffness, by_damping_s = self.observation.prior_deviations
-        rows = []
+        weights, spline = self.observation.weights, self.observation.drift_spline
+        clearance_deviation, stiffness_deviation, damping_deviation_s = self.observation.law_prior_deviations
+        pull_columns = []
         for law, signed_slope, per_stiffness, per_damping in zip(self.law.laws, *self.slopes[1:], strict=True):
             stiffness_n_per_m = law.stiffness_n_per_m
-            rows += [
-                -by_clearance * law.clearance_m * signed_slope,
-                by_stiffness * stiffness_n_per_m * per_stiffness,
-                by_damping_s * stiffness_n_per_m * per_damping,
+            pull_columns += [
+                -clearance_deviation * law.clearance_m * signed_slope,
+                stiffness_deviation * stiffness_n_per_m * per_stiffness,
+                damping_deviation_s * stiffness_n_per_m * per_damping,
             ]
-        drift_columns = self.tangent.spline_columns(curve.value) + self.signals.spring_n_per_m * curve.value
-        return diags(weights) @ hstack([drift_columns, np.stack(rows, axis=1)], "csr")
+        drift_columns = self.tangent.spline_columns(spline.value) + self.signals.slow_stiffness_n_per_m * spline.value
+        return diags(weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
     def drift_columns(self) -> csr_matrix:
         """Columns of the drift's knots alone."""
-        return self.columns[:, : self.observation.curve.knots]
+        return self.columns[:, : self.observation.drift_spline.knots]
 
     @cached_property
     def drift_solver(self) -> SuperLU:
@@ -248,41 +252,41 @@ def contact_residual(
     observation: ContactObservation,
     law: JoinedLaw,
     unknowns: Float[np.ndarray, " unknowns"],
-    added_n: float | Float[np.ndarray, " times"] = 0.0,
-    added_m: float | Float[np.ndarray, " samples"] = 0.0,
+    added_force_n: float | Float[np.ndarray, " times"] = 0.0,
+    added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> ContactResidual:
-    """Residual at given unknowns; added_n and added_m are added to the force and to the relative displacement."""
-    curve, knots = observation.curve, unknowns[: observation.curve.knots]
-    drift_m, drift_m_per_s = curve.value @ knots, curve.rate @ knots
-    eta = signals.eta_m + _interpolated(drift_m, signals.factor) + added_m
-    rate = signals.rate_m_per_s + _interpolated(drift_m_per_s, signals.factor)
+    """Residual at given unknowns; added_force_n and added_eta_m come on top of force and relative displacement."""
+    spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_m, drift_m_per_s = spline.value @ knots_m, spline.rate @ knots_m
+    eta_m = signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m
+    eta_rate_m_per_s = signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation)
     pulls = unknowns[observation.tolerance_slice]
-    *_, damping_s = observation.prior_deviations
-    laws, damping_increases = [], []
-    for single_law, law_pulls in zip(law.laws, pulls.reshape(-1, len(observation.prior_deviations)), strict=True):
-        clearance, stiffness, _ = (law_pulls * observation.prior_deviations).tolist()
-        damping_increases.append(float(law_pulls[2] * damping_s * single_law.stiffness_n_per_m))
-        laws.append(
+    *_, damping_deviation_s = observation.law_prior_deviations
+    adjusted_laws, damping_increases = [], []
+    for single_law, law_pulls in zip(law.laws, pulls.reshape(-1, len(observation.law_prior_deviations)), strict=True):
+        clearance_change, stiffness_change, _ = (law_pulls * observation.law_prior_deviations).tolist()
+        damping_increases.append(float(law_pulls[2] * damping_deviation_s * single_law.stiffness_n_per_m))
+        adjusted_laws.append(
             changed(
                 single_law,
-                lower_clearance_m=single_law.lower_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance),
-                upper_clearance_m=single_law.upper_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance),
-                stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness),
+                lower_clearance_m=single_law.lower_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change),
+                upper_clearance_m=single_law.upper_clearance_m * max(LEAST_CLEARANCE_FACTOR, 1 + clearance_change),
+                stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
             )
         )
-    adjusted_law = JoinedLaw(tuple(laws), law.signs)
+    adjusted_law = JoinedLaw(tuple(adjusted_laws), law.signs)
 
-    def force_n(eta: Signal, rate: Signal, *time_s: Signal) -> Signal:
-        terms = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
+    def force_n(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Signal:
+        signed_laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
         return np.asarray(
             sum(
-                sign * force_with_damping_n(single_law, damping_increase, sign * eta, sign * rate, *time_s)
-                for sign, single_law, damping_increase in terms
+                sign * force_with_damping_n(single_law, damping_increase, sign * eta, sign * eta_rate, *time_s)
+                for sign, single_law, damping_increase in signed_laws
             )
         )
 
-    force = signals.low_passed(force_n, eta, rate, *_wear_times(adjusted_law, signals))
-    residual_n = signals.force_n + added_n - force - signals.spring_n_per_m * drift_m
+    law_force_n = signals.low_passed(force_n, eta_m, eta_rate_m_per_s, *_wear_times(adjusted_law, signals))
+    residual_n = signals.force_n + added_force_n - law_force_n - signals.slow_stiffness_n_per_m * drift_m
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     return ContactResidual(
         observation=observation,
@@ -290,29 +294,31 @@ def contact_residual(
         law=law,
         adjusted_law=adjusted_law,
         unknowns=unknowns,
-        eta_m=eta,
-        rate_m_per_s=rate,
-        residual=np.concatenate([observation.weights * residual_n, curve.target - curve.curvature @ knots, prior_rows]),
+        eta_m=eta_m,
+        eta_rate_m_per_s=eta_rate_m_per_s,
+        residual=np.concatenate(
+            [observation.weights * residual_n, spline.target - spline.curvature @ knots_m, prior_rows]
+        ),
     )
 
 
 def force_with_damping_n(
-    law: ContactLaw, increase_n_s_per_m: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal
+    law: ContactLaw, damping_increase_n_s_per_m: float, eta_m: Signal, rate_m_per_s: Signal, *time_s: Signal
 ) -> Signal:
     """Force of a law with increased damping; linear in the damping, which the increase may make negative."""
-    damping = law.damping_n_s_per_m + increase_n_s_per_m
-    force_n = changed(law, damping_n_s_per_m=abs(damping)).force_n(eta_m, rate_m_per_s, *time_s)
-    if damping >= 0:
+    damping_n_s_per_m = law.damping_n_s_per_m + damping_increase_n_s_per_m
+    force_n = changed(law, damping_n_s_per_m=abs(damping_n_s_per_m)).force_n(eta_m, rate_m_per_s, *time_s)
+    if damping_n_s_per_m >= 0:
         return force_n
     return 2 * changed(law, damping_n_s_per_m=0.0).force_n(eta_m, rate_m_per_s, *time_s) - force_n
 
 
 def force_increase_n(
-    law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **numbers: float
+    law: ContactLaw, eta_m: Signal, rate_m_per_s: Signal | float, time_s: Signal | float = 0.0, **increases: float
 ) -> Signal:
     """Increase of the force as fields that it is proportional to grow by these amounts."""
-    increased = changed(law, **{name: getattr(law, name) + by for name, by in numbers.items()})
-    return increased.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
+    increased_law = changed(law, **{name: getattr(law, name) + by for name, by in increases.items()})
+    return increased_law.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
 def _wear_times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
@@ -325,7 +331,7 @@ def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pul
     return np.asarray(pulls - np.clip(pulls, -LIMIT, LIMIT))
 
 
-def _interpolated(values: Float[np.ndarray, " times"], factor: int) -> Float[np.ndarray, " samples"]:
+def _at_sample_rate(slow_motion: Float[np.ndarray, " times"], decimation: int) -> Float[np.ndarray, " samples"]:
     """Slow motion interpolated linearly to the recording's rate."""
-    interpolated = values[:-1, None] + np.diff(values)[:, None] * (np.arange(factor) / factor)
-    return np.append(interpolated, values[-1])
+    between_times = slow_motion[:-1, None] + np.diff(slow_motion)[:, None] * (np.arange(decimation) / decimation)
+    return np.append(between_times, slow_motion[-1])

@@ -24,7 +24,7 @@ from identify.gaps.residual.lines import cost_of_lines
 from identify.gaps.residual.observation import ContactObservation
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual
-from identify.gaps.residual.scales import band_of_lines, by_band, measured_levels, posterior_level, second_levels
+from identify.gaps.residual.scales import band_means, band_of_lines, measured_levels, posterior_level, second_levels
 
 NOISE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
@@ -35,32 +35,35 @@ displacements differentiated twice show noise alone above some hundred Hz."""
 class NominalVariances:
     """Variances by band and sensor under the nominal rig, shared by all models of a record.
 
-    expected_variance is that by noise and tolerated shares, noise its part by noise, power the acceleration's mean
-    square, all per line in the sensors' unit; lines is the number of lines in each band.
+    expected_variance is that by noise and tolerated shares, noise_variance its part by noise, acceleration_power the
+    acceleration's mean square, all per line in the sensors' unit; line_counts is the number of lines in each band.
     """
 
     expected_variance: Float[np.ndarray, "bands sensors"]
-    noise: Float[np.ndarray, "bands sensors"]
-    power: Float[np.ndarray, "bands sensors"]
-    lines: Float[np.ndarray, " bands"]
+    noise_variance: Float[np.ndarray, "bands sensors"]
+    acceleration_power: Float[np.ndarray, "bands sensors"]
+    line_counts: Float[np.ndarray, " bands"]
     observations: tuple[ContactObservation, ...]
 
     @property
     def has_signal(self) -> Bool[np.ndarray, "bands sensors"]:
         """Mask of bands and sensors with less than half of their power from noise."""
-        return self.noise < NOISE_LIMIT * self.power
+        return self.noise_variance < NOISE_LIMIT * self.acceleration_power
 
 
 def nominal_variances_of(linearization: Linearization) -> NominalVariances:
     """Variances from a linearisation at the scales of the tolerances."""
     record = linearization.record
-    sample_count = record.counted_samples.stop - record.counted_samples.start
+    sample_count = record.counted_slice.stop - record.counted_slice.start
     band_count = second_levels(record, np.zeros((len(record.sensors), sample_count))).shape[1]
-    expected_variance, noise, power = (
-        by_band(record, x, band_count) for x in (linearization.model.deviation**2, record.noise, record.power)
+    expected_variance, noise_variance, acceleration_power = (
+        band_means(record, line_values, band_count)
+        for line_values in (linearization.model.error_deviation**2, record.noise_variance, record.smoothed_power)
     )
-    lines = np.bincount(band_of_lines(record, band_count), minlength=band_count).astype(float)
-    return NominalVariances(expected_variance, noise, power, lines, linearization.observations)
+    line_counts = np.bincount(band_of_lines(record, band_count), minlength=band_count).astype(float)
+    return NominalVariances(
+        expected_variance, noise_variance, acceleration_power, line_counts, linearization.observations
+    )
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class Misfit:
     variance_correction accounts for variances that change within a band (`scales.measured_levels`).
     contact_level_by_second is the mean square of each contact's residual relative to the nominal variance,
     contact_n2 that beyond noise and force_n2 that of the contact force (N^2). line_cost is `lines.cost_of_lines`,
-    samples the number of independent samples.
+    independent_samples their number.
     """
 
     nominal_variances: NominalVariances
@@ -81,10 +84,10 @@ class Misfit:
     contact_n2: Float[np.ndarray, "seconds contacts"]
     force_n2: Float[np.ndarray, "seconds contacts"]
     pulls: Float[np.ndarray, " pulls"]
-    drift: float
-    freedom: float
+    drift_cost: float
+    freedom_cost: float
     line_cost: float
-    samples: float
+    independent_samples: float
 
     @property
     def levels(self) -> Float[np.ndarray, "bands sensors"]:
@@ -92,75 +95,92 @@ class Misfit:
         return np.asarray(self.variance_by_second.mean(axis=0) / self.nominal_variances.expected_variance)
 
     @property
-    def contacts(self) -> Float[np.ndarray, " contacts"]:
+    def contact_levels(self) -> Float[np.ndarray, " contacts"]:
         """Levels L_j of the contacts' residuals."""
         return np.asarray(self.contact_level_by_second.mean(axis=0))
 
     @property
-    def per_cell(self) -> float:
+    def samples_per_cell(self) -> float:
         """Independent samples N_b of each band and sensor."""
-        return self.samples / self.variance_by_second.shape[1]
+        return self.independent_samples / self.variance_by_second.shape[1]
 
     @cached_property
-    def linear(self) -> float:
+    def band_cost(self) -> float:
         """Cost of the bands, sum_bi N_b ln((1 + L_bi) / 2)."""
-        return float(self.per_cell * np.sum(np.log(posterior_level(self.levels))))
+        return float(self.samples_per_cell * np.sum(np.log(posterior_level(self.levels))))
 
     @cached_property
-    def peak(self) -> float:
+    def peak_band_cost(self) -> float:
         """Largest cost of a single band, over all sensors."""
-        return float(self.per_cell * np.max(np.sum(np.log(posterior_level(self.levels)), axis=1)))
+        return float(self.samples_per_cell * np.max(np.sum(np.log(posterior_level(self.levels)), axis=1)))
 
     @cached_property
-    def law(self) -> float:
+    def contact_cost(self) -> float:
         """Cost of the contacts, sum_j N_j ln((1 + L_j) / 2)."""
-        return float(self.samples * np.sum(np.log(posterior_level(self.contacts))))
+        return float(self.independent_samples * np.sum(np.log(posterior_level(self.contact_levels))))
 
     @property
     def minus_two_log(self) -> float:
         """-2 ln p, up to a constant of the record."""
-        return self.linear + self.law + float(self.pulls @ self.pulls) + self.drift + self.freedom + self.line_cost
+        return (
+            self.band_cost
+            + self.contact_cost
+            + float(self.pulls @ self.pulls)
+            + self.drift_cost
+            + self.freedom_cost
+            + self.line_cost
+        )
 
     @property
-    def excess(self) -> float:
+    def excess_cost(self) -> float:
         """Part of -2 ln p above noise and tolerated shares: N ln L over cells and contacts with L > 1, and line_cost.
 
         Logarithms demand that a mismatch is removed everywhere; a mean square would weigh its peaks alone.
         """
-        cells = self.per_cell * np.sum(np.log(np.maximum(self.levels, 1.0)))
-        return float(cells + self.samples * np.sum(np.log(np.maximum(self.contacts, 1.0)))) + self.line_cost
+        band_excess = self.samples_per_cell * np.sum(np.log(np.maximum(self.levels, 1.0)))
+        return (
+            float(band_excess + self.independent_samples * np.sum(np.log(np.maximum(self.contact_levels, 1.0))))
+            + self.line_cost
+        )
 
     @property
-    def beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
+    def variance_beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
         """Mean square of the linear residual per line beyond noise, in the sensors' unit; zero where noise
         dominates."""
-        variance = np.maximum(
-            self.variance_by_second.mean(axis=0) * self.variance_correction - self.nominal_variances.noise, 0.0
+        excess_variance = np.maximum(
+            self.variance_by_second.mean(axis=0) * self.variance_correction - self.nominal_variances.noise_variance, 0.0
         )
-        return np.asarray(variance * self.nominal_variances.has_signal)
+        return np.asarray(excess_variance * self.nominal_variances.has_signal)
 
     @property
-    def shares(self) -> Float[np.ndarray, " bands"]:
+    def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
         return np.asarray(
-            np.sqrt(self.beyond_noise.sum(axis=1) / np.maximum(self.nominal_variances.power.sum(axis=1), 1e-300))
+            np.sqrt(
+                self.variance_beyond_noise.sum(axis=1)
+                / np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
+            )
         )
 
     @property
-    def share(self) -> float:
+    def motion_share(self) -> float:
         """Unexplained share of the acceleration's root mean square over all bands, beyond noise."""
-        excess = self.beyond_noise.sum(axis=1)
-        power = max(float(self.nominal_variances.lines @ self.nominal_variances.power.sum(axis=1)), 1e-300)
-        return float(np.sqrt(self.nominal_variances.lines @ excess / power))
+        excess_power = self.variance_beyond_noise.sum(axis=1)
+        motion_power = max(
+            float(self.nominal_variances.line_counts @ self.nominal_variances.acceleration_power.sum(axis=1)), 1e-300
+        )
+        return float(np.sqrt(self.nominal_variances.line_counts @ excess_power / motion_power))
 
     @property
-    def share_by_second(self) -> Float[np.ndarray, " seconds"]:
-        """Square of `share` for each second; negative where a second is quieter than the noise."""
-        power = max(float(self.nominal_variances.lines @ self.nominal_variances.power.sum(axis=1)), 1e-300)
-        excess = (
-            self.variance_by_second * self.variance_correction - self.nominal_variances.noise
+    def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
+        """Square of `motion_share` for each second; negative where a second is quieter than the noise."""
+        motion_power = max(
+            float(self.nominal_variances.line_counts @ self.nominal_variances.acceleration_power.sum(axis=1)), 1e-300
+        )
+        excess_power = (
+            self.variance_by_second * self.variance_correction - self.nominal_variances.noise_variance
         ) * self.nominal_variances.has_signal
-        return np.einsum("sbi,b->s", excess, self.nominal_variances.lines) / power
+        return np.einsum("sbi,b->s", excess_power, self.nominal_variances.line_counts) / motion_power
 
     @property
     def contact_shares(self) -> Float[np.ndarray, " contacts"]:
@@ -168,56 +188,72 @@ class Misfit:
         excess_n2 = np.maximum(self.contact_n2.mean(axis=0), 0.0)
         return np.asarray(np.sqrt(excess_n2 / np.maximum(self.force_n2.mean(axis=0), 1e-300)))
 
-    def resampled(self, seconds: Int[np.ndarray, " seconds"]) -> "Misfit":
+    def resampled(self, second_indices: Int[np.ndarray, " seconds"]) -> "Misfit":
         """Misfit over a selection of seconds, for a bootstrap."""
         return replace(
             self,
-            variance_by_second=self.variance_by_second[seconds],
-            contact_level_by_second=self.contact_level_by_second[seconds],
-            contact_n2=self.contact_n2[seconds],
-            force_n2=self.force_n2[seconds],
+            variance_by_second=self.variance_by_second[second_indices],
+            contact_level_by_second=self.contact_level_by_second[second_indices],
+            contact_n2=self.contact_n2[second_indices],
+            force_n2=self.force_n2[second_indices],
         )
 
 
 def misfit(record: Record, nominal_variances: NominalVariances, residual: Residual) -> Misfit:
     """Misfit of a fitted residual, in the nominal variances whatever the scales of the fit."""
-    levels = second_levels(record, residual.linear)
-    second_count, band_count = levels.shape[:2]
-    expected_variance = by_band(record, residual.model.deviation**2, band_count)
-    contacts = [
+    level_by_second = second_levels(record, residual.linear_residual)
+    second_count, band_count = level_by_second.shape[:2]
+    expected_variance = band_means(record, residual.model.error_deviation**2, band_count)
+    contact_misfits = [
         _contact_misfit(observation, contact, second_count)
         for contact, observation in zip(residual.contacts, nominal_variances.observations, strict=True)
     ]
-    contact_rows = np.array(contacts).reshape(len(contacts), 3, second_count)
-    drift = sum(float(np.sum(c.residual[c.observation.weights.size : -c.pulls.size] ** 2)) for c in residual.contacts)
-    line_count = residual.model.deviation.shape[1]
-    input_cost = float(np.sum(residual.linear[len(record.sensors) :] ** 2))
+    contact_rows = np.array(contact_misfits).reshape(len(contact_misfits), 3, second_count)
+    drift_cost = sum(
+        float(np.sum(contact_fit.residual[contact_fit.observation.weights.size : -contact_fit.pulls.size] ** 2))
+        for contact_fit in residual.contacts
+    )
+    line_count = residual.model.error_deviation.shape[1]
+    input_cost = float(np.sum(residual.linear_residual[len(record.sensors) :] ** 2))
     line_cost = 0.0  # a free decay has lines as sharp as tones
-    if record.forced:
-        direction_count = len(record.sensors) - len(residual.contacts)
-        line_cost = cost_of_lines(residual.linear[: len(record.sensors)], direction_count, record.repeats)
+    if record.has_force:
+        free_directions = len(record.sensors) - len(residual.contacts)
+        line_cost = cost_of_lines(
+            residual.linear_residual[: len(record.sensors)], free_directions, record.repeats_per_sample
+        )
     return Misfit(
         nominal_variances=nominal_variances,
-        variance_by_second=levels * expected_variance,
-        variance_correction=measured_levels(record, residual.linear, residual.model.deviation, band_count)
+        variance_by_second=level_by_second * expected_variance,
+        variance_correction=measured_levels(
+            record, residual.linear_residual, residual.model.error_deviation, band_count
+        )
         / expected_variance,
         contact_level_by_second=contact_rows[:, 0].T,
         contact_n2=contact_rows[:, 1].T,
         force_n2=contact_rows[:, 2].T,
         pulls=residual.pulls,
-        drift=drift / record.sample_ratio,
-        freedom=(input_cost + residual.model.log_determinant * residual.linear.shape[1] / line_count)
+        drift_cost=drift_cost / record.sample_ratio,
+        freedom_cost=(input_cost + residual.model.log_determinant * residual.linear_residual.shape[1] / line_count)
         / record.sample_ratio,
         line_cost=line_cost,
-        samples=residual.linear.shape[1] / record.sample_ratio,
+        independent_samples=residual.linear_residual.shape[1] / record.sample_ratio,
     )
 
 
-def _contact_misfit(observation: ContactObservation, contact: ContactResidual, second_count: int) -> list[list[float]]:
+def _contact_misfit(
+    observation: ContactObservation, contact_fit: ContactResidual, second_count: int
+) -> list[list[float]]:
     """Level of a contact's residual, its mean square beyond noise (N^2) and that of the force (N^2), by second."""
-    weights = contact.observation.weights
-    moving = weights > 0
-    residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=moving)
-    deviation_n = np.divide(1.0, observation.weights, out=np.zeros(weights.size), where=moving)
-    rows = (residual_n * observation.weights) ** 2, residual_n**2 - deviation_n**2, contact.signals.force_n**2
-    return [[float(np.mean(second)) for second in np.array_split(row, second_count)] for row in rows]
+    weights = contact_fit.observation.weights
+    is_moving = weights > 0
+    residual_n = np.divide(contact_fit.residual[: weights.size], weights, out=np.zeros(weights.size), where=is_moving)
+    deviation_n = np.divide(1.0, observation.weights, out=np.zeros(weights.size), where=is_moving)
+    squares_by_time = (
+        (residual_n * observation.weights) ** 2,
+        residual_n**2 - deviation_n**2,
+        contact_fit.signals.force_n**2,
+    )
+    return [
+        [float(np.mean(second_squares)) for second_squares in np.array_split(time_squares, second_count)]
+        for time_squares in squares_by_time
+    ]

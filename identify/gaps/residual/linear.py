@@ -43,7 +43,7 @@ from identify.linear.projection import Projection, estimated_inputs, projection,
 from rig.model.description import Rig, Station, contact_stations
 from rig.model.modes import participation
 
-Tuned = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
+ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
 """Factors on the frequency and on the damping ratio of each mode, by body."""
 
 
@@ -51,69 +51,73 @@ Tuned = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " mode
 class Linear:
     """Linear model of a rig, fitted to a record.
 
-    sensor_response is each sensor's signal per acceleration, deviation the standard deviation of its error. by_input
-    are the signals, in standard deviations, per unknown input: contact forces, then a base motion, then the noise of
-    each measured force. residual is in standard deviations, with the estimates of the base motion and of the force
-    noise as last rows, in those of their spectra; log_determinant is the cost of that freedom. by_force are the
-    accelerations at the sensors by each measured force, known_forces all known forces with their stations, free the
-    free motion of modes.
+    sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
+    signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion,
+    then the noise of each measured force. residual is in standard deviations, with the estimates of the base motion and
+    of the force noise as last rows, in those of their spectra; log_determinant is the cost of that freedom.
+    acceleration_by_force are the accelerations at the sensors by each measured force, known_forces all known forces
+    with their stations, free_modes the free motion of modes.
     """
 
     record: Record
     rig: Rig
     responses: tuple[Response, ...]
     sensor_response: Complex[np.ndarray, "sensors lines"]
-    deviation: Float[np.ndarray, "sensors lines"]
-    by_input: Complex[np.ndarray, "inputs sensors lines"]
+    error_deviation: Float[np.ndarray, "sensors lines"]
+    signal_per_input: Complex[np.ndarray, "inputs sensors lines"]
     residual: Complex[np.ndarray, "rows lines"]
     contact_n: Complex[np.ndarray, "contacts lines"]
-    by_force: Complex[np.ndarray, "forces sensors lines"]
+    acceleration_by_force: Complex[np.ndarray, "forces sensors lines"]
     known_forces: tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]
-    free: tuple[FreeMode, ...]
+    free_modes: tuple[FreeMode, ...]
     log_determinant: float
 
     @cached_property
     def projection(self) -> Projection:
         """Projection of sensor signals onto what the unknown inputs cannot explain."""
-        return projection(self.by_input, self.deviation, len(self.rig.contacts))
+        return projection(self.signal_per_input, self.error_deviation, len(self.rig.contacts))
 
     @property
-    def modal(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
+    def modal_accelerations(self) -> tuple[Complex[np.ndarray, "modes lines"], ...]:
         """Modal accelerations of each body."""
-        forces = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
+        forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
-            modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, stations).T, forces))
+            modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, stations).T, forces_n))
             for r in self.responses
         )
-        for motion in self.free:
-            accelerations[motion.body_index][motion.mode_index] += motion.acceleration
+        for free_mode in self.free_modes:
+            accelerations[free_mode.body_index][free_mode.mode_index] += free_mode.acceleration
         return accelerations
 
     @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations at the sensors: measured ones, and those of a free motion that the sensors miss."""
-        observed = self.record.delivered / self.sensor_response
-        return np.asarray(observed + sum((m.not_sensed for m in self.free), np.zeros_like(observed)))
+        measured_accelerations = self.record.acceleration_signals / self.sensor_response
+        return np.asarray(
+            measured_accelerations + sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_accelerations))
+        )
 
     @cached_property
-    def displaced(self) -> Complex[np.ndarray, "sensors lines"]:
+    def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
         """Displacements at the sensors: measured ones, and those of a free motion that the sensors miss."""
-        observed = self.record.displaced / self.sensor_response
-        unobserved = sum((m.not_sensed for m in self.free), np.zeros_like(observed))
-        return np.asarray(observed + unobserved * self.record.twice_integrated)
+        measured_displacements = self.record.displacement_signals / self.sensor_response
+        unobserved_accelerations = sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_displacements))
+        return np.asarray(measured_displacements + unobserved_accelerations * self.record.twice_integrated)
 
     @cached_property
     def eta_m(self) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements at the contacts, without the slow part that integration loses."""
-        sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displaced
-        eta = self.unobserved_eta_m(self.known_forces, self.contact_n)
+        sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
+        eta_m = self.unobserved_eta_m(self.known_forces, self.contact_n)
         for response in self.responses:
-            eta += times(_across_weights(self.rig, response, sensor_stations), displacements)
-        for motion in self.free:
-            shapes = self._unobserved_shapes(self.responses[motion.body_index], sensor_stations)[:, motion.mode_index]
-            eta += np.outer(shapes, motion.acceleration * self.record.twice_integrated)
-        return eta
+            eta_m += times(_across_weights(self.rig, response, sensor_stations), displacements)
+        for free_mode in self.free_modes:
+            unobserved_shapes = self._unobserved_shapes(self.responses[free_mode.body_index], sensor_stations)[
+                :, free_mode.mode_index
+            ]
+            eta_m += np.outer(unobserved_shapes, free_mode.acceleration * self.record.twice_integrated)
+        return eta_m
 
     def unobserved_eta_m(
         self,
@@ -122,12 +126,12 @@ class Linear:
     ) -> Complex[np.ndarray, "contacts lines"]:
         """Relative displacements by forces in the modes that the sensors do not determine, m."""
         sensor_stations = sensor_stations_of(self.record, self.rig)
-        forces = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
-        accelerations = np.zeros((len(self.rig.contacts), forces.shape[1]), dtype=complex)
+        forces_n = np.stack([*(force_n for _, force_n in known_forces), *contact_n])
+        accelerations = np.zeros((len(self.rig.contacts), forces_n.shape[1]), dtype=complex)
         for response in self.responses:
             force_shapes = input_shapes(self.rig, response, [station for station, _ in known_forces])
             unobserved_shapes = self._unobserved_shapes(response, sensor_stations)
-            accelerations += np.einsum("icl,il->cl", response.transfer(unobserved_shapes, force_shapes), forces)
+            accelerations += np.einsum("icl,il->cl", response.transfer(unobserved_shapes, force_shapes), forces_n)
         return accelerations * self.record.twice_integrated
 
     def _unobserved_shapes(
@@ -150,8 +154,8 @@ class Linear:
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force by the errors of the accelerations, N."""
-        variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
-        return np.asarray(np.sqrt(2 * variance / (record.length * record.samples)))
+        force_variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
+        return np.asarray(np.sqrt(2 * force_variance / (record.transform_length * record.sample_count)))
 
 
 def linear_model(
@@ -159,74 +163,81 @@ def linear_model(
     rig: Rig,
     model_error: float | Float[np.ndarray, "sensors lines"],
     cache: ResponseCache | None = None,
-    tuned: Tuned | None = None,
+    mode_factors: ModeFactors | None = None,
 ) -> Linear:
     """Linear model of a rig that has the record's sensors and contacts.
 
     model_error is the share of each acceleration that no model of this kind explains. The noise of the measured force
     is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is
-    shared by rigs that are compared with one record; `tuned` are factors on frequencies and damping of the modes.
+    shared by rigs that are compared with one record; `mode_factors` are those on frequencies and damping of modes.
     """
     rig = joined(rig)
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
-    if tuned:
-        responses = tuple(r.tuned(*tuned[r.body.name]) if r.body.name in tuned else r for r in responses)
-    stations = sensor_stations_of(record, rig)
-    known_forces = _known_forces(record, rig, responses, stations, sensor_response)
+    if mode_factors:
+        responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
+    sensor_stations = sensor_stations_of(record, rig)
+    known_forces = _known_forces(record, rig, responses, sensor_stations, sensor_response)
     contact_count = len(rig.contacts)
-    accelerance = accelerances(rig, responses, [station for station, _ in known_forces], stations)
-    by_contacts, per_newton = accelerance[len(known_forces) :], accelerance[: len(rig.forces)]
-    by_known_force = [
+    accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_stations)
+    acceleration_by_contact, acceleration_per_newton = (
+        accelerance_by_input[len(known_forces) :],
+        accelerance_by_input[: len(rig.forces)],
+    )
+    acceleration_by_known_force = [
         response_to_force(record, rig, response_per_newton, force_n)
-        for response_per_newton, (_, force_n) in zip(accelerance, known_forces, strict=False)
+        for response_per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
     ]
-    by_force = np.stack(by_known_force[: len(rig.forces)])
-    known_accelerations = sum(by_known_force[1:], by_known_force[0])
-    deviation = np.sqrt(record.noise + model_error**2 * record.power)
-    deviation = np.maximum(deviation, 1e-9 * deviation.max())
-    scaled_response = sensor_response / deviation
-    unknown_inputs = [by_contacts]
+    acceleration_by_force = np.stack(acceleration_by_known_force[: len(rig.forces)])
+    known_accelerations = sum(acceleration_by_known_force[1:], acceleration_by_known_force[0])
+    error_deviation = np.sqrt(record.noise_variance + model_error**2 * record.smoothed_power)
+    error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
+    scaled_response = sensor_response / error_deviation
+    acceleration_by_unknown = [acceleration_by_contact]
     if rig.base_motion is not None:
-        unknown_inputs.append(_base_accelerations(record, rig, responses, stations)[None])
-    is_noisy = record.force_noise > 0
-    noise_n = np.sqrt(record.force_noise[is_noisy, None, None])
-    unknown_inputs.append(noise_n / rig.force_sensor.gain * per_newton[is_noisy])
-    by_input = np.concatenate(unknown_inputs) * scaled_response
-    weighted = record.delivered / deviation - known_accelerations * scaled_response
-    free = free_motion_of(record, rig, responses, by_input, deviation, scaled_response, weighted)
-    weighted = weighted - scaled_response * sum((mode.sensed for mode in free), np.zeros_like(weighted))
-    inputs, log_determinant = estimated_inputs(by_input, weighted, contact_count)
-    residual = unexplained(by_input, inputs, weighted)
+        acceleration_by_unknown.append(_base_accelerations(record, rig, responses, sensor_stations)[None])
+    has_force_noise = record.force_noise_variance > 0
+    force_noise_n = np.sqrt(record.force_noise_variance[has_force_noise, None, None])
+    acceleration_by_unknown.append(force_noise_n / rig.force_sensor.gain * acceleration_per_newton[has_force_noise])
+    signal_per_input = np.concatenate(acceleration_by_unknown) * scaled_response
+    scaled_signals = record.acceleration_signals / error_deviation - known_accelerations * scaled_response
+    free_modes = free_motion_of(
+        record, rig, responses, signal_per_input, error_deviation, scaled_response, scaled_signals
+    )
+    scaled_signals = scaled_signals - scaled_response * sum(
+        (mode.sensed for mode in free_modes), np.zeros_like(scaled_signals)
+    )
+    input_estimates, log_determinant = estimated_inputs(signal_per_input, scaled_signals, contact_count)
+    residual = unexplained(signal_per_input, input_estimates, scaled_signals)
     return Linear(
         record=record,
         rig=rig,
         responses=responses,
         sensor_response=sensor_response,
-        deviation=deviation,
-        by_input=by_input,
-        residual=np.concatenate([residual, inputs[contact_count:]]),
-        contact_n=inputs[:contact_count],
-        by_force=by_force,
+        error_deviation=error_deviation,
+        signal_per_input=signal_per_input,
+        residual=np.concatenate([residual, input_estimates[contact_count:]]),
+        contact_n=input_estimates[:contact_count],
+        acceleration_by_force=acceleration_by_force,
         known_forces=known_forces,
-        free=free,
+        free_modes=free_modes,
         log_determinant=log_determinant,
     )
 
 
 def sensor_response_of(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
     """Response of each sensor to an acceleration, with gain, delay and high-pass."""
-    sensors, omega = {s.name: s for s in rig.sensors}, record.omega
-    responses = np.empty((len(record.sensors), omega.size), dtype=complex)
-    for row, sensor in zip(responses, record.sensors, strict=True):
-        row[:] = sensors[sensor.name].response(omega)
-    return responses
+    sensors_by_name, omega = {s.name: s for s in rig.sensors}, record.omega
+    sensor_response = np.empty((len(record.sensors), omega.size), dtype=complex)
+    for response_row, sensor in zip(sensor_response, record.sensors, strict=True):
+        response_row[:] = sensors_by_name[sensor.name].response(omega)
+    return sensor_response
 
 
 def sensor_stations_of(record: Record, rig: Rig) -> list[Station | None]:
     """Stations of the record's sensors in the rig."""
-    sensors = {s.name: s for s in rig.sensors}
-    return [sensors[s.name].station for s in record.sensors]
+    sensors_by_name = {s.name: s for s in rig.sensors}
+    return [sensors_by_name[s.name].station for s in record.sensors]
 
 
 def _across_weights(
@@ -247,42 +258,60 @@ def _known_forces(
     sensor_response: Complex[np.ndarray, "sensors lines"],
 ) -> tuple[tuple[Station, Complex[np.ndarray, " lines"]], ...]:
     """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion."""
-    measured = record.forces * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
-    tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground = []
+    measured_forces_n = (
+        record.force_spectra * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+    )
+    tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
+    ground_reactions = []
     if has_ground_forces(rig):
-        ground = ground_forces(record, rig, responses, sensor_stations, record.displaced / sensor_response)
-    return (*zip(rig.forces, measured, strict=True), *tones, *_static_loads(record, rig), *ground)
+        ground_reactions = ground_forces(
+            record, rig, responses, sensor_stations, record.displacement_signals / sensor_response
+        )
+    return (
+        *zip(rig.forces, measured_forces_n, strict=True),
+        *tone_forces,
+        *_static_loads(record, rig),
+        *ground_reactions,
+    )
 
 
 def _static_loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Constant forces on bodies without contacts, where the zero of displacements is known."""
     bodies_in_contact = {s.body for c in rig.contacts for s in contact_stations(c)}
-    acting = [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
-    constant = record.spectrum(np.ones(record.samples)) if acting else np.zeros(record.omega.size, dtype=complex)
-    return [(load.station, load.force_n * constant) for load in acting]
+    acting_loads = [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
+    unit_spectrum = (
+        record.spectrum(np.ones(record.sample_count)) if acting_loads else np.zeros(record.omega.size, dtype=complex)
+    )
+    return [(load.station, load.force_n * unit_spectrum) for load in acting_loads]
 
 
 def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
     """Constant contact forces that balance static loads on floating bodies and on single masses, N."""
     forces_n = np.zeros(len(rig.contacts))
     for response in responses if rig.loads else ():
-        is_free = response.modes.frequencies_hz(response.count) == 0
+        is_rigid_mode = response.modes.frequencies_hz(response.count) == 0
         if response.body.is_mass:
-            is_free[:] = True
-        modal_force = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
-        if np.any(modal_force[is_free]):
-            forces_n += np.linalg.lstsq(across(rig, response)[:, is_free].T, modal_force[is_free], rcond=None)[0]
+            is_rigid_mode[:] = True
+        modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
+        if np.any(modal_load_n[is_rigid_mode]):
+            forces_n += np.linalg.lstsq(
+                across(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
+            )[0]
     return forces_n
 
 
 def ground_spring_correction(
-    record: Record, model: Linear, displaced: Complex[np.ndarray, "sensors lines"]
+    record: Record, model: Linear, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
     sensor_stations: list[Station | None] = [s.station for s in record.sensors]
     force_changes = ground_force_changes(
-        record, model.rig, model.responses, sensor_stations, record.displaced / model.sensor_response, displaced
+        record,
+        model.rig,
+        model.responses,
+        sensor_stations,
+        record.displacement_signals / model.sensor_response,
+        displacement_changes,
     )
     return -delivered_by(model, sensor_stations, force_changes)
 
@@ -306,13 +335,15 @@ def _base_accelerations(
     record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: list[Station | None]
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations by a base motion of one standard deviation per line, an inertial load on each mode."""
-    base = rig.base_motion
-    assert base is not None
+    base_motion = rig.base_motion
+    assert base_motion is not None
     accelerations = np.ones((len(sensor_stations), record.omega.size), dtype=complex)
     for response in responses:
         modal_load = participation(rig, response.body, response.modes, response.count)
         accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
-    hz = record.omega / (2 * np.pi)
-    density = base.acceleration_rms_m_per_s2**2 / (base.high_hz - base.low_hz)
-    rms_line = np.sqrt(density * record.samples * record.sample_rate_hz / 2)
-    return np.asarray(accelerations * rms_line * ((hz >= base.low_hz) & (hz <= base.high_hz)))
+    lines_hz = record.omega / (2 * np.pi)
+    power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)
+    line_deviation = np.sqrt(power_density * record.sample_count * record.sample_rate_hz / 2)
+    return np.asarray(
+        accelerations * line_deviation * ((lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz))
+    )

@@ -19,77 +19,99 @@ Derived: a Hann window's reach."""
 Rows = Float[np.ndarray, "rows times"]
 
 
-def cost_of_lines(rows: Rows, direction_count: int, repeats: float = 0.0) -> float:
+def cost_of_lines(residual_rows: Rows, direction_count: int, repeats_per_sample: float = 0.0) -> float:
     """Cost of outstanding lines, 2 R/rows sum ln(power / (OUTSTANDING median power of the neighbours)).
 
     A line is two real values of an unknown variance; R, `direction_count`, counts the sensors' directions that contact
-    forces cannot follow. `repeats` is the frequency, per sample, at which the measured force repeats (0: it does
+    forces cannot follow. `repeats_per_sample` is the frequency at which the measured force repeats (0: it does
     not): the response of any rig has lines at its multiples, which do not indicate tones.
     """
-    return float(2 * direction_count / len(rows) * np.sum(np.log(np.maximum(_outstanding_ratio(rows, repeats), 1.0))))
+    return float(
+        2
+        * direction_count
+        / len(residual_rows)
+        * np.sum(np.log(np.maximum(_outstanding_ratio(residual_rows, repeats_per_sample), 1.0)))
+    )
 
 
-def outstanding_frequencies(rows: Rows, repeats: float = 0.0) -> tuple[float, ...]:
+def outstanding_frequencies(residual_rows: Rows, repeats_per_sample: float = 0.0) -> tuple[float, ...]:
     """Frequencies, per sample, of lines that stand out in any row, without those of a repeating force."""
-    samples = rows.shape[1]
+    sample_count = residual_rows.shape[1]
     frequencies: list[float] = []
-    for line in np.flatnonzero(np.any(_outstanding_ratio(rows, repeats) > 1, axis=0)):
-        refined = _refined(rows, line / samples, 1 / samples)
-        if all(abs(refined - frequency) > 1 / samples for frequency in frequencies):
-            frequencies.append(refined)
+    for line_index in np.flatnonzero(np.any(_outstanding_ratio(residual_rows, repeats_per_sample) > 1, axis=0)):
+        refined_frequency = _refined_frequency(residual_rows, line_index / sample_count, 1 / sample_count)
+        if all(abs(refined_frequency - frequency) > 1 / sample_count for frequency in frequencies):
+            frequencies.append(refined_frequency)
     return tuple(frequencies)
 
 
-def without_lines(rows: Rows, frequencies: tuple[float, ...]) -> Rows:
+def without_lines(residual_rows: Rows, frequencies: tuple[float, ...]) -> Rows:
     """Rows less their least-squares harmonics at the given frequencies, where the rows are not all zero."""
-    is_nonzero = np.any(rows, axis=0)
+    is_nonzero = np.any(residual_rows, axis=0)
     for frequency in frequencies:
-        phase = 2 * np.pi * frequency * np.arange(rows.shape[1])
-        wave = is_nonzero * np.stack([np.cos(phase), np.sin(phase)])
-        rows = rows - rows @ np.linalg.pinv(wave) @ wave
-    return rows
+        phase_rad = 2 * np.pi * frequency * np.arange(residual_rows.shape[1])
+        harmonics = is_nonzero * np.stack([np.cos(phase_rad), np.sin(phase_rad)])
+        residual_rows = residual_rows - residual_rows @ np.linalg.pinv(harmonics) @ harmonics
+    return residual_rows
 
 
-def sharpest_frequencies(rows: Rows, count: int, bandwidth: float, repeats: float = 0.0) -> Float[np.ndarray, " lines"]:
+def sharpest_frequencies(
+    residual_rows: Rows, line_count: int, bandwidth: float, repeats_per_sample: float = 0.0
+) -> Float[np.ndarray, " lines"]:
     """Frequencies, per sample, of the lines with most power relative to the median within `bandwidth`, in that order.
 
     The power is summed over the rows under a Hann window, on a grid four times finer than one over the duration; lines
     of a repeating force are left out.
     """
-    samples = rows.shape[1]
-    power = np.sum(np.abs(np.fft.rfft(rows * hann(samples), 4 * samples)) ** 2, axis=0)
-    level = median_filter(power, max(3, round(bandwidth * 4 * samples)))
-    ratio = power / np.maximum(level, 1e-12 * power.max())
-    ratio[_force_lines(np.arange(ratio.size) / 4, samples, repeats)] = 0.0
-    peaks, _ = find_peaks(ratio, distance=4)
-    sharpest = peaks[np.argsort(-ratio[peaks])[:count]]
-    return np.array([_refined(rows, line / (4 * samples), 1 / (4 * samples)) for line in sharpest])
+    sample_count = residual_rows.shape[1]
+    power = np.sum(np.abs(np.fft.rfft(residual_rows * hann(sample_count), 4 * sample_count)) ** 2, axis=0)
+    median_power = median_filter(power, max(3, round(bandwidth * 4 * sample_count)))
+    power_ratio = power / np.maximum(median_power, 1e-12 * power.max())
+    power_ratio[_force_lines(np.arange(power_ratio.size) / 4, sample_count, repeats_per_sample)] = 0.0
+    peak_indices, _ = find_peaks(power_ratio, distance=4)
+    sharpest_indices = peak_indices[np.argsort(-power_ratio[peak_indices])[:line_count]]
+    return np.array(
+        [
+            _refined_frequency(residual_rows, peak_index / (4 * sample_count), 1 / (4 * sample_count))
+            for peak_index in sharpest_indices
+        ]
+    )
 
 
-def _force_lines(lines: Float[np.ndarray, " lines"], samples: int, repeats: float) -> Bool[np.ndarray, " lines"]:
+def _force_lines(
+    line_numbers: Float[np.ndarray, " lines"], sample_count: int, repeats_per_sample: float
+) -> Bool[np.ndarray, " lines"]:
     """Mask of lines within FORCE_LINE_REACH of multiples of the force's repetition frequency."""
-    if not repeats:
-        return np.zeros(lines.size, dtype=bool)
-    spacing = repeats * samples
-    return np.abs(lines - spacing * np.round(lines / spacing)) <= FORCE_LINE_REACH
+    if not repeats_per_sample:
+        return np.zeros(line_numbers.size, dtype=bool)
+    force_line_spacing = repeats_per_sample * sample_count
+    return np.abs(line_numbers - force_line_spacing * np.round(line_numbers / force_line_spacing)) <= FORCE_LINE_REACH
 
 
-def _outstanding_ratio(rows: Rows, repeats: float) -> Float[np.ndarray, "rows lines"]:
+def _outstanding_ratio(residual_rows: Rows, repeats_per_sample: float) -> Float[np.ndarray, "rows lines"]:
     """Power of each peak over OUTSTANDING times its neighbours'; zero off peaks, at the ends, on the force's lines."""
-    power = np.abs(np.fft.rfft(rows * hann(rows.shape[1]))) ** 2
-    peaks = power == maximum_filter1d(power, 2 * NEIGHBOURS[0] - 1, axis=1)
-    peaks[:, : NEIGHBOURS[1]] = peaks[:, -NEIGHBOURS[1] :] = False
-    peaks[:, _force_lines(np.arange(float(peaks.shape[1])), rows.shape[1], repeats)] = False
-    row, line = np.nonzero(peaks)
-    offsets = np.arange(NEIGHBOURS[0], NEIGHBOURS[1] + 1)
-    neighbour_power = np.median(power[row[:, None], line[:, None] + np.concatenate([-offsets, offsets])], axis=1)
-    ratio = np.zeros_like(power)
-    ratio[peaks] = power[peaks] / np.maximum(OUTSTANDING * neighbour_power, 1e-300)
-    return ratio
+    power = np.abs(np.fft.rfft(residual_rows * hann(residual_rows.shape[1]))) ** 2
+    is_peak = power == maximum_filter1d(power, 2 * NEIGHBOURS[0] - 1, axis=1)
+    is_peak[:, : NEIGHBOURS[1]] = is_peak[:, -NEIGHBOURS[1] :] = False
+    is_peak[:, _force_lines(np.arange(float(is_peak.shape[1])), residual_rows.shape[1], repeats_per_sample)] = False
+    peak_rows, peak_lines = np.nonzero(is_peak)
+    neighbour_offsets = np.arange(NEIGHBOURS[0], NEIGHBOURS[1] + 1)
+    neighbour_power = np.median(
+        power[peak_rows[:, None], peak_lines[:, None] + np.concatenate([-neighbour_offsets, neighbour_offsets])], axis=1
+    )
+    outstanding_ratio = np.zeros_like(power)
+    outstanding_ratio[is_peak] = power[is_peak] / np.maximum(OUTSTANDING * neighbour_power, 1e-300)
+    return outstanding_ratio
 
 
-def _refined(rows: Rows, frequency: float, spacing: float) -> float:
+def _refined_frequency(residual_rows: Rows, frequency: float, spacing: float) -> float:
     """Frequency of largest power of all rows within `spacing` of a frequency; per sample."""
-    grid = frequency + spacing * np.linspace(-1, 1, 2 * REFINEMENT + 1)
-    spectra = zoom_fft(rows * hann(rows.shape[1]), grid[[0, -1]], grid.size, fs=1.0, endpoint=True)
-    return float(grid[np.argmax(np.sum(np.abs(spectra) ** 2, axis=0))])
+    frequency_grid = frequency + spacing * np.linspace(-1, 1, 2 * REFINEMENT + 1)
+    spectra = zoom_fft(
+        residual_rows * hann(residual_rows.shape[1]),
+        frequency_grid[[0, -1]],
+        frequency_grid.size,
+        fs=1.0,
+        endpoint=True,
+    )
+    return float(frequency_grid[np.argmax(np.sum(np.abs(spectra) ** 2, axis=0))])

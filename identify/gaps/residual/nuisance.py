@@ -50,74 +50,84 @@ class Columns:
     eta_m: Complex[np.ndarray, "nuisances contacts lines"]
 
     @property
-    def flat(self) -> Float[np.ndarray, "nuisances all"]:
+    def flat_residual(self) -> Float[np.ndarray, "nuisances all"]:
         """Columns of the residual, nuisances x (rows times)."""
         return self.residual.reshape(len(self.parameters), -1)
 
-    def residual_decrease(self, nuisance: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
+    def residual_decrease(self, nuisance_pulls: Float[np.ndarray, " nuisances"]) -> Float[np.ndarray, "rows times"]:
         """Decrease of the linear residual by nuisance parameters."""
-        return (nuisance.astype(self.residual.dtype) @ self.flat).reshape(self.residual.shape[1:])
+        return (nuisance_pulls.astype(self.residual.dtype) @ self.flat_residual).reshape(self.residual.shape[1:])
 
-    def products(self, residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
+    def products(self, flat_residuals: Float[np.ndarray, "*some all"]) -> Float[np.ndarray, "nuisances *some"]:
         """Inner products of the columns with flattened residuals."""
-        return (self.flat @ residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
+        return (self.flat_residual @ flat_residuals.T.astype(self.residual.dtype, copy=False)).astype(float)
 
 
 def columns_of(record: Record, model: Linear) -> Columns:
     """Columns of all parameters whose tolerance is above zero."""
-    bodies = [r.body.name for r in model.responses]
-    states = state_changes(model.free, bodies, model.sensor_response, float(np.linalg.norm(record.delivered)))
-    observed = _observed(record, model)
-    tolerance_changes = (*changes_of(observed), *crosstalk_of(observed))
-    changes = [*(_free_motion_change(record, model, change) for change in tolerance_changes), *states]
-    count, contact_count, samples = (
+    body_names = [response.body.name for response in model.responses]
+    initial_state_changes = state_changes(
+        model.free_modes, body_names, model.sensor_response, float(np.linalg.norm(record.acceleration_signals))
+    )
+    observed_motion = _observed_motion(record, model)
+    tolerance_changes = (*changes_of(observed_motion), *crosstalk_of(observed_motion))
+    changes = [*(_free_motion_change(record, model, change) for change in tolerance_changes), *initial_state_changes]
+    nuisance_count, contact_count, sample_count = (
         len(changes),
         len(model.rig.contacts),
-        record.counted_samples.stop - record.counted_samples.start,
+        record.counted_slice.stop - record.counted_slice.start,
     )
-    residual = np.empty((count, len(model.residual), samples), np.float64 if record.modes else np.float32)
-    contact_n = np.zeros((count, contact_count, samples), np.float32)
-    eta_m = np.zeros((count, contact_count, record.omega.size), np.complex64)
-    projection = model.projection if record.modes else model.projection.single()
+    residual_columns = np.empty(
+        (nuisance_count, len(model.residual), sample_count), np.float64 if record.measured_modes else np.float32
+    )
+    contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
+    eta_columns_m = np.zeros((nuisance_count, contact_count, record.omega.size), np.complex64)
+    projection = model.projection if record.measured_modes else model.projection.single()
     for i, change in enumerate(changes):
-        linear, contact_force = _projected(record, model, projection, change)
-        residual[i] = residual_in_time(record, linear)
-        contact_n[i] = record.in_time(contact_force)
+        projected_signals, contact_force_change = _projected_change(record, model, projection, change)
+        residual_columns[i] = residual_in_time(record, projected_signals)
+        contact_columns_n[i] = record.in_time(contact_force_change)
         if change.displaced is not None:
-            eta_m[i] = relative_displacements(record, model, change.displaced, change.sensors)
-    return Columns(tuple(c.parameter for c in changes), residual, contact_n, eta_m)
+            eta_columns_m[i] = relative_displacements(record, model, change.displaced, change.sensors)
+    return Columns(tuple(c.parameter for c in changes), residual_columns, contact_columns_n, eta_columns_m)
 
 
 def _free_motion_change(record: Record, model: Linear, change: Change) -> Change:
     """Change of a mode's frequency or damping in a record with measured modes, by its sampled free motion up to the
     faded end; any other change as it is."""
     parameter, tolerances = change.parameter, record.tolerances
-    if not record.modes or parameter.kind not in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
+    if not record.measured_modes or parameter.kind not in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
         return change
-    delivered = np.zeros_like(model.sensor_response)
-    for motion in model.free:
-        response = model.responses[motion.body_index]
-        if response.body.name == parameter.of and parameter.mode_number in (None, motion.mode_index + 1):
-            delivered += tuning_derivative(motion, response, record.sampling, parameter.kind)
-    applicable = (
+    acceleration_change = np.zeros_like(model.sensor_response)
+    for free_mode in model.free_modes:
+        response = model.responses[free_mode.body_index]
+        if response.body.name == parameter.of and parameter.mode_number in (None, free_mode.mode_index + 1):
+            acceleration_change += tuning_derivative(free_mode, response, record.sampling, parameter.kind)
+    mode_tolerances = (
         tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.of, parameter.mode_number)
     )
-    tolerance = applicable.frequency if parameter.kind is NuisanceKind.FREQUENCY else applicable.damping
-    return Change(parameter, list(range(len(delivered))), tolerance * model.sensor_response * delivered)
+    relative_tolerance = (
+        mode_tolerances.frequency if parameter.kind is NuisanceKind.FREQUENCY else mode_tolerances.damping
+    )
+    return Change(
+        parameter,
+        list(range(len(acceleration_change))),
+        relative_tolerance * model.sensor_response * acceleration_change,
+    )
 
 
-def _projected(
+def _projected_change(
     record: Record, model: Linear, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     if change.displaced is None or not has_ground_forces(model.rig):
         return projection.of(change.delivered, change.sensors)
-    displaced, delivered = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
-    displaced[change.sensors], delivered[change.sensors] = change.displaced, change.delivered
-    return projection.of(delivered + ground_spring_correction(record, model, displaced))
+    displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
+    displacement_change[change.sensors], signal_change[change.sensors] = change.displaced, change.delivered
+    return projection.of(signal_change + ground_spring_correction(record, model, displacement_change))
 
 
-def _observed(record: Record, model: Linear) -> Observed:
+def _observed_motion(record: Record, model: Linear) -> Observed:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
     return Observed(
         sensors=record.sensors,
@@ -125,42 +135,42 @@ def _observed(record: Record, model: Linear) -> Observed:
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        explained=record.delivered - model.residual[: len(record.sensors)] * model.deviation,
-        by_force=model.by_force,
-        displaced=model.displaced,
+        explained=record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation,
+        by_force=model.acceleration_by_force,
+        displaced=model.displacements,
         bodies=tuple(
-            BodyMotion(response, motion, _parameter_modes(record, response))
-            for response, motion in zip(model.responses, _modal_accelerations(record, model), strict=True)
+            BodyMotion(response, modal_acceleration, _parameter_modes(record, response))
+            for response, modal_acceleration in zip(model.responses, _modal_accelerations(record, model), strict=True)
         ),
     )
 
 
 def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " some"]:
     """Modes with parameters of their own, by the nominal rig, so that all rigs have the same parameters."""
-    count = response.count
-    natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(count)
-    bending = elastic_modes(response, count)  # whichever springs hold the body
-    return bending[natural_hz[bending] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
+    mode_count = response.count
+    natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(mode_count)
+    elastic_indices = elastic_modes(response, mode_count)  # whichever springs hold the body
+    return elastic_indices[natural_hz[elastic_indices] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
 
 
 def _modal_accelerations(record: Record, model: Linear) -> list[Complex[np.ndarray, "modes lines"]]:
     """Modal accelerations of each body: the modelled ones, corrected by the unexplained part of its sensors."""
-    unexplained = model.residual[: len(record.sensors)] * model.deviation / model.sensor_response
-    accelerations = []
-    for response, motion in zip(model.responses, model.modal, strict=True):
-        rows = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
-        if rows:
-            count = min(len(rows), response.count)
-            shapes = response.shapes([record.sensors[i].station for i in rows])[:, :count]
-            motion[:count] += np.linalg.pinv(shapes) @ unexplained[rows]
-        accelerations.append(motion)
-    return accelerations
+    unexplained_accelerations = model.residual[: len(record.sensors)] * model.error_deviation / model.sensor_response
+    modal_accelerations = []
+    for response, modal_acceleration in zip(model.responses, model.modal_accelerations, strict=True):
+        body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        if body_sensors:
+            determined_count = min(len(body_sensors), response.count)
+            shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :determined_count]
+            modal_acceleration[:determined_count] += np.linalg.pinv(shapes) @ unexplained_accelerations[body_sensors]
+        modal_accelerations.append(modal_acceleration)
+    return modal_accelerations
 
 
 def apply_nuisance(
     rig: Rig,
     parameters: tuple[Nuisance, ...],
-    values: Float[np.ndarray, " nuisances"],
+    pulls: Float[np.ndarray, " nuisances"],
     tolerances: Tolerances,
 ) -> tuple[Rig, Float[np.ndarray, " nuisances"]]:
     """Rig with the nuisance parameters applied in which the residual is nonlinear, and their values, others zero.
@@ -175,14 +185,14 @@ def apply_nuisance(
         Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     }
     applied_kinds |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in mass_names}
-    applied = np.where([p in applied_kinds for p in parameters], values, 0.0)
-    return with_nuisance(rig, parameters, applied, tolerances), applied
+    applied_pulls = np.where([parameter in applied_kinds for parameter in parameters], pulls, 0.0)
+    return with_nuisance(rig, parameters, applied_pulls, tolerances), applied_pulls
 
 
 def with_nuisance(
     rig: Rig,
     parameters: tuple[Nuisance, ...],
-    values: Float[np.ndarray, " nuisances"],
+    pulls: Float[np.ndarray, " nuisances"],
     tolerances: Tolerances,
 ) -> Rig:
     """Rig with fitted mass, frequencies and damping of its bodies, gains and delays of its channels.
@@ -190,19 +200,21 @@ def with_nuisance(
     Stations are kept, as they link a contact to its sensors; so are single modes, high-passes and single gains of
     several forces.
     """
-    fitted = dict(zip(parameters, values.tolist(), strict=True))
+    pull_by_parameter = dict(zip(parameters, pulls.tolist(), strict=True))
 
-    def factor(kind: NuisanceKind, of: str, tolerance: float) -> float:
-        return float(max(0.1, 1 + tolerance * fitted.get(Nuisance(kind, of), 0.0)))
+    def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
+        return float(max(0.1, 1 + tolerance * pull_by_parameter.get(Nuisance(kind, owner), 0.0)))
 
     def body(nominal: Body) -> Body:
-        heavier = nominal.scale_mass(factor(NuisanceKind.MASS, nominal.name, tolerances.mass))
-        tuned = heavier.scale_frequencies(factor(NuisanceKind.FREQUENCY, nominal.name, tolerances.frequency))
-        return tuned.scale_damping(factor(NuisanceKind.DAMPING, nominal.name, tolerances.damping))
+        scaled_body = nominal.scale_mass(factor(NuisanceKind.MASS, nominal.name, tolerances.mass))
+        tuned_body = scaled_body.scale_frequencies(factor(NuisanceKind.FREQUENCY, nominal.name, tolerances.frequency))
+        return tuned_body.scale_damping(factor(NuisanceKind.DAMPING, nominal.name, tolerances.damping))
 
     def sensor(nominal: Sensor) -> Sensor:
         sensor_tolerances = tolerances.of_sensor(nominal.name)
-        delay_change_s = sensor_tolerances.delay_s * fitted.get(Nuisance(NuisanceKind.DELAY, nominal.name), 0.0)
+        delay_change_s = sensor_tolerances.delay_s * pull_by_parameter.get(
+            Nuisance(NuisanceKind.DELAY, nominal.name), 0.0
+        )
         return replace(
             nominal,
             gain=nominal.gain * factor(NuisanceKind.GAIN, nominal.name, sensor_tolerances.gain),
@@ -218,28 +230,32 @@ def with_nuisance(
     )
 
 
-def residual_in_time(record: Record, residual: Complex[np.ndarray, "rows lines"]) -> Float[np.ndarray, "rows times"]:
+def residual_in_time(
+    record: Record, residual_spectra: Complex[np.ndarray, "rows lines"]
+) -> Float[np.ndarray, "rows times"]:
     """Residual over time, with unit variance where its lines have unit variance.
 
     Zero in a quiet start, where motion from before the record decays.
     """
-    rows = residual_scale(record) * record.in_time(residual)
-    rows[:, record.time_s < record.excited_s] = 0.0
-    return rows
+    scaled_residual = residual_scale(record) * record.in_time(residual_spectra)
+    scaled_residual[:, record.residual_times_s < record.excitation_start_s] = 0.0
+    return scaled_residual
 
 
 def residual_scale(record: Record) -> float:
     """Factor from lines of unit variance to a residual over time of unit variance."""
-    return float(np.sqrt(record.length * record.samples / (2 * record.omega.size)))
+    return float(np.sqrt(record.transform_length * record.sample_count / (2 * record.omega.size)))
 
 
 def relative_displacements(
     record: Record,
     model: Linear,
-    displaced: Complex[np.ndarray, "some lines"],
-    sensors: list[int] | slice = slice(None),
+    displacements: Complex[np.ndarray, "some lines"],
+    sensor_indices: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Relative displacements at the contacts from displacements of some of the sensors there."""
-    stations = [s.station for s in record.sensors]
-    signs = np.array([[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in stations] for c in model.rig.contacts])
-    return times(signs.reshape(-1, len(stations))[:, sensors], displaced)
+    sensor_stations = [s.station for s in record.sensors]
+    contact_signs = np.array(
+        [[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in sensor_stations] for c in model.rig.contacts]
+    )
+    return times(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)

@@ -36,36 +36,50 @@ Results = Float[np.ndarray, "..."]
 class ContactSignals:
     """Separated force of one contact, and its relative displacement and velocity at the recording's rate.
 
-    factor is the ratio of the recording's rate to that of the force, spring_n_per_m the stiffness of the bodies against
-    slow relative motion, and multiple is that of the force's rate at which slopes of laws are kept (`tangent`).
+    decimation is the ratio of the recording's rate to that of the force, slow_stiffness_n_per_m the stiffness of the
+    bodies against slow relative motion, and slope_rate_multiple that of the force's rate at which slopes of laws are
+    kept (`tangent`).
     """
 
     force_n: Float[np.ndarray, " times"]
     eta_m: Float[np.ndarray, " samples"]
-    rate_m_per_s: Float[np.ndarray, " samples"]
+    eta_rate_m_per_s: Float[np.ndarray, " samples"]
     time_s: Float[np.ndarray, " samples"]
     sample_rate_hz: float
-    factor: int
-    multiple: int
-    spring_n_per_m: float
+    decimation: int
+    slope_rate_multiple: int
+    slow_stiffness_n_per_m: float
 
     def low_passed(
-        self, law: Callable[..., Results], *signals: Signal, multiple: int = 1
+        self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
-        """Law evaluated on signals at the recording's rate and low-passed to `multiple` times the rate of the force."""
-        rows = evaluated(law, np.stack(signals), self.sample_rate_hz, self.factor, multiple)
-        return rows[..., : (self.force_n.size - 1) * multiple + 1]
+        """Law evaluated on signals at the recording's rate, low-passed to `rate_multiple` times that of the force."""
+        low_passed_results = evaluated(
+            law_function, np.stack(signals), self.sample_rate_hz, self.decimation, rate_multiple
+        )
+        return low_passed_results[..., : (self.force_n.size - 1) * rate_multiple + 1]
 
 
 def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
     """Signals of every contact by a linear model: the data that its law has to explain."""
-    eta, rate = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
-    time_s = record.counted_samples.start / record.rate_hz + np.arange(eta.shape[1]) / record.sample_rate_hz
-    forces = record.in_time(model.contact_n) + model.static_contact_n[:, None]
-    multiple = record.product_multiple
+    eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
+    time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
+    forces_n = record.in_time(model.contact_n) + model.static_contact_n[:, None]
+    slope_rate_multiple = record.product_multiple
     return tuple(
-        ContactSignals(force, contact_eta, contact_rate, time_s, record.sample_rate_hz, record.factor, multiple, spring)
-        for force, contact_eta, contact_rate, spring in zip(forces, eta, rate, np.diag(model.slow_n_per_m), strict=True)
+        ContactSignals(
+            force_n,
+            contact_eta_m,
+            contact_eta_rate,
+            time_s,
+            record.sample_rate_hz,
+            record.decimation,
+            slope_rate_multiple,
+            slow_stiffness,
+        )
+        for force_n, contact_eta_m, contact_eta_rate, slow_stiffness in zip(
+            forces_n, eta_m, eta_rate_m_per_s, np.diag(model.slow_n_per_m), strict=True
+        )
     )
 
 
@@ -73,20 +87,21 @@ def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, .
 class ContactObservation:
     """Observation of one contact, independent of its law.
 
-    weights are reciprocal standard deviations of its force (1/N), closed is 1 where it is closed, curve the spline of
-    its drift. prior_deviations are those of clearance and stiffness (relative) and of damping over stiffness (s).
+    weights are reciprocal standard deviations of its force (1/N), closed_mask is 1 where it is closed, drift_spline the
+    spline of its drift. law_prior_deviations are the tolerances of clearance and stiffness (relative) and of damping
+    over stiffness (s).
     """
 
     weights: Float[np.ndarray, " times"]
-    closed: Float[np.ndarray, " times"]
-    curve: Spline
+    closed_mask: Float[np.ndarray, " times"]
+    drift_spline: Spline
     sample_ratio: float
-    prior_deviations: tuple[float, float, float]
+    law_prior_deviations: tuple[float, float, float]
 
     @property
     def tolerance_slice(self) -> slice:
         """Slice of the law's tolerances among a contact's unknowns, after the knots of the drift."""
-        return slice(self.curve.knots, None)
+        return slice(self.drift_spline.knots, None)
 
     @property
     def prior_weight(self) -> float:
@@ -95,43 +110,45 @@ class ContactObservation:
 
 
 def contact_observations(
-    record: Record, model: Linear, laws: Sequence[JoinedLaw], levels: Sequence[float]
+    record: Record, model: Linear, laws: Sequence[JoinedLaw], residual_levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
     """Observations of a record's contacts by the linear model and the laws of the nominal rig.
 
-    levels are the variances of the contact residuals relative to those by noise and the unmodelled share.
+    residual_levels are the variances of the contact residuals relative to those by noise and the unmodelled share.
     """
-    forces, force_errors = record.in_time(model.contact_n), model.contact_force_error_n(record)
+    forces_n, force_errors_n = record.in_time(model.contact_n), model.contact_force_error_n(record)
     observations = []
     tolerances = record.tolerances
-    prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
-    for force, force_error_n, law, drift, level in zip(forces, force_errors, laws, record.drifts, levels, strict=True):
-        envelope_n = maximum_filter1d(np.abs(force), 2 * ENVELOPE_SAMPLES + 1)
+    law_prior_deviations = tolerances.clearance, tolerances.stiffness, tolerances.contact_damping_s
+    for force_n, force_error_n, law, drift, residual_level in zip(
+        forces_n, force_errors_n, laws, record.drifts, residual_levels, strict=True
+    ):
+        envelope_n = maximum_filter1d(np.abs(force_n), 2 * ENVELOPE_SAMPLES + 1)
         is_clear = envelope_n > CLOSED_DEVIATIONS * force_error_n
-        unfollowed_m = 0.0 if drift is None else drift.unfollowed_m
-        stiffness = sum(single_law.stiffness_n_per_m for single_law in law.laws)
-        is_moving = record.time_s > record.excited_s  # at rest the side of a stop is unknown
+        unfollowed_drift_m = 0.0 if drift is None else drift.unfollowed_m
+        stiffness_n_per_m = sum(single_law.stiffness_n_per_m for single_law in law.laws)
+        is_moving = record.residual_times_s > record.excitation_start_s  # at rest the side of a stop is unknown
         weights = (
             is_moving
-            / np.sqrt(level)
+            / np.sqrt(residual_level)
             / np.sqrt(
                 force_error_n**2
-                + (stiffness * unfollowed_m * is_clear) ** 2
+                + (stiffness_n_per_m * unfollowed_drift_m * is_clear) ** 2
                 + (tolerances.unmodelled_contact * envelope_n) ** 2
-                + _ringing(record, force) ** 2
+                + _cutoff_ringing_n(record, force_n) ** 2
             )
         )
-        record_drift = drift
+        counted_drift = drift
         if drift is not None:
-            samples = np.arange(record.counted_samples.start, record.counted_samples.stop) * record.factor
-            record_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[samples])
+            counted_samples = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
+            counted_drift = replace(drift, acceleration_m_per_s2=drift.acceleration_m_per_s2[counted_samples])
         observations.append(
             ContactObservation(
                 weights,
-                is_closed(force, force_error_n).astype(float),
-                spline(force.size, record.rate_hz, record_drift),
+                is_closed(force_n, force_error_n).astype(float),
+                spline(force_n.size, record.rate_hz, counted_drift),
                 record.sample_ratio,
-                prior_deviations,
+                law_prior_deviations,
             )
         )
     return tuple(observations)
@@ -144,10 +161,10 @@ def is_closed(
     return np.abs(force_n) > np.maximum(CLOSED_DEVIATIONS * force_error_n, CLOSED_SHARE * np.sqrt(np.mean(force_n**2)))
 
 
-def _ringing(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+def _cutoff_ringing_n(record: Record, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Ringing F / (pi n) of an ideal low-pass n samples from where a force is cut off, N."""
-    samples_after = np.arange(force_n.size) + 1.0
-    rings = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples_after[::-1])
-    if record.counted_samples.start > 0:
-        rings = np.hypot(rings, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples_after))
-    return np.asarray(rings)
+    samples_to_cutoff = np.arange(force_n.size) + 1.0
+    ringing_n = np.max(np.abs(force_n[-EDGE_SAMPLES:])) / (np.pi * samples_to_cutoff[::-1])
+    if record.counted_slice.start > 0:
+        ringing_n = np.hypot(ringing_n, np.max(np.abs(force_n[:EDGE_SAMPLES])) / (np.pi * samples_to_cutoff))
+    return np.asarray(ringing_n)

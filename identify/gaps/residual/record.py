@@ -18,68 +18,69 @@ from rig.model.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
-class Counted:
+class CountedPart:
     """Counted part of a record: the recording's samples per time of the residuals, which sets the band, and the end."""
 
-    factor: int
-    until_s: float
+    decimation: int
+    end_s: float
 
 
 @dataclass(frozen=True)
 class Record:
     """Spectra of one recording on the lines from 0 to `highest_hz`, and the samples that count.
 
-    length and factor: samples of the transform with padding, and the recording's samples per time of the residuals;
-    counted_samples is the slice of these times that counts. window multiplied the recording's samples.
-    delivered: signals as accelerations, by powers of i omega, with the nominal gain and delay still in them; displaced:
-    as displacements, high-passed where integrated. For a free mass with measured displacement, delivered is the
-    windowed acceleration, and faded its windowed velocity less the derivative of its windowed displacement; for other
-    bodies, whose response is windowed, faded is zero.
-    noise: variance of each line of delivered by sensor noise; power: its smoothed mean square; force_noise: variance of
-    each force's lines by noise of its channel.
+    transform_length and decimation: samples of the transform with padding, and the recording's samples per time of the
+    residuals; counted_slice: the times that count. window multiplied the recording's samples, sample_count in number.
+    acceleration_signals: signals as accelerations, by powers of i omega, with the nominal gain and delay still in them;
+    displacement_signals: as displacements, high-passed where integrated. For a free mass with measured displacement,
+    the former are the windowed acceleration, and velocity_correction its windowed velocity less the derivative of its
+    windowed displacement; for other bodies, whose response is windowed, that is zero.
+    noise_variance: variance of each line of acceleration_signals by sensor noise; smoothed_power: their smoothed mean
+    square; force_noise_variance: variance of each force's lines by noise of its channel.
     corner_hz: corner of the high-pass under which sensors' signals are integrated.
-    eta_beyond: measured relative displacements on the lines from `highest_hz` on; drifts: what is known of their slow
-    parts (None where integration loses nothing).
-    excited_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the rig.
-    windows_responses: without contacts, the response of held bodies is windowed instead of the force.
+    eta_above_band: measured relative displacements on the lines from `highest_hz` on; drifts: what is known of their
+    slow parts (None where integration loses nothing).
+    excitation_start_s: start of the force; period_s: its period, None if it does not repeat; tolerances: those of the
+    rig. responses_windowed: without contacts, the response of held bodies is windowed instead of the force.
     counts_from_blow: a free motion whose initial state is estimated; first_states: displacement and velocity that each
-    displacement sensor shows there; modes: its measured modes, without contacts or of
-    held beams.
+    displacement sensor shows there; measured_modes: its modes, without contacts or of held beams.
     """
 
     rig: Rig
     sensors: tuple[Sensor, ...]
     zero_known: bool
     sample_rate_hz: float
-    length: int
-    samples: int
-    factor: int
+    transform_length: int
+    sample_count: int
+    decimation: int
     window: Float[np.ndarray, " samples"]
     omega: Float[np.ndarray, " lines"]
-    forces: Complex[np.ndarray, "forces lines"]
-    delivered: Complex[np.ndarray, "sensors lines"]
-    displaced: Complex[np.ndarray, "sensors lines"]
-    faded: Complex[np.ndarray, "sensors lines"]
-    noise: Float[np.ndarray, "sensors lines"]
-    force_noise: Float[np.ndarray, " forces"]
-    power: Float[np.ndarray, "sensors lines"]
+    force_spectra: Complex[np.ndarray, "forces lines"]
+    acceleration_signals: Complex[np.ndarray, "sensors lines"]
+    displacement_signals: Complex[np.ndarray, "sensors lines"]
+    velocity_correction: Complex[np.ndarray, "sensors lines"]
+    noise_variance: Float[np.ndarray, "sensors lines"]
+    force_noise_variance: Float[np.ndarray, " forces"]
+    smoothed_power: Float[np.ndarray, "sensors lines"]
     corner_hz: float
-    eta_beyond: Complex[np.ndarray, "contacts morelines"]
+    eta_above_band: Complex[np.ndarray, "contacts morelines"]
     drifts: tuple[Drift | None, ...]
     counts_from_blow: bool
     first_states: Float[np.ndarray, "sensors 2"]
-    modes: tuple[MeasuredMode, ...]
-    counted_samples: slice
-    windows_responses: bool
-    excited_s: float
+    measured_modes: tuple[MeasuredMode, ...]
+    counted_slice: slice
+    responses_windowed: bool
+    excitation_start_s: float
     period_s: float | None
     tolerances: Tolerances
 
     @cached_property
     def sampling(self) -> Sampling:
         """Sampling of a free motion that counts from its first sample."""
-        fading = int(np.count_nonzero(self.window[1:] < 1))
-        return Sampling(self.sensors[0].measures.order, self.sample_rate_hz, self.samples, fading, self.omega)
+        fade_samples = int(np.count_nonzero(self.window[1:] < 1))
+        return Sampling(
+            self.sensors[0].measures.order, self.sample_rate_hz, self.sample_count, fade_samples, self.omega
+        )
 
     @property
     def highest_hz(self) -> float:
@@ -87,55 +88,57 @@ class Record:
         return float(self.omega[-1] / (2 * np.pi))
 
     @property
-    def forced(self) -> bool:
+    def has_force(self) -> bool:
         """True if a force was measured; the record is a free decay otherwise."""
-        return bool(np.any(self.forces))
+        return bool(np.any(self.force_spectra))
 
     @property
-    def counted(self) -> Counted:
+    def counted_part(self) -> CountedPart:
         """Band and end of the samples that count, for other records of the same test."""
-        return Counted(self.factor, self.counted_samples.stop / self.rate_hz)
+        return CountedPart(self.decimation, self.counted_slice.stop / self.rate_hz)
 
     @property
     def rate_hz(self) -> float:
         """Rate of the residuals over time, Hz."""
-        return self.sample_rate_hz / self.factor
+        return self.sample_rate_hz / self.decimation
 
     @property
-    def repeats(self) -> float:
+    def repeats_per_sample(self) -> float:
         """Repetition frequency of the force, per sample of the residuals over time; 0 if it does not repeat."""
         return 1 / (self.period_s * self.rate_hz) if self.period_s else 0.0
 
     @property
-    def time_s(self) -> Float[np.ndarray, " times"]:
+    def residual_times_s(self) -> Float[np.ndarray, " times"]:
         """Times of the residuals' samples, s."""
-        return np.arange(self.counted_samples.start, self.counted_samples.stop) / self.rate_hz
+        return np.arange(self.counted_slice.start, self.counted_slice.stop) / self.rate_hz
 
     @property
     def sample_times_s(self) -> Float[np.ndarray, " samples"]:
         """Times of the recording's samples, s."""
-        return np.arange(self.samples) / self.sample_rate_hz
+        return np.arange(self.sample_count) / self.sample_rate_hz
 
     def spectrum(self, signal: Float[np.ndarray, " samples"]) -> Complex[np.ndarray, " lines"]:
         """Spectrum of a signal over the recording's samples under the record's window."""
-        lines = np.round(self.omega * self.length / (2 * np.pi * self.sample_rate_hz)).astype(int)
-        return np.asarray(rfft(signal * self.window, self.length)[lines])
+        line_indices = np.round(self.omega * self.transform_length / (2 * np.pi * self.sample_rate_hz)).astype(int)
+        return np.asarray(rfft(signal * self.window, self.transform_length)[line_indices])
 
     def sampled(
-        self, eta: Complex[np.ndarray, "contacts lines"], derivative: int = 0, beyond: bool = True
+        self, eta_spectra: Complex[np.ndarray, "contacts lines"], derivative_order: int = 0, upper_band: bool = True
     ) -> Float[np.ndarray, "contacts samples"]:
         """Relative displacements or velocities at the recording's rate, from the first to the last time that counts.
 
-        `beyond` adds the measured lines above the band; changes of a model have none.
+        `upper_band` adds the measured lines above the band; changes of a model have none.
         """
-        spectra = np.concatenate([eta[:, :-1], self.eta_beyond if beyond else np.zeros_like(self.eta_beyond)], axis=1)
-        if derivative:
-            spectra *= 2j * np.pi * self.sample_rate_hz / self.length * np.arange(spectra.shape[1])
-        rows = irfft(spectra, self.length)
-        if self.counts_from_blow and not derivative:
-            rows[:, 0] *= 2  # the window halves the first sample
-        return rows[
-            :, self.counted_samples.start * self.factor : (self.counted_samples.stop - 1) * self.factor + 1
+        full_spectra = np.concatenate(
+            [eta_spectra[:, :-1], self.eta_above_band if upper_band else np.zeros_like(self.eta_above_band)], axis=1
+        )
+        if derivative_order:
+            full_spectra *= 2j * np.pi * self.sample_rate_hz / self.transform_length * np.arange(full_spectra.shape[1])
+        signals = irfft(full_spectra, self.transform_length)
+        if self.counts_from_blow and not derivative_order:
+            signals[:, 0] *= 2  # the window halves the first sample
+        return signals[
+            :, self.counted_slice.start * self.decimation : (self.counted_slice.stop - 1) * self.decimation + 1
         ].copy()
 
     @cached_property
@@ -151,15 +154,19 @@ class Record:
     @property
     def product_multiple(self) -> int:
         """Multiple of `rate_hz` at which laws' slopes are multiplied by displacements."""
-        return product_multiple(self.sample_rate_hz, self.factor)
+        return product_multiple(self.sample_rate_hz, self.decimation)
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Signals over the times that count, at `rate_hz`, from their spectra."""
-        rows = irfft(spectra, self.length // self.factor) / self.factor
-        return np.asarray(rows[..., self.counted_samples])
+        signals = irfft(spectra, self.transform_length // self.decimation) / self.decimation
+        return np.asarray(signals[..., self.counted_slice])
 
     def in_finer_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows finer"]:
         """Signals from the first to the last time that counts, at `product_multiple` times `rate_hz`."""
-        multiple, counted = self.product_multiple, self.counted_samples
-        rows = irfft(spectra[..., :-1], self.length // self.factor * multiple) * (multiple / self.factor)
-        return np.asarray(rows[..., counted.start * multiple : (counted.stop - 1) * multiple + 1])
+        rate_multiple, counted_slice = self.product_multiple, self.counted_slice
+        signals = irfft(spectra[..., :-1], self.transform_length // self.decimation * rate_multiple) * (
+            rate_multiple / self.decimation
+        )
+        return np.asarray(
+            signals[..., counted_slice.start * rate_multiple : (counted_slice.stop - 1) * rate_multiple + 1]
+        )

@@ -56,8 +56,8 @@ class SearchCache:
 class Linearization:
     """Record and rig about which it is linearised, shared by all residuals of the record.
 
-    applied_nuisance are the nuisance parameters that the linearised model contains already; None: all zero. tuned are
-    those of single modes that it contains, for a free decay.
+    applied_nuisance are the nuisance parameters that the linearised model contains already; None: all zero.
+    tuning has those of single modes that it contains, for a free decay.
     """
 
     record: Record
@@ -66,7 +66,7 @@ class Linearization:
     model: Linear
     observations: tuple[ContactObservation, ...]
     applied_nuisance: Float[np.ndarray, " nuisances"] | None
-    tuned: TunedModes
+    tuning: TunedModes
     cache: SearchCache
 
     def relinearized(
@@ -84,22 +84,22 @@ class Linearization:
         """Nuisance parameters of the point of linearisation, which the model contains."""
         parameters = self.columns.parameters
         applied = np.zeros(len(parameters)) if self.applied_nuisance is None else self.applied_nuisance
-        return applied + np.array([self.tuned.pulls.get(p, 0.0) for p in parameters]) if self.tuned.pulls else applied
+        return applied + np.array([self.tuning.pulls.get(p, 0.0) for p in parameters]) if self.tuning.pulls else applied
 
     @cached_property
-    def gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
+    def column_gram(self) -> Float[np.ndarray, "nuisances nuisances"]:
         """Gram matrix of the linear residual's columns."""
-        return self.columns.products(self.columns.flat)
+        return self.columns.products(self.columns.flat_residual)
 
     @cached_property
-    def lines(self) -> tuple[float, ...]:
+    def line_frequencies(self) -> tuple[float, ...]:
         """Frequencies, per sample, of outstanding lines in the linearised rig's residual; none for a free decay, whose
         modes ring as sharply."""
-        if not self.record.forced:
+        if not self.record.has_force:
             return ()
         sensor_count = len(self.record.sensors)
         return outstanding_frequencies(
-            residual_in_time(self.record, self.model.residual[:sensor_count]), self.record.repeats
+            residual_in_time(self.record, self.model.residual[:sensor_count]), self.record.repeats_per_sample
         )
 
     @property
@@ -112,7 +112,7 @@ class Linearization:
 class Residual:
     """Residual of a rig against a record, over time and in standard deviations.
 
-    linear includes the nuisance parameters; linear_before_nuisance has those of the linearisation alone.
+    linear_residual includes the nuisance parameters; linear_before_nuisance has those of the linearisation alone.
     linear_without_lines is the part that is fitted and that scales the unmodelled: without tones in the rig,
     outstanding lines are removed, as they are no model error and no other parameter should follow them.
     """
@@ -121,49 +121,49 @@ class Residual:
     model: Linear
     signals: tuple[ContactSignals, ...]
     linear_before_nuisance: Float[np.ndarray, "rows times"]
-    linear: Float[np.ndarray, "rows times"]
+    linear_residual: Float[np.ndarray, "rows times"]
     linear_without_lines: Float[np.ndarray, "rows times"]
     contacts: tuple[ContactResidual, ...]
-    nuisance: Float[np.ndarray, " nuisances"]
+    nuisance_pulls: Float[np.ndarray, " nuisances"]
     parameters: tuple[Nuisance, ...]
     sample_ratio: float
 
     @property
-    def rows(self) -> int:
+    def residual_count(self) -> int:
         """Number of residuals, which is the expected cost of noise alone."""
-        return int(self.linear.size + sum(c.residual.size for c in self.contacts))
+        return int(self.linear_residual.size + sum(c.residual.size for c in self.contacts))
 
     @property
     def pulls(self) -> Float[np.ndarray, " pulls"]:
         """Pulls of nuisance parameters and contact laws: (estimate - prior mean) / prior standard deviation."""
-        return np.concatenate([self.nuisance, *(c.pulls for c in self.contacts)])
+        return np.concatenate([self.nuisance_pulls, *(c.pulls for c in self.contacts)])
 
     @property
     def corrected_rig(self) -> Rig:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
-        rig = with_nuisance(self.rig, self.parameters, self.nuisance, self.model.record.tolerances)
+        rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for place, fit in zip(joined_contacts(rig), self.contacts, strict=True):
-            for j, law in zip(place.members, fit.fitted_laws, strict=True):
-                contacts[j] = replace(contacts[j], law=law)
+        for joined_contact, contact_fit in zip(joined_contacts(rig), self.contacts, strict=True):
+            for contact_index, law in zip(joined_contact.members, contact_fit.fitted_laws, strict=True):
+                contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
 
     @property
     def contact_levels(self) -> tuple[float, ...]:
         """Mean square of each contact's weighted residual while the rig moves."""
-        levels = []
+        contact_levels = []
         for contact in self.contacts:
             is_moving = contact.observation.weights > 0
-            weighed = contact.residual[: is_moving.size][is_moving]
-            levels.append(float(np.mean(weighed**2)) if weighed.size else 0.0)
-        return tuple(levels)
+            moving_residual = contact.residual[: is_moving.size][is_moving]
+            contact_levels.append(float(np.mean(moving_residual**2)) if moving_residual.size else 0.0)
+        return tuple(contact_levels)
 
     @property
     def cost(self) -> float:
         return (
-            float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance @ self.nuisance)
+            float(np.sum(self.linear_without_lines**2) + self.sample_ratio * self.nuisance_pulls @ self.nuisance_pulls)
             + sum(c.cost for c in self.contacts)
-            + self.model.log_determinant * self.linear.shape[1] / self.model.deviation.shape[1]
+            + self.model.log_determinant * self.linear_residual.shape[1] / self.model.error_deviation.shape[1]
         )
 
 
@@ -181,14 +181,16 @@ def linearized(
     """
     scales, cache = scales or prior_scales(record), cache or SearchCache(record)
     expansion_rig, applied = (
-        apply_nuisance(rig, residual.parameters, residual.nuisance, record.tolerances) if residual else (rig, None)
+        apply_nuisance(rig, residual.parameters, residual.nuisance_pulls, record.tolerances)
+        if residual
+        else (rig, None)
     )
-    tuned = tuned_modes(
-        record, expansion_rig, residual.parameters if residual else None, residual.nuisance if residual else None
+    mode_tuning = tuned_modes(
+        record, expansion_rig, residual.parameters if residual else None, residual.nuisance_pulls if residual else None
     )
-    model = linear_model(record, expansion_rig, scales.discrepancy, cache.responses, tuned.factors)
-    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.contacts)
-    return Linearization(record, rig, scales, model, observations, applied, tuned, cache)
+    model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
+    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.variances)
+    return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
 
 
 def rescaled(linearization: Linearization, residual: Residual) -> Linearization:
@@ -211,13 +213,13 @@ def linear_of(linearization: Linearization, rig: Rig) -> Linear:
             rig, linearization.columns.parameters, linearization.applied_nuisance, record.tolerances
         )
     scales, cache = linearization.scales, linearization.cache
-    return linear_model(record, rig, scales.discrepancy, cache.responses, linearization.tuned.factors)
+    return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuning.factors)
 
 
 def residual_of(
     linearization: Linearization,
     rig: Rig,
-    nuisance: Float[np.ndarray, " nuisances"] | None = None,
+    nuisance_pulls: Float[np.ndarray, " nuisances"] | None = None,
     unknowns: tuple[Float[np.ndarray, " _"], ...] | None = None,
     base: Residual | None = None,
 ) -> Residual:
@@ -227,9 +229,9 @@ def residual_of(
     linearisation whose unchanged parts are reused.
     """
     record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
-    nuisance = linearization.expansion_point if nuisance is None else nuisance
+    nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
     if base is not None and same_but_laws(base.rig, rig):
-        model, signals, linear_at_expansion = base.model, base.signals, base.linear_before_nuisance
+        model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
         signals = contact_signals_of(record, model)
@@ -237,39 +239,39 @@ def residual_of(
     observations = linearization.observations
     if unknowns is None:
         contacts_and_laws = zip(signals, observations, laws, strict=True)
-        unknowns = tuple(initial_unknowns(*arguments, record.rate_hz) for arguments in contacts_and_laws)
-    nuisance_change = nuisance - linearization.expansion_point
-    unchanged = base if base is not None and model is base.model and nuisance is base.nuisance else None
-    linear = unchanged.linear if unchanged else linear_at_expansion
-    if nuisance_change.any() and not unchanged:
+        unknowns = tuple(initial_unknowns(*inputs, record.rate_hz) for inputs in contacts_and_laws)
+    nuisance_change = nuisance_pulls - linearization.expansion_point
+    reused = base if base is not None and model is base.model and nuisance_pulls is base.nuisance_pulls else None
+    linear = reused.linear_residual if reused else linear_at_expansion
+    if nuisance_change.any() and not reused:
         linear = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
-    linear_without_lines = unchanged.linear_without_lines if unchanged else linear
-    if not unchanged and not rig.tones:
-        linear_without_lines = without_lines(linear, linearization.lines)
-    added_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
+    linear_without_lines = reused.linear_without_lines if reused else linear
+    if not reused and not rig.tones:
+        linear_without_lines = without_lines(linear, linearization.line_frequencies)
+    added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
     if laws and nuisance_change.any():
-        added_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), beyond=False)
-    drift_m = [o.curve.value @ u[: o.curve.knots] for o, u in zip(observations, unknowns, strict=True)]
+        added_eta_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), upper_band=False)
+    drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
         law, coupled = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
-        previous = unchanged.contacts if unchanged else ()
+        previous = reused.contacts if reused else ()
         if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
             return previous[j]
         added_n = -nuisance_change @ linearization.columns.contact_n[:, j]
         added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
-        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_m[j])
+        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_eta_m[j])
 
     return Residual(
         rig=rig,
         model=model,
         signals=signals,
         linear_before_nuisance=linear_at_expansion,
-        linear=linear,
+        linear_residual=linear,
         linear_without_lines=linear_without_lines,
         contacts=tuple(contact(j) for j in range(len(laws))),
-        nuisance=nuisance,
+        nuisance_pulls=nuisance_pulls,
         parameters=parameters,
         sample_ratio=record.sample_ratio,
     )
@@ -285,35 +287,35 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     record, model = linearization.record, residual.model
     if same_but_laws(residual.rig, changed_rig):
         unknowns = tuple(c.unknowns for c in residual.contacts)
-        changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns, base=residual)
-        contacts = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
-        return residual.linear - changed.linear, contacts
+        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns, base=residual)
+        contact_decreases = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
+        return residual.linear_residual - changed.linear_residual, contact_decreases
     if same_but_sensors(residual.rig, changed_rig):
         return _sensor_column(linearization, changed_rig, residual)
     changed_model = linear_of(linearization, changed_rig)
     sensor_count = len(record.sensors)
     residual_decrease = model.residual - changed_model.residual
     input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, residual_decrease[sensor_count:]])
-    sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.by_input, input_decrease)
-    linear, contact_n_decrease = model.projection.of(sensor_decrease * model.deviation)
+    sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
+    linear_decrease, contact_force_spectra = model.projection.of(sensor_decrease * model.error_deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
-    contact_force_decrease_n = record.in_time(contact_n_decrease) + static_decrease_n[:, None]
+    contact_force_decrease_n = record.in_time(contact_force_spectra) + static_decrease_n[:, None]
     stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
     for increase_n_per_m, contact in zip(stiffness_increase_n_per_m.T, residual.contacts, strict=True):
         contact_force_decrease_n += np.outer(increase_n_per_m, contact.drift_m)
-    contacts = contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
-    return residual_in_time(record, linear), contacts
+    contact_decreases = contact_columns(record, residual, contact_force_decrease_n, model.eta_m - changed_model.eta_m)
+    return residual_in_time(record, linear_decrease), contact_decreases
 
 
 def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Residual) -> Column:
     """Decrease of the residuals by other gains and delays of the sensors under the same motion."""
     record, model = linearization.record, residual.model
-    relative_change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
-    explained = record.delivered - model.residual[: len(record.sensors)] * model.deviation
-    linear, contact_n_decrease = model.projection.of(relative_change * explained)
-    eta_decrease_m = relative_displacements(record, model, relative_change * record.displaced / model.sensor_response)
-    contacts = contact_columns(record, residual, record.in_time(contact_n_decrease), eta_decrease_m)
-    return residual_in_time(record, linear), contacts
+    change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
+    explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
+    linear_decrease, contact_force_spectra = model.projection.of(change * explained_signals)
+    eta_decrease_m = relative_displacements(record, model, change * record.displacement_signals / model.sensor_response)
+    contact_decreases = contact_columns(record, residual, record.in_time(contact_force_spectra), eta_decrease_m)
+    return residual_in_time(record, linear_decrease), contact_decreases
 
 
 def contact_columns(
@@ -324,12 +326,12 @@ def contact_columns(
 ) -> list[Float[np.ndarray, " _"]]:
     """Decrease of the contact residuals as contact forces and relative displacements decrease, by the laws' slopes."""
     if np.any(eta_decrease_m):
-        rows = zip(residual.contacts, record.in_finer_time(eta_decrease_m), strict=True)
-        law_decrease_n = [contact.tangent.force_change_n(row) for contact, row in rows]
+        contacts_and_motions = zip(residual.contacts, record.in_finer_time(eta_decrease_m), strict=True)
+        law_decrease_n = [contact.tangent.force_change_n(decrease) for contact, decrease in contacts_and_motions]
         contact_force_decrease_n = contact_force_decrease_n - np.array(law_decrease_n)
     return [
-        np.append(contact.observation.weights * row, np.zeros(contact.residual.size - row.size))
-        for contact, row in zip(residual.contacts, contact_force_decrease_n, strict=True)
+        np.append(contact.observation.weights * decrease, np.zeros(contact.residual.size - decrease.size))
+        for contact, decrease in zip(residual.contacts, contact_force_decrease_n, strict=True)
     ]
 
 

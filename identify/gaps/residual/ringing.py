@@ -41,55 +41,62 @@ class MeasuredMode:
 
 
 def highest_ringing_hz(
-    rows: Float[np.ndarray, "sensors samples"],
+    signals: Float[np.ndarray, "sensors samples"],
     rate_hz: float,
-    order: int,
-    densities: Float[np.ndarray, " sensors"],
+    derivative_order: int,
+    noise_densities: Float[np.ndarray, " sensors"],
 ) -> float:
-    """Highest frequency (Hz) with power beyond noise, by velocities; `order` is the derivative that sensors show."""
-    window = tukey(rows.shape[1], TAPER_SHARE)
-    power = np.abs(np.fft.rfft((rows - rows.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
-    noise = (densities**2 * rate_hz / 2 * np.sum(window**2))[:, None]
-    hz = np.fft.rfftfreq(rows.shape[1], 1 / rate_hz)
-    is_signal = uniform_filter1d(power, SMOOTHED_LINES, axis=1) > SIGNAL_RATIO * noise
-    velocity = ((power - noise) * is_signal)[:, 1:] * hz[1:] ** (2.0 * (1 - order))
-    cumulative_power = np.cumsum(np.maximum(velocity, 0.0).sum(axis=0))
+    """Highest frequency (Hz) with power beyond noise, by velocities; `derivative_order` is that of the signals."""
+    window = tukey(signals.shape[1], TAPER_SHARE)
+    power = np.abs(np.fft.rfft((signals - signals.mean(axis=1, keepdims=True)) * window, axis=1)) ** 2
+    noise_power = (noise_densities**2 * rate_hz / 2 * np.sum(window**2))[:, None]
+    lines_hz = np.fft.rfftfreq(signals.shape[1], 1 / rate_hz)
+    is_signal = uniform_filter1d(power, SMOOTHED_LINES, axis=1) > SIGNAL_RATIO * noise_power
+    velocity_power = ((power - noise_power) * is_signal)[:, 1:] * lines_hz[1:] ** (2.0 * (1 - derivative_order))
+    cumulative_power = np.cumsum(np.maximum(velocity_power, 0.0).sum(axis=0))
     return (
-        float(hz[1 + np.searchsorted(cumulative_power, BAND_POWER * cumulative_power[-1])])
+        float(lines_hz[1 + np.searchsorted(cumulative_power, BAND_POWER * cumulative_power[-1])])
         if cumulative_power[-1] > 0
         else 0.0
     )
 
 
 def highest_vibrating_hz(
-    rows: Float[np.ndarray, "sensors samples"], rate_hz: float, densities: Float[np.ndarray, " sensors"]
+    signals: Float[np.ndarray, "sensors samples"], rate_hz: float, noise_densities: Float[np.ndarray, " sensors"]
 ) -> float:
     """Highest frequency (Hz) that some part of a record of length `PART_S` shows beyond noise: hits are soon over."""
-    part_samples = min(rows.shape[1], round(PART_S * rate_hz))
-    hz, _, power = spectrogram(rows, rate_hz, "hann", part_samples, part_samples * 3 // 4, detrend="constant")
-    is_signal = np.any(power > PART_SIGNAL_RATIO * densities[:, None, None] ** 2, axis=(0, 2))
-    return float(hz[is_signal].max(initial=0.0))
+    part_samples = min(signals.shape[1], round(PART_S * rate_hz))
+    lines_hz, _, power_density = spectrogram(
+        signals, rate_hz, "hann", part_samples, part_samples * 3 // 4, detrend="constant"
+    )
+    is_signal = np.any(power_density > PART_SIGNAL_RATIO * noise_densities[:, None, None] ** 2, axis=(0, 2))
+    return float(lines_hz[is_signal].max(initial=0.0))
 
 
 def measured_modes(
-    rows: Float[np.ndarray, "sensors samples"],
+    signals: Float[np.ndarray, "sensors samples"],
     rate_hz: float,
     highest_hz: float,
-    densities: Float[np.ndarray, " sensors"],
+    noise_densities: Float[np.ndarray, " sensors"],
 ) -> tuple[MeasuredMode, ...]:
     """Modes that exceed the noise, with their errors."""
     modes = []
-    duration_s = rows.shape[1] / rate_hz
-    mean_square = float(np.sum(rows**2)) / len(rows)
-    for mode in modes_of_decay(rows, rate_hz, highest_hz, MODE_COUNT):
-        omega = 2 * np.pi * mode.frequency_hz
-        alpha = mode.damping_ratio * omega
-        decay_rate = max(alpha, 1 / duration_s)
+    duration_s = signals.shape[1] / rate_hz
+    signal_mean_square = float(np.sum(signals**2)) / len(signals)
+    for mode in modes_of_decay(signals, rate_hz, highest_hz, MODE_COUNT):
+        natural_omega = 2 * np.pi * mode.frequency_hz
+        decay_rate_per_s = mode.damping_ratio * natural_omega
+        bounded_decay_rate = max(decay_rate_per_s, 1 / duration_s)
         amplitude = np.sqrt(
-            4 * decay_rate * mode.share * mean_square / rate_hz
+            4 * bounded_decay_rate * mode.share * signal_mean_square / rate_hz
         )  # the integral of its square is A^2 / 4 alpha
-        error = INEFFICIENCY * np.sqrt(4 * decay_rate**3) * float(np.sqrt(np.mean(densities**2))) / amplitude
-        relative_errors = np.hypot(LEAST_FREQUENCY_ERROR, error / omega), np.hypot(LEAST_DAMPING_ERROR, error / alpha)
+        rate_error = (
+            INEFFICIENCY * np.sqrt(4 * bounded_decay_rate**3) * float(np.sqrt(np.mean(noise_densities**2))) / amplitude
+        )
+        relative_errors = (
+            np.hypot(LEAST_FREQUENCY_ERROR, rate_error / natural_omega),
+            np.hypot(LEAST_DAMPING_ERROR, rate_error / decay_rate_per_s),
+        )
         if relative_errors[1] < 1:
             modes.append(
                 MeasuredMode(

@@ -30,39 +30,45 @@ class Scales:
     """Unmodelled share of each acceleration by sensor and line, and the variance of each contact residual relative to
     that by noise and the tolerated share of the force."""
 
-    discrepancy: Float[np.ndarray, "sensors lines"]
-    contacts: tuple[float, ...]
+    unmodelled_shares: Float[np.ndarray, "sensors lines"]
+    variances: tuple[float, ...]
 
-    def distance(self, compared: "Scales") -> float:
+    def distance(self, compared_scales: "Scales") -> float:
         """Mean absolute difference of the logarithms of the shares."""
-        return float(np.mean(np.abs(np.log(self.discrepancy / compared.discrepancy))))
+        return float(np.mean(np.abs(np.log(self.unmodelled_shares / compared_scales.unmodelled_shares))))
 
 
 def prior_scales(record: Record) -> Scales:
     """Scales stated by the tolerances."""
-    return Scales(np.full(record.noise.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
+    return Scales(np.full(record.noise_variance.shape, record.tolerances.unmodelled), (1.0,) * len(record.drifts))
 
 
 def second_levels(
     record: Record, residual: Float[np.ndarray, "rows times"]
 ) -> Float[np.ndarray, "seconds bands sensors"]:
     """Mean square of a linear residual by second and band, under a Hann window: 1 for noise alone."""
-    rows = residual[: len(record.sensors)]
-    segment = min(round(SEGMENT_S * record.rate_hz), rows.shape[1])
-    count = rows.shape[1] // segment
-    segments = rows[:, : count * segment].reshape(rows.shape[0], count, segment)
-    window = hann(segment, sym=False)
+    sensor_residuals = residual[: len(record.sensors)]
+    segment_samples = min(round(SEGMENT_S * record.rate_hz), sensor_residuals.shape[1])
+    segment_count = sensor_residuals.shape[1] // segment_samples
+    segments = sensor_residuals[:, : segment_count * segment_samples].reshape(
+        sensor_residuals.shape[0], segment_count, segment_samples
+    )
+    window = hann(segment_samples, sym=False)
     power = np.abs(np.fft.rfft(segments * window, axis=2)) ** 2 / np.sum(window**2)
-    per_band = max(1, round(BAND_HZ * segment / record.rate_hz))
-    band_count = power.shape[2] // per_band
-    levels = power[:, :, : band_count * per_band].reshape(rows.shape[0], count, band_count, per_band).mean(axis=3)
-    return np.asarray(levels.transpose(1, 2, 0))
+    lines_per_band = max(1, round(BAND_HZ * segment_samples / record.rate_hz))
+    band_count = power.shape[2] // lines_per_band
+    level_by_cell = (
+        power[:, :, : band_count * lines_per_band]
+        .reshape(sensor_residuals.shape[0], segment_count, band_count, lines_per_band)
+        .mean(axis=3)
+    )
+    return np.asarray(level_by_cell.transpose(1, 2, 0))
 
 
 def measured_levels(
     record: Record,
     residual: Float[np.ndarray, "rows times"],
-    deviation: Float[np.ndarray, "sensors lines"],
+    error_deviation: Float[np.ndarray, "sensors lines"],
     band_count: int,
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean of deviation^2 by band, weighted by the residual's power on each line.
@@ -70,22 +76,25 @@ def measured_levels(
     Times the residual's level, that is its power in the sensors' unit. Where the deviation falls steeply, as below the
     first mode of a held body, an unweighted mean would exaggerate a residual on the lowest lines.
     """
-    rows = residual[: len(record.sensors)]
-    power = np.abs(np.fft.rfft(rows * hann(rows.shape[1], sym=False))) ** 2
-    hz = np.arange(power.shape[1]) * record.rate_hz / rows.shape[1]
-    lines_hz = record.omega / (2 * np.pi)
-    band_of_line = np.minimum(hz / BAND_HZ, band_count - 1).astype(int)
-    variances = np.empty((band_count, len(rows)))
-    for k, (row, sensor_deviation) in enumerate(zip(power, deviation, strict=True)):
-        variance = np.interp(hz, lines_hz, sensor_deviation**2)
-        band_power = np.bincount(band_of_line, row, band_count)
-        mean_variance = np.bincount(band_of_line, variance, band_count) / np.maximum(
+    sensor_residuals = residual[: len(record.sensors)]
+    residual_power = np.abs(np.fft.rfft(sensor_residuals * hann(sensor_residuals.shape[1], sym=False))) ** 2
+    residual_lines_hz = np.arange(residual_power.shape[1]) * record.rate_hz / sensor_residuals.shape[1]
+    record_lines_hz = record.omega / (2 * np.pi)
+    band_of_line = np.minimum(residual_lines_hz / BAND_HZ, band_count - 1).astype(int)
+    weighted_variances = np.empty((band_count, len(sensor_residuals)))
+    for sensor_index, (sensor_power, sensor_deviation) in enumerate(zip(residual_power, error_deviation, strict=True)):
+        line_variance = np.interp(residual_lines_hz, record_lines_hz, sensor_deviation**2)
+        band_power = np.bincount(band_of_line, sensor_power, band_count)
+        unweighted_variance = np.bincount(band_of_line, line_variance, band_count) / np.maximum(
             np.bincount(band_of_line, minlength=band_count), 1
         )
-        variances[:, k] = np.divide(
-            np.bincount(band_of_line, row * variance, band_count), band_power, out=mean_variance, where=band_power > 0
+        weighted_variances[:, sensor_index] = np.divide(
+            np.bincount(band_of_line, sensor_power * line_variance, band_count),
+            band_power,
+            out=unweighted_variance,
+            where=band_power > 0,
         )
-    return variances
+    return weighted_variances
 
 
 def band_levels(record: Record, residual: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, "bands sensors"]:
@@ -98,28 +107,30 @@ def band_of_lines(record: Record, band_count: int) -> Int[np.ndarray, " lines"]:
     return np.minimum(record.omega / (2 * np.pi * BAND_HZ), band_count - 1).astype(int)
 
 
-def by_band(
-    record: Record, values: Float[np.ndarray, "sensors lines"], band_count: int
+def band_means(
+    record: Record, line_values: Float[np.ndarray, "sensors lines"], band_count: int
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band."""
     band_of_line = band_of_lines(record, band_count)
-    counts = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
-    return np.array([np.bincount(band_of_line, row, band_count) / counts for row in values]).T
+    lines_by_band = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
+    return np.array(
+        [np.bincount(band_of_line, sensor_values, band_count) / lines_by_band for sensor_values in line_values]
+    ).T
 
 
-def posterior_level(level: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
+def posterior_level(mean_square: Float[np.ndarray, "*any"]) -> Float[np.ndarray, "*any"]:
     """Posterior mean (1 + L) / 2 of a relative variance with prior mean 1, given a mean square L.
 
     The inverse-gamma prior weighs as much as the band, so that a band determines its own scale, which is never below
     half of that by noise and the tolerated share.
     """
-    return np.asarray((1.0 + level) / 2)
+    return np.asarray((1.0 + mean_square) / 2)
 
 
 def estimated_scales(
     record: Record,
     fit_scales: Scales,
-    linear: Float[np.ndarray, "rows times"],
+    linear_residual: Float[np.ndarray, "rows times"],
     contact_levels: tuple[float, ...],
 ) -> Scales:
     """Scales estimated from the residuals of a fit under `fit_scales`.
@@ -128,17 +139,17 @@ def estimated_scales(
     below the stated tolerance. In a free decay d is kept: the power is in sharp lines, and the residual between them
     would make d as large as the motion.
     """
-    contacts = tuple(
-        float(factor * posterior_level(np.array(level)))
-        for factor, level in zip(fit_scales.contacts, contact_levels, strict=True)
+    contact_variances = tuple(
+        float(contact_variance * posterior_level(np.array(contact_level)))
+        for contact_variance, contact_level in zip(fit_scales.variances, contact_levels, strict=True)
     )
-    if not record.forced:
-        return Scales(fit_scales.discrepancy, contacts)
-    levels = band_levels(record, linear)
-    band_count = len(levels)
-    variance = record.noise + fit_scales.discrepancy**2 * record.power
-    noisy = by_band(record, record.noise / np.maximum(variance, 1e-300), band_count)
-    share = by_band(record, fit_scales.discrepancy, band_count)
-    explained = np.maximum(levels - noisy, 0.0) / np.maximum(1.0 - noisy, 1e-6)
-    shares = np.maximum(share * np.sqrt(explained), record.tolerances.unmodelled)
-    return Scales(np.ascontiguousarray(shares[band_of_lines(record, band_count)].T), contacts)
+    if not record.has_force:
+        return Scales(fit_scales.unmodelled_shares, contact_variances)
+    level_by_band = band_levels(record, linear_residual)
+    band_count = len(level_by_band)
+    line_variance = record.noise_variance + fit_scales.unmodelled_shares**2 * record.smoothed_power
+    noise_share = band_means(record, record.noise_variance / np.maximum(line_variance, 1e-300), band_count)
+    fit_share = band_means(record, fit_scales.unmodelled_shares, band_count)
+    variance_ratio = np.maximum(level_by_band - noise_share, 0.0) / np.maximum(1.0 - noise_share, 1e-6)
+    new_shares = np.maximum(fit_share * np.sqrt(variance_ratio), record.tolerances.unmodelled)
+    return Scales(np.ascontiguousarray(new_shares[band_of_lines(record, band_count)].T), contact_variances)

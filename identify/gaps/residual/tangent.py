@@ -24,42 +24,48 @@ MARGIN_SAMPLES = 32
 
 @dataclass(frozen=True)
 class Tangent:
-    """Tangent stiffness T of a law, N/m, at `multiple` times the rate of the force."""
+    """Tangent stiffness T of a law, N/m, at `rate_multiple` times the rate of the force."""
 
     stiffness_n_per_m: Float[np.ndarray, " finer"]
-    multiple: int
+    rate_multiple: int
 
-    def force_change_n(self, change_m: Float[np.ndarray, "*rows finer"]) -> Float[np.ndarray, "*rows times"]:
+    def force_change_n(self, eta_change_m: Float[np.ndarray, "*rows finer"]) -> Float[np.ndarray, "*rows times"]:
         """Change of the force, N, with changes of relative displacement at the rate of T."""
-        return decimated(self.stiffness_n_per_m * change_m, self.multiple)
+        return decimated(self.stiffness_n_per_m * eta_change_m, self.rate_multiple)
 
-    def spline_columns(self, value: csr_matrix) -> csc_matrix:
-        """Change of the force, N/m, with each coefficient of a spline, whose value is `value` @ coefficients."""
-        if not value.shape[1]:
-            return csc_matrix(value.shape)
-        first, splines = _windows(value)
-        length = splines.shape[1]
-        following = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1)
-        steps = np.arange(self.multiple) / self.multiple
-        finer = (splines[..., None] + (following - splines)[..., None] * steps).reshape(len(splines), -1)
-        padding = length * self.multiple
-        stiffness = np.pad(self.stiffness_n_per_m, padding)
-        windows = stiffness[padding + self.multiple * first[:, None] + np.arange(padding)]
-        lines = rfft(windows * finer)[:, : length // 2 + 1] / self.multiple
-        columns = irfft(lines, length)
-        rows = first[:, None] + np.arange(length)
-        is_inside = (rows >= 0) & (rows < value.shape[0])
-        starts = np.append(0, np.cumsum(np.count_nonzero(is_inside, axis=1)))
-        return csc_matrix((columns[is_inside], rows[is_inside], starts), shape=value.shape)
+    def spline_columns(self, spline_values: csr_matrix) -> csc_matrix:
+        """Change of the force, N/m, with each coefficient of a spline, whose value is spline_values @ coefficients."""
+        if not spline_values.shape[1]:
+            return csc_matrix(spline_values.shape)
+        first_samples, splines = _windows(spline_values)
+        window_samples = splines.shape[1]
+        next_values = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1)
+        step_shares = np.arange(self.rate_multiple) / self.rate_multiple
+        finer_splines = (splines[..., None] + (next_values - splines)[..., None] * step_shares).reshape(
+            len(splines), -1
+        )
+        finer_samples = window_samples * self.rate_multiple
+        padded_stiffness = np.pad(self.stiffness_n_per_m, finer_samples)
+        stiffness_windows = padded_stiffness[
+            finer_samples + self.rate_multiple * first_samples[:, None] + np.arange(finer_samples)
+        ]
+        product_spectra = rfft(stiffness_windows * finer_splines)[:, : window_samples // 2 + 1] / self.rate_multiple
+        force_columns = irfft(product_spectra, window_samples)
+        sample_indices = first_samples[:, None] + np.arange(window_samples)
+        is_inside = (sample_indices >= 0) & (sample_indices < spline_values.shape[0])
+        column_starts = np.append(0, np.cumsum(np.count_nonzero(is_inside, axis=1)))
+        return csc_matrix(
+            (force_columns[is_inside], sample_indices[is_inside], column_starts), shape=spline_values.shape
+        )
 
 
-def _windows(value: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
+def _windows(spline_values: csr_matrix) -> tuple[Int[np.ndarray, " splines"], Float[np.ndarray, "splines length"]]:
     """First sample of each spline's window, which reaches MARGIN_SAMPLES beyond its support, and its values there."""
-    columns = value.tocsc()
-    counts = np.diff(columns.indptr)
-    first = columns.indices[columns.indptr[:-1]] - MARGIN_SAMPLES
-    length = next_fast_len(int(counts.max()) + 2 * MARGIN_SAMPLES, real=True)
-    splines = np.zeros((len(counts), length))
-    spline_of = np.repeat(np.arange(len(counts)), counts)
-    splines[spline_of, columns.indices - first[spline_of]] = columns.data
-    return first, splines
+    spline_columns = spline_values.tocsc()
+    support_samples = np.diff(spline_columns.indptr)
+    first_samples = spline_columns.indices[spline_columns.indptr[:-1]] - MARGIN_SAMPLES
+    window_samples = next_fast_len(int(support_samples.max()) + 2 * MARGIN_SAMPLES, real=True)
+    splines = np.zeros((len(support_samples), window_samples))
+    spline_of_entry = np.repeat(np.arange(len(support_samples)), support_samples)
+    splines[spline_of_entry, spline_columns.indices - first_samples[spline_of_entry]] = spline_columns.data
+    return first_samples, splines

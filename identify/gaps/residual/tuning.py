@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linear_sum_assignment
 
-from identify.gaps.residual.linear import Tuned
+from identify.gaps.residual.linear import ModeFactors
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.ringing import MeasuredMode
@@ -29,7 +29,7 @@ class TunedModes:
     """Nuisance parameters of single modes that the linear model contains, and the factors that result."""
 
     pulls: dict[Nuisance, float] = field(default_factory=dict)
-    factors: Tuned = field(default_factory=dict)
+    factors: ModeFactors = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -37,28 +37,38 @@ class MatchedMode:
     """Mode of a body (from 1) and its measured counterpart, with the logarithms of measured frequency and damping ratio
     over those of the rig."""
 
-    body: str
+    body_name: str
     mode_number: int
-    measured: MeasuredMode
-    logarithms: Float[np.ndarray, "2"]
+    measured_mode: MeasuredMode
+    log_ratios: Float[np.ndarray, "2"]
 
 
-def matched_modes(measured: tuple[MeasuredMode, ...], rig: Rig) -> list[MatchedMode]:
+def matched_modes(modes_of_record: tuple[MeasuredMode, ...], rig: Rig) -> list[MatchedMode]:
     """Assignment of measured modes to those of the rig with the least sum of |ln frequency ratio|."""
-    names, numbers, nominal_modes = [], [], []
+    body_names, mode_numbers, nominal_modes = [], [], []
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), body.max_modes
-        for m, hz, ratio in zip(range(count), modes.frequencies_hz(count), modes.damping_ratios(count), strict=True):
-            if hz > 0:
-                names.append(body.name)
-                numbers.append(m + 1)
-                nominal_modes.append((hz, max(ratio, 1e-12)))
-    if not (measured and nominal_modes):
+        modes, mode_count = modes_of(rig, body), body.max_modes
+        for mode_index, natural_hz, damping_ratio in zip(
+            range(mode_count), modes.frequencies_hz(mode_count), modes.damping_ratios(mode_count), strict=True
+        ):
+            if natural_hz > 0:
+                body_names.append(body.name)
+                mode_numbers.append(mode_index + 1)
+                nominal_modes.append((natural_hz, max(damping_ratio, 1e-12)))
+    if not (modes_of_record and nominal_modes):
         return []
-    logarithms = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in measured])[:, None] - np.log(nominal_modes)
-    rows, columns = linear_sum_assignment(np.abs(logarithms[..., 0]))
+    log_ratios = np.log([(mode.frequency_hz, mode.damping_ratio) for mode in modes_of_record])[:, None] - np.log(
+        nominal_modes
+    )
+    measured_indices, nominal_indices = linear_sum_assignment(np.abs(log_ratios[..., 0]))
     return [
-        MatchedMode(names[k], numbers[k], measured[i], logarithms[i, k]) for i, k in zip(rows, columns, strict=True)
+        MatchedMode(
+            body_names[nominal_index],
+            mode_numbers[nominal_index],
+            modes_of_record[measured_index],
+            log_ratios[measured_index, nominal_index],
+        )
+        for measured_index, nominal_index in zip(measured_indices, nominal_indices, strict=True)
     ]
 
 
@@ -66,44 +76,51 @@ def tuned_modes(
     record: Record,
     rig: Rig,
     parameters: tuple[Nuisance, ...] | None = None,
-    nuisance: Float[np.ndarray, " nuisances"] | None = None,
+    nuisance_pulls: Float[np.ndarray, " nuisances"] | None = None,
 ) -> TunedModes:
     """Tuned modes from fitted nuisance parameters, else from a record's measured modes; none with contacts if it has no
     measured modes."""
-    if rig.contacts and not record.modes:
+    if rig.contacts and not record.measured_modes:
         return TunedModes()
-    if parameters is not None and nuisance is not None:
+    if parameters is not None and nuisance_pulls is not None:
         pulls = {
-            p: float(v) for p, v in zip(parameters, nuisance, strict=True) if p.kind in TUNED_KINDS and p.mode_number
+            parameter: float(pull)
+            for parameter, pull in zip(parameters, nuisance_pulls, strict=True)
+            if parameter.kind in TUNED_KINDS and parameter.mode_number
         }
     else:
         pulls = {}
-        for matched in matched_modes(record.modes, rig):
-            for kind, increase in zip(TUNED_KINDS, np.expm1(matched.logarithms), strict=True):
-                tolerance = _tolerance(record, matched.body, matched.mode_number, kind)
-                if tolerance and not rig.body(matched.body).is_mass:
-                    pulls[Nuisance(kind, matched.body, matched.mode_number)] = float(
-                        np.clip(increase / tolerance, -LIMIT, LIMIT)
+        for matched_mode in matched_modes(record.measured_modes, rig):
+            for kind, relative_increase in zip(TUNED_KINDS, np.expm1(matched_mode.log_ratios), strict=True):
+                relative_tolerance = _mode_tolerance(record, matched_mode.body_name, matched_mode.mode_number, kind)
+                if relative_tolerance and not rig.body(matched_mode.body_name).is_mass:
+                    pulls[Nuisance(kind, matched_mode.body_name, matched_mode.mode_number)] = float(
+                        np.clip(relative_increase / relative_tolerance, -LIMIT, LIMIT)
                     )
-    factors = {}
-    for body in {p.of for p in pulls}:
-        numbers = range(1, rig.body(body).max_modes + 1)
-        frequencies, damping = (
-            np.array([_factor(record, body, number, kind, pulls) for number in numbers]) for kind in TUNED_KINDS
+    mode_factors = {}
+    for body_name in {parameter.of for parameter in pulls}:
+        mode_numbers = range(1, rig.body(body_name).max_modes + 1)
+        frequency_factors, damping_factors = (
+            np.array([_mode_factor(record, body_name, number, kind, pulls) for number in mode_numbers])
+            for kind in TUNED_KINDS
         )
-        factors[body] = frequencies, damping
-    return TunedModes(pulls, factors)
+        mode_factors[body_name] = frequency_factors, damping_factors
+    return TunedModes(pulls, mode_factors)
 
 
-def _factor(record: Record, body: str, mode_number: int, kind: NuisanceKind, pulls: dict[Nuisance, float]) -> float:
+def _mode_factor(
+    record: Record, body_name: str, mode_number: int, kind: NuisanceKind, pulls: dict[Nuisance, float]
+) -> float:
     """Factor 1 + tolerance * pull on the frequency or on the damping ratio of a mode."""
     return max(
         LEAST_FACTOR,
-        1 + _tolerance(record, body, mode_number, kind) * pulls.get(Nuisance(kind, body, mode_number), 0.0),
+        1
+        + _mode_tolerance(record, body_name, mode_number, kind)
+        * pulls.get(Nuisance(kind, body_name, mode_number), 0.0),
     )
 
 
-def _tolerance(record: Record, body: str, mode_number: int, kind: NuisanceKind) -> float:
+def _mode_tolerance(record: Record, body_name: str, mode_number: int, kind: NuisanceKind) -> float:
     """Relative tolerance of the frequency or of the damping ratio of a mode."""
-    mode_tolerances = record.tolerances.of_mode(body, mode_number)
+    mode_tolerances = record.tolerances.of_mode(body_name, mode_number)
     return mode_tolerances.frequency if kind is NuisanceKind.FREQUENCY else mode_tolerances.damping

@@ -27,16 +27,23 @@ Motions = Complex[np.ndarray, "sensors lines"]
 
 
 def response_to_force(
-    record: Record, rig: Rig, per_newton: Complex[np.ndarray, "sensors lines"], force_n: Complex[np.ndarray, " lines"]
+    record: Record,
+    rig: Rig,
+    acceleration_per_newton: Complex[np.ndarray, "sensors lines"],
+    force_n: Complex[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Accelerations at the sensors by a windowed force."""
-    by_window = per_newton * force_n
+    ringing_within_window = acceleration_per_newton * force_n
     rings_on = np.array([_rings_on(record, rig, s.station.body) for s in record.sensors])
     if not rings_on.any():
-        return by_window
-    orders = [s.measures.order for s in record.sensors]
+        return ringing_within_window
+    derivative_orders = [s.measures.order for s in record.sensors]
     return np.where(
-        rings_on[:, None], _windowed(record, per_newton * _unwindowed_force(record, force_n), orders), by_window
+        rings_on[:, None],
+        _windowed_accelerations(
+            record, acceleration_per_newton * _unwindowed_force(record, force_n), derivative_orders
+        ),
+        ringing_within_window,
     )
 
 
@@ -46,38 +53,48 @@ def modal_response(
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     if not _rings_on(record, rig, response.body.name):
         return response.accelerance * modal_force
-    order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
-    accelerations = response.accelerance * _unwindowed_force(record, modal_force)
-    return _windowed(record, accelerations, [order] * len(accelerations))
+    derivative_order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
+    unwindowed_accelerations = response.accelerance * _unwindowed_force(record, modal_force)
+    return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
 
 
-def _rings_on(record: Record, rig: Rig, body: str) -> bool:
+def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
     """True for a held body in a record whose responses are windowed."""
-    return record.windows_responses and not is_free(rig, body)
+    return record.responses_windowed and not is_free(rig, body_name)
 
 
-def _unwindowed_force(record: Record, force: Complex[np.ndarray, "*rows lines"]) -> Complex[np.ndarray, "*rows lines"]:
+def _unwindowed_force(
+    record: Record, force_spectrum: Complex[np.ndarray, "*rows lines"]
+) -> Complex[np.ndarray, "*rows lines"]:
     """Force up to the record's end from the windowed one, F(t) = (w F)(t) / w(t) where w > LEAST_WINDOW."""
-    fall = _window_fall(record)
-    windowed = irfft(force, fall.size)
-    return np.asarray(rfft(np.divide(windowed, fall, out=np.zeros_like(windowed), where=fall > LEAST_WINDOW)))
+    window_fall = _window_fall(record)
+    windowed_force = irfft(force_spectrum, window_fall.size)
+    return np.asarray(
+        rfft(
+            np.divide(windowed_force, window_fall, out=np.zeros_like(windowed_force), where=window_fall > LEAST_WINDOW)
+        )
+    )
 
 
-def _windowed(
-    record: Record, accelerations: Complex[np.ndarray, "rows lines"], orders: Sequence[int]
+def _windowed_accelerations(
+    record: Record, accelerations: Complex[np.ndarray, "rows lines"], derivative_orders: Sequence[int]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Windowed accelerations: signals w(t) y(t) of the given derivatives, differentiated to accelerations."""
-    fall = _window_fall(record)
-    integration = np.stack([integrated(record.omega, 2 - order, 0.0) for order in orders])
-    return np.asarray(rfft(irfft(accelerations / integration, fall.size) * fall) * integration)
+    window_fall = _window_fall(record)
+    per_acceleration = np.stack(
+        [integrated(record.omega, 2 - derivative_order, 0.0) for derivative_order in derivative_orders]
+    )
+    return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
 
 
 def _window_fall(record: Record) -> Float[np.ndarray, " times"]:
     """Falling half of the window over the padded record at `rate_hz`, one before it."""
-    window = record.window[:: record.factor]
-    fall = np.zeros(record.length // record.factor)
-    fall[: window.size] = np.where(np.arange(window.size) < window.size // 2, 1.0, window)
-    return fall
+    decimated_window = record.window[:: record.decimation]
+    window_fall = np.zeros(record.transform_length // record.decimation)
+    window_fall[: decimated_window.size] = np.where(
+        np.arange(decimated_window.size) < decimated_window.size // 2, 1.0, decimated_window
+    )
+    return window_fall
 
 
 def ground_forces(
@@ -90,19 +107,21 @@ def ground_forces(
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
     spring_displacements = displaced_at(responses, sensor_stations, springs, displacements)
-    damper_motions = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
-    forces = []
+    damper_velocities = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
+    ground_reactions = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
-        (fine,), window = _oversampled(record, 3, displacement)
-        forces.append((spring.station, -_spectrum_on_lines(record, window * spring.law.force_n(fine / window))))
-    for damper, velocity in zip(dampers, damper_motions, strict=True):
+        (fine_motion,), window = _oversampled(record, 3, displacement)
+        ground_reactions.append(
+            (spring.station, -_spectrum_on_lines(record, window * spring.law.force_n(fine_motion / window)))
+        )
+    for damper, velocity in zip(dampers, damper_velocities, strict=True):
         if damper.friction_n:
-            (fine,), window = _oversampled(record, _oversampling_factor(record), velocity)
-            force_n = window * damper.law.force_n(np.zeros_like(fine), fine / window)
-            forces.append((damper.station, -_spectrum_on_lines(record, force_n)))
+            (fine_motion,), window = _oversampled(record, _oversampling_factor(record), velocity)
+            force_n = window * damper.law.force_n(np.zeros_like(fine_motion), fine_motion / window)
+            ground_reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
         else:
-            forces.append((damper.station, -damper.damping_n_s_per_m * velocity))
-    return forces
+            ground_reactions.append((damper.station, -damper.damping_n_s_per_m * velocity))
+    return ground_reactions
 
 
 def ground_force_changes(
@@ -111,26 +130,36 @@ def ground_force_changes(
     responses: tuple[Response, ...],
     sensor_stations: list[Station | None],
     displacements: Motions,
-    changes: Motions,
+    displacement_changes: Motions,
 ) -> list[tuple[Station, Spectrum]]:
     """Directional derivative of each of the `ground_forces` along a change of the displacements."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = [displaced_at(responses, sensor_stations, springs, d) for d in (displacements, changes)]
-    velocities = _velocities(record, displacements), 1j * record.omega * changes
-    damper_motions = [displaced_at(responses, sensor_stations, dampers, v) for v in velocities]
+    spring_displacements = [
+        displaced_at(responses, sensor_stations, springs, sensor_motions)
+        for sensor_motions in (displacements, displacement_changes)
+    ]
+    velocities = _velocities(record, displacements), 1j * record.omega * displacement_changes
+    damper_velocities = [
+        displaced_at(responses, sensor_stations, dampers, sensor_velocities) for sensor_velocities in velocities
+    ]
     force_changes = []
     for spring, displacement, displacement_change in zip(springs, *spring_displacements, strict=True):
-        (fine, change), window = _oversampled(record, 3, displacement, displacement_change)
+        (fine_motion, motion_change), window = _oversampled(record, 3, displacement, displacement_change)
         force_changes.append(
-            (spring.station, -_spectrum_on_lines(record, spring.law.by_eta_n_per_m(fine / window) * change))
+            (
+                spring.station,
+                -_spectrum_on_lines(record, spring.law.by_eta_n_per_m(fine_motion / window) * motion_change),
+            )
         )
-    for damper, velocity, change in zip(dampers, *damper_motions, strict=True):
+    for damper, velocity, motion_change in zip(dampers, *damper_velocities, strict=True):
         if damper.friction_n:
-            (fine, fine_change), window = _oversampled(record, _oversampling_factor(record), velocity, change)
-            steepness = damper.law.by_rate_n_s_per_m(np.zeros_like(fine), fine / window)
-            force_changes.append((damper.station, -_spectrum_on_lines(record, steepness * fine_change)))
+            (fine_motion, fine_motion_change), window = _oversampled(
+                record, _oversampling_factor(record), velocity, motion_change
+            )
+            damping_n_s_per_m = damper.law.by_rate_n_s_per_m(np.zeros_like(fine_motion), fine_motion / window)
+            force_changes.append((damper.station, -_spectrum_on_lines(record, damping_n_s_per_m * fine_motion_change)))
         else:
-            force_changes.append((damper.station, -damper.damping_n_s_per_m * change))
+            force_changes.append((damper.station, -damper.damping_n_s_per_m * motion_change))
     return force_changes
 
 
@@ -151,12 +180,15 @@ def _cubic_springs(rig: Rig) -> list[PointSpring]:
 def displaced_at(
     responses: tuple[Response, ...],
     sensor_stations: list[Station | None],
-    elements: Sequence[PointSpring | PointDamper | PointMass],
+    attached_elements: Sequence[PointSpring | PointDamper | PointMass],
     displacements: Motions,
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
-    stations: list[Station | None] = [element.station for element in elements]
-    return times(np.sum([weights_of(r, sensor_stations, stations) for r in responses], axis=0), displacements)
+    element_stations: list[Station | None] = [element.station for element in attached_elements]
+    return times(
+        np.sum([weights_of(response, sensor_stations, element_stations) for response in responses], axis=0),
+        displacements,
+    )
 
 
 def _oversampling_factor(record: Record) -> int:
@@ -165,23 +197,26 @@ def _oversampling_factor(record: Record) -> int:
 
 
 def _velocities(record: Record, displacements: Motions) -> Motions:
-    """Windowed velocities at the sensors: derivatives of windowed displacements, corrected by `Record.faded`."""
-    return 1j * record.omega * displacements + record.faded
+    """Windowed velocities at the sensors: derivatives of windowed displacements, corrected by `velocity_correction`."""
+    return 1j * record.omega * displacements + record.velocity_correction
 
 
 def _oversampled(
-    record: Record, factor: int, *spectra: Spectrum
+    record: Record, oversampling_factor: int, *spectra: Spectrum
 ) -> tuple[list[Float[np.ndarray, " fine"]], Float[np.ndarray, " fine"]]:
     """Signals over the padded record at a multiple of its rate, and their window, bounded below by LEAST_WINDOW."""
-    length = record.length // record.factor
-    time = np.arange(factor * length) * (record.factor / factor)
-    window = np.interp(time, np.arange(record.samples), record.window, right=0.0)
-    return [factor * np.fft.irfft(s / record.factor, factor * length) for s in spectra], np.maximum(
-        window, LEAST_WINDOW
-    )
+    padded_samples = record.transform_length // record.decimation
+    sample_positions = np.arange(oversampling_factor * padded_samples) * (record.decimation / oversampling_factor)
+    window = np.interp(sample_positions, np.arange(record.sample_count), record.window, right=0.0)
+    return [
+        oversampling_factor * np.fft.irfft(spectrum / record.decimation, oversampling_factor * padded_samples)
+        for spectrum in spectra
+    ], np.maximum(window, LEAST_WINDOW)
 
 
-def _spectrum_on_lines(record: Record, fine: Float[np.ndarray, " fine"]) -> Spectrum:
+def _spectrum_on_lines(record: Record, fine_signal: Float[np.ndarray, " fine"]) -> Spectrum:
     """Spectrum of an oversampled signal on the record's lines, without aliasing."""
-    length = record.length // record.factor
-    return np.asarray(np.fft.rfft(fine)[: length // 2 + 1] * record.factor * length / fine.size)
+    padded_samples = record.transform_length // record.decimation
+    return np.asarray(
+        np.fft.rfft(fine_signal)[: padded_samples // 2 + 1] * record.decimation * padded_samples / fine_signal.size
+    )

@@ -70,9 +70,9 @@ def judge_correction(
         (corrected_fit.corrected_rig, corrected_fit),
     )
     motions = [measured_motion(recording, rig, residual) for rig, residual in fits]
-    start, stop = max(m.first_sample for m in motions), min(m.stop_sample for m in motions)
-    rate = recording.rig.sample_rate_hz
-    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate, samples):
+    start, stop = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    rate_hz = recording.rig.sample_rate_hz
+    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, samples):
         return Rollout(code="too_short")
     starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
     try:
@@ -80,50 +80,52 @@ def judge_correction(
             prediction_errors(motion, predict, starts, samples) for motion in motions
         )
         record = nominal_fit.model.record
-        decay = () if record.forced else _decay_modes(motions[0], motions[2], record, predict, start, stop)
+        decay = () if record.has_force else _decay_modes(motions[0], motions[2], record, predict, start, stop)
     except RigError:
         return Rollout(code="not_simulated")
-    ratios = block_ratios(fitted_errors, corrected_errors, starts, rate)
-    all_sensors, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, samples))
-    blocks = np.floor((starts + samples / 2) / rate / BLOCK_S)
-    rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
+    ratios = block_ratios(fitted_errors, corrected_errors, starts, rate_hz)
+    overall, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, samples))
+    window_blocks = np.floor((starts + samples / 2) / rate_hz / BLOCK_S)
+    window_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
     return Rollout(
         code=veto(ratios),
-        horizon_s=samples / rate,
+        horizon_s=samples / rate_hz,
         windows=starts.size,
-        whole=all_sensors,
-        shrunk_95=None if all_sensors.shrunk is None else _shrinkage_interval(*rms, all_sensors.null_median, blocks),
+        whole=overall,
+        shrunk_95=None
+        if overall.shrunk is None
+        else _shrinkage_interval(*window_rms, overall.null_median, window_blocks),
         within=float(np.median(rms_by_window(fitted_errors))),
         log_ratio=float(ratios.log_ratios.mean()),
         log_ratio_error=standard_error(ratios.log_ratios),
-        expected_log_ratio=float(ratios.expected.mean()),
+        expected_log_ratio=float(ratios.expected_log_ratios.mean()),
         falls_short=falls_short(ratios),
-        by_sensor=dict(zip(motions[0].names, by_sensor, strict=True)),
+        by_sensor=dict(zip(motions[0].sensor_names, by_sensor, strict=True)),
         decay=decay,
         example=_example(motions[0], motions[2], predict, starts, nominal_errors),
     )
 
 
 def _example(
-    nominal: MeasuredMotion,
-    corrected: MeasuredMotion,
+    nominal_run: MeasuredMotion,
+    corrected_run: MeasuredMotion,
     predict: Predict,
     starts: Int[np.ndarray, " windows"],
-    errors: Windows,
+    nominal_errors: Windows,
 ) -> PredictionExample:
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
-    rms = rms_by_window(errors)
-    window = int(np.argsort(rms)[rms.size // 2])
-    sensor = int(np.argmax(np.mean(errors[window] ** 2, axis=1)))
-    start, samples = starts[[window]], errors.shape[2]
-    rows = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal, corrected)]
-    end = slice(-min(samples, SHOWN_SAMPLES), None)
-    time_s = (start + np.arange(samples)) / nominal.sample_rate_hz
-    measured, *predicted = (row[0, sensor, end] for row in (rows[0][0], rows[0][1], rows[1][1]))
+    rms_errors = rms_by_window(nominal_errors)
+    window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
+    sensor = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
+    start, samples = starts[[window_index]], nominal_errors.shape[2]
+    by_rig = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal_run, corrected_run)]
+    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    time_s = (start + np.arange(samples)) / nominal_run.sample_rate_hz
+    measured, *predicted = (signals[0, sensor, shown] for signals in (by_rig[0][0], by_rig[0][1], by_rig[1][1]))
     return PredictionExample(
-        sensor=nominal.names[sensor],
-        unit=("m", "m/s")[min(nominal.orders[sensor], 1)],
-        time_s=tuple(time_s[end].tolist()),
+        sensor=nominal_run.sensor_names[sensor],
+        unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor], 1)],
+        time_s=tuple(time_s[shown].tolist()),
         measured=tuple(measured.tolist()),
         nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
         corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
@@ -131,33 +133,36 @@ def _example(
 
 
 def _decay_modes(
-    nominal: MeasuredMotion,
-    corrected: MeasuredMotion,
+    nominal_run: MeasuredMotion,
+    corrected_run: MeasuredMotion,
     record: Record,
     predict: Predict,
     start_sample: int,
     stop_sample: int,
 ) -> tuple[DecayMode, ...]:
     """Modes of a decay and of its predictions from the first to the last sample."""
-    rig, rate_hz, highest_hz = nominal.rig, nominal.sample_rate_hz, record.highest_hz
+    rig, rate_hz, highest_hz = nominal_run.rig, nominal_run.sample_rate_hz, record.highest_hz
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
-    max_modes = 2 + sum(int(np.count_nonzero(hz < highest_hz)) for hz in natural_hz)
+    mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
     starts = np.array([start_sample])
-    signals = [
-        measured_and_predicted(motion, predict, starts, stop_sample - start_sample) for motion in (nominal, corrected)
+    by_rig = [
+        measured_and_predicted(motion, predict, starts, stop_sample - start_sample)
+        for motion in (nominal_run, corrected_run)
     ]
-    decays = (signals[0][0], signals[0][1], signals[1][1])
-    return compared_modes(*(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, max_modes) for d in decays))
+    decay_signals = (by_rig[0][0], by_rig[0][1], by_rig[1][1])
+    return compared_modes(
+        *(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, mode_limit) for d in decay_signals)
+    )
 
 
 def compared_modes(
-    measured: Sequence[RingingMode], nominal: Sequence[RingingMode], corrected: Sequence[RingingMode]
+    measured_modes: Sequence[RingingMode], nominal_modes: Sequence[RingingMode], corrected_modes: Sequence[RingingMode]
 ) -> tuple[DecayMode, ...]:
     """Measured modes, each with the nearest mode of both predictions."""
 
-    def nearest(mode: RingingMode, candidates: Sequence[RingingMode]) -> tuple[float, float] | None:
+    def nearest(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
         best = min(
-            candidates, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
+            predicted_modes, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
         )
         if best is None or abs(best.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
             return None
@@ -166,10 +171,10 @@ def compared_modes(
     return tuple(
         DecayMode(
             measured=(mode.frequency_hz, mode.damping_ratio),
-            nominal=nearest(mode, nominal),
-            corrected=nearest(mode, corrected),
+            nominal=nearest(mode, nominal_modes),
+            corrected=nearest(mode, corrected_modes),
         )
-        for mode in measured
+        for mode in measured_modes
     )
 
 
@@ -178,37 +183,41 @@ class BlockRatios:
     """Log ratios ln(E_corrected / E_nominal) by blocks of 1 s, and those expected of a right correction."""
 
     log_ratios: Float[np.ndarray, " blocks"]
-    expected: Float[np.ndarray, " blocks"]
+    expected_log_ratios: Float[np.ndarray, " blocks"]
 
 
-def block_ratios(before: Windows, after: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float) -> BlockRatios:
+def block_ratios(
+    nominal: Windows, corrected: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
+) -> BlockRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
-    length = min(before.shape[2], round(BLOCK_S * rate_hz))
-    cuts = range(0, before.shape[2] - length // 2, length)
-    squares = np.stack(
+    block_samples = min(nominal.shape[2], round(BLOCK_S * rate_hz))
+    block_starts = range(0, nominal.shape[2] - block_samples // 2, block_samples)
+    mean_squares = np.stack(
         [
-            [np.mean(e[:, :, cut : cut + length] ** 2, axis=(1, 2)) for cut in cuts]
-            for e in (before, after, before - after)
+            [np.mean(e[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
+            for e in (nominal, corrected, nominal - corrected)
         ]
     )
-    middle_s = (starts + np.array(cuts)[:, None] + length / 2) / rate_hz
-    least = 1e-12 * max(float(np.max(squares[:2])), 1e-300)
-    before_squares, after_squares = np.maximum(squares[:2], least)
-    ratios = np.log(after_squares / before_squares) / 2, -np.log1p(squares[2] / after_squares) / 2
-    blocks = np.floor(middle_s / BLOCK_S).ravel()
-    return BlockRatios(*(_means(row.ravel(), blocks) for row in ratios))
+    middle_s = (starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
+    least_square = 1e-12 * max(float(np.max(mean_squares[:2])), 1e-300)
+    nominal_squares, corrected_squares = np.maximum(mean_squares[:2], least_square)
+    log_ratios = np.log(corrected_squares / nominal_squares) / 2, -np.log1p(mean_squares[2] / corrected_squares) / 2
+    block_of_ratio = np.floor(middle_s / BLOCK_S).ravel()
+    return BlockRatios(*(_means_by_block(ratio_row.ravel(), block_of_ratio) for ratio_row in log_ratios))
 
 
-def _means(values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]) -> Float[np.ndarray, " blocks"]:
+def _means_by_block(
+    values: Float[np.ndarray, " all"], blocks: Float[np.ndarray, " all"]
+) -> Float[np.ndarray, " blocks"]:
     """Mean of the values in each block."""
-    return np.array([values[blocks == block].mean() for block in np.unique(blocks)])
+    return np.array([values[blocks == block_number].mean() for block_number in np.unique(blocks)])
 
 
-def veto(blocks: BlockRatios) -> Code:
+def veto(ratios_by_block: BlockRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
-    ratios = blocks.log_ratios
-    quantile = float(student.ppf(1 - VETO_P_VALUE, ratios.size - 1))
-    return "worse" if ratios.mean() > max(WORSE, quantile * standard_error(ratios)) else "not_vetoed"
+    log_ratios = ratios_by_block.log_ratios
+    student_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
+    return "worse" if log_ratios.mean() > max(WORSE, student_quantile * standard_error(log_ratios)) else "not_vetoed"
 
 
 def falls_short(blocks: BlockRatios) -> bool:
@@ -216,10 +225,10 @@ def falls_short(blocks: BlockRatios) -> bool:
 
     This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
     """
-    ratios, shortfalls = blocks.log_ratios, blocks.log_ratios - blocks.expected
-    quantile = float(student.ppf(1 - VETO_P_VALUE, ratios.size - 1))
-    differs = blocks.expected.mean() < -BETTER and shortfalls.mean() > quantile * standard_error(shortfalls)
-    return bool(differs and ratios.mean() > -quantile * standard_error(ratios))
+    log_ratios, shortfalls = (blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios)
+    quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
+    differs = blocks.expected_log_ratios.mean() < -BETTER and shortfalls.mean() > quantile * standard_error(shortfalls)
+    return bool(differs and log_ratios.mean() > -quantile * standard_error(log_ratios))
 
 
 def log_ratio_of(
@@ -229,24 +238,24 @@ def log_ratio_of(
     motions = [
         measured_motion(recording, residual.corrected_rig, residual) for residual in (nominal_fit, corrected_fit)
     ]
-    start, stop = max(m.first_sample for m in motions), min(m.stop_sample for m in motions)
-    starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
-    before, after = (prediction_errors(motion, predict, starts, samples) for motion in motions)
-    return float(block_ratios(before, after, starts, recording.rig.sample_rate_hz).log_ratios.mean())
+    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
+    nominal, corrected = (prediction_errors(motion, predict, starts, samples) for motion in motions)
+    return float(block_ratios(nominal, corrected, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
 
-def confirm_by_simulations(rollout: Rollout, simulated: Sequence[float]) -> Rollout:
+def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
     """Rollout with the veto `no_improvement` if it falls short of simulated machines that have the named effects.
 
-    `simulated` are the mean log ratios of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
+    `simulated_log_ratios` are the means of three or more such machines (`log_ratio_of`), fitted and predicted likewise.
     The veto needs a log ratio above Student's prediction limit of theirs, and a limit that lies below -BETTER / 2.
     """
-    if not rollout.falls_short or len(simulated) < 3 or rollout.log_ratio is None:
+    if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
-    mean, count = float(np.mean(simulated)), len(simulated)
+    mean, count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
     quantile = float(student.ppf(1 - VETO_P_VALUE, count - 1))
     margin = quantile * float(
-        np.hypot(np.std(simulated, ddof=1) * np.sqrt(1 + 1 / count), rollout.log_ratio_error or 0.0)
+        np.hypot(np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / count), rollout.log_ratio_error or 0.0)
     )
     improves = mean + margin < -BETTER / 2
     return replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean + margin else rollout
@@ -255,24 +264,24 @@ def confirm_by_simulations(rollout: Rollout, simulated: Sequence[float]) -> Roll
 def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
     """Standard error of the mean of a series, increased by the correlation of neighbours."""
     deviations = blocks - blocks.mean()
-    power = float(deviations @ deviations)
-    correlation = float(np.clip(deviations[1:] @ deviations[:-1] / power, 0.0, 0.9)) if power > 0 else 0.0
-    return float(np.sqrt(power / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
+    squares = float(deviations @ deviations)
+    correlation = float(np.clip(deviations[1:] @ deviations[:-1] / squares, 0.0, 0.9)) if squares > 0 else 0.0
+    return float(np.sqrt(squares / max(blocks.size - 1, 1) / blocks.size * (1 + correlation) / (1 - correlation)))
 
 
 def null_bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, float]]:
     """Median error of the fitted rig in null simulations, and the upper 95 % prediction limit of that of the nominal
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
-    rows = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
-    medians = np.median([null.within[k] for null, k in rows], axis=0)
-    logs, count = np.log(np.maximum([null.nominal[k] for null, k in rows], 1e-300)), len(rows)
-    factor = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
-    limits = np.exp(logs.mean(axis=0) + factor * logs.std(axis=0, ddof=min(1, count - 1)))
-    return list(zip(medians.tolist(), limits.tolist(), strict=True))
+    null_rows = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
+    medians = np.median([null.within[k] for null, k in null_rows], axis=0)
+    logs, count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
+    deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
+    upper_limits = np.exp(logs.mean(axis=0) + deviations * logs.std(axis=0, ddof=min(1, count - 1)))
+    return list(zip(medians.tolist(), upper_limits.tolist(), strict=True))
 
 
 def _errors_by_sensor(
-    nominal: Windows, corrected: Windows, null_errors: list[tuple[float, float]]
+    nominal_errors: Windows, corrected_errors: Windows, null_limits: list[tuple[float, float]]
 ) -> list[PredictionErrors]:
     """Median errors of all sensors together, then of each, beside the median and limit of null simulations."""
     return [
@@ -280,35 +289,35 @@ def _errors_by_sensor(
             nominal=before,
             corrected=after,
             null_median=median,
-            null_95=bound,
-            shrunk=None if before <= bound else shrunk_share(before, after, median),
+            null_95=limit,
+            shrunk=None if before <= limit else shrunk_share(before, after, median),
         )
-        for before, after, (median, bound) in zip(
-            median_errors(nominal), median_errors(corrected), null_errors, strict=True
+        for before, after, (median, limit) in zip(
+            median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
         )
     ]
 
 
-def shrunk_share(nominal: float, corrected: float, null: float) -> float:
+def shrunk_share(nominal_error: float, corrected_error: float, null_error: float) -> float:
     """Share of the mismatch beyond null simulations that a correction removes, at most 1."""
-    return min(1.0, (nominal**2 - corrected**2) / max(nominal**2 - null**2, 1e-300))
+    return min(1.0, (nominal_error**2 - corrected_error**2) / max(nominal_error**2 - null_error**2, 1e-300))
 
 
 def _shrinkage_interval(
     nominal: Float[np.ndarray, " windows"],
     corrected: Float[np.ndarray, " windows"],
-    null: float,
+    null_error: float,
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, members = np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)]
+    rng, members = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
     resamples = [
         np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))])
         for _ in range(BOOTSTRAP_DRAWS)
     ]
-    values = [
-        shrunk_share(float(np.median(nominal[resample])), float(np.median(corrected[resample])), null)
-        for resample in resamples
+    shares = [
+        shrunk_share(float(np.median(nominal[windows])), float(np.median(corrected[windows])), null_error)
+        for windows in resamples
     ]
-    low, high = np.quantile(values, [0.025, 0.975])
-    return float(low), float(high)
+    lower_share, upper_share = np.quantile(shares, [0.025, 0.975])
+    return float(lower_share), float(upper_share)

@@ -43,20 +43,20 @@ EDGE_SAMPLES = 16
 class MeasuredMotion:
     """Motion at a record's stations, measured with the sensors' gains and delays of one rig.
 
-    displacement_m and velocity_m_per_s are those by the sensors with the slow motion, states the displacement and
-    velocity by the rig's lowest modes. They are valid from first_sample to stop_sample. orders are the derivatives that
-    the sensors measure.
+    displacement_m and velocity_m_per_s are those by the sensors with the slow motion, modal_states the displacement and
+    velocity by the rig's lowest modes. They are valid from first_sample to stop_sample. derivative_orders are those
+    that the sensors measure.
     """
 
     rig: Rig
     stations: tuple[Station, ...]
-    names: tuple[str, ...]
-    orders: tuple[int, ...]
+    sensor_names: tuple[str, ...]
+    derivative_orders: tuple[int, ...]
     sample_rate_hz: float
     forces_n: Float[np.ndarray, "forces samples"]
     displacement_m: Float[np.ndarray, "stations samples"]
     velocity_m_per_s: Float[np.ndarray, "stations samples"]
-    states: Float[np.ndarray, "2 stations samples"]
+    modal_states: Float[np.ndarray, "2 stations samples"]
     first_sample: int
     stop_sample: int
 
@@ -69,143 +69,166 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     """Motion of a recording under a rig; `residual` is that of the fit, with slow motion and separated forces."""
     record = residual.model.record
     motion = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
-    modes, slow_motion = _modes_of(rig, residual, motion.stations), _slow_relative_motion(residual, motion.samples)
-    following = modes.slow_motion_shapes()
-    displacement_m = motion.displacement_m + following @ slow_motion[0]
-    velocity_m_per_s = motion.velocity_m_per_s + following @ slow_motion[1]
-    counted_start = record.counted_samples.start * record.factor
+    station_modes, slow_motion = (
+        _station_modes_of(rig, residual, motion.stations),
+        _slow_relative_motion(residual, motion.samples),
+    )
+    slow_shapes = station_modes.slow_motion_shapes()
+    displacement_m = motion.displacement_m + slow_shapes @ slow_motion[0]
+    velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]
+    counted_start = record.counted_slice.start * record.decimation
     has_drift = any(drift is not None for drift in record.drifts)
-    first = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
-    stop = min(motion.samples, (record.counted_samples.stop - 1) * record.factor + 1) - EDGE_SAMPLES
+    first_sample = max(motion.excited_from, counted_start if has_drift else 0, EDGE_SAMPLES)
+    stop_sample = min(motion.samples, (record.counted_slice.stop - 1) * record.decimation + 1) - EDGE_SAMPLES
 
-    inverse_shapes = modes.inverse()
-    sensed_m = inverse_shapes @ displacement_m
-    coordinates_m = _complete_displacements(sensed_m, modes, record)
-    mode_errors_m = np.sqrt(inverse_shapes**2 @ (SENSOR_ERROR * _rms(displacement_m[:, first:stop])) ** 2)
-    mode_errors_m[modes.force_determined] = FORCE_ERROR * _rms(coordinates_m[modes.force_determined, first:stop])
-    covariance = mode_errors_m[:, None] ** 2 * modes.contact_shapes.T
-    contact_to_modes = covariance @ np.linalg.pinv(modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True)
-    eta_errors_m = modes.contact_shapes @ coordinates_m
-    for row, contact in zip(eta_errors_m, residual.contacts, strict=True):
+    inverse_shapes = station_modes.inverse_shapes()
+    sensed_coordinates_m = inverse_shapes @ displacement_m
+    coordinates_m = _complete_displacements(sensed_coordinates_m, station_modes, record)
+    mode_errors_m = np.sqrt(
+        inverse_shapes**2 @ (SENSOR_ERROR * _rms_by_row(displacement_m[:, first_sample:stop_sample])) ** 2
+    )
+    mode_errors_m[station_modes.is_force_determined] = FORCE_ERROR * _rms_by_row(
+        coordinates_m[station_modes.is_force_determined, first_sample:stop_sample]
+    )
+    covariance = mode_errors_m[:, None] ** 2 * station_modes.contact_shapes.T
+    contact_to_modes = covariance @ np.linalg.pinv(
+        station_modes.contact_shapes @ covariance, rcond=1e-9, hermitian=True
+    )
+    eta_errors_m = station_modes.contact_shapes @ coordinates_m
+    for contact_error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
         fitted_eta_m = contact.eta_m[: motion.samples - counted_start]
-        row[:counted_start], row[counted_start + fitted_eta_m.size :] = 0.0, 0.0
-        row[counted_start : counted_start + fitted_eta_m.size] -= fitted_eta_m
+        contact_error_m[:counted_start], contact_error_m[counted_start + fitted_eta_m.size :] = 0.0, 0.0
+        contact_error_m[counted_start : counted_start + fitted_eta_m.size] -= fitted_eta_m
     coordinates_m -= contact_to_modes @ eta_errors_m
     return MeasuredMotion(
         rig=rig,
         stations=motion.stations,
-        names=tuple(s.name for s in motion.sensors),
-        orders=tuple(s.measures.order for s in motion.sensors),
+        sensor_names=tuple(sensor.name for sensor in motion.sensors),
+        derivative_orders=tuple(sensor.measures.order for sensor in motion.sensors),
         sample_rate_hz=motion.sample_rate_hz,
         forces_n=motion.forces_n,
         displacement_m=displacement_m,
         velocity_m_per_s=velocity_m_per_s,
-        states=np.stack([modes.shapes @ coordinates_m, modes.shapes @ inverse_shapes @ velocity_m_per_s]),
-        first_sample=first,
-        stop_sample=stop,
+        modal_states=np.stack(
+            [station_modes.shapes @ coordinates_m, station_modes.shapes @ inverse_shapes @ velocity_m_per_s]
+        ),
+        first_sample=first_sample,
+        stop_sample=stop_sample,
     )
 
 
 @dataclass(frozen=True)
-class _Modes:
+class _StationModes:
     """Lowest modes of each body, as many as it has stations, with shapes at the stations and across the contacts.
 
-    force_determined masks those whose slow displacement follows from forces; forced_m are the spectra of all modal
-    displacements by forces.
+    is_force_determined masks those whose slow displacement follows from forces; coordinates_by_force_m are the spectra
+    of all modal displacements by forces.
     """
 
     natural_hz: Float[np.ndarray, " modes"]
     shapes: Float[np.ndarray, "stations modes"]
     contact_shapes: Float[np.ndarray, "contacts modes"]
-    force_determined: Bool[np.ndarray, " modes"]
-    forced_m: np.ndarray
+    is_force_determined: Bool[np.ndarray, " modes"]
+    coordinates_by_force_m: np.ndarray
 
-    def inverse(self) -> Float[np.ndarray, "modes stations"]:
+    def inverse_shapes(self) -> Float[np.ndarray, "modes stations"]:
         """Least-squares map from displacements at the stations to modal coordinates."""
         return np.asarray(np.linalg.pinv(self.shapes, rcond=1e-9))
 
     def slow_motion_shapes(self) -> Float[np.ndarray, "stations contacts"]:
         """Displacement of the stations per slow relative displacement of each contact, with least elastic energy."""
-        compliant = self.contact_shapes.T / (self.natural_hz**2 + SOFTEST_HZ**2)[:, None]
-        return np.asarray(self.shapes @ compliant @ np.linalg.pinv(self.contact_shapes @ compliant, rcond=1e-9))
+        compliant_shapes = self.contact_shapes.T / (self.natural_hz**2 + SOFTEST_HZ**2)[:, None]
+        return np.asarray(
+            self.shapes @ compliant_shapes @ np.linalg.pinv(self.contact_shapes @ compliant_shapes, rcond=1e-9)
+        )
 
 
-def _modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...]) -> _Modes:
+def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...]) -> _StationModes:
     """Modes of a rig, and their displacements by the forces of the fit, body by body."""
-    record, bodies = residual.model.record, []
-    by_body = zip(residual.model.responses, residual.model.modal, strict=True)
-    fitted = {response.body.name: (motion, response.dynamics.high_passed) for response, motion in by_body}
+    record, modes_by_body = residual.model.record, []
+    responses_and_motions = zip(residual.model.responses, residual.model.modal_accelerations, strict=True)
+    motion_by_body = {
+        response.body.name: (motion, response.dynamics.high_passed) for response, motion in responses_and_motions
+    }
     contact_ends: list[list[Station | None]] = [
-        [c.at for c in joined(rig).contacts],
-        [c.against for c in joined(rig).contacts],
+        [contact.at for contact in joined(rig).contacts],
+        [contact.against for contact in joined(rig).contacts],
     ]
     for body in rig.bodies:
         modes = modes_of(rig, body)
-        count = min(sum(s.body == body.name for s in stations), body.max_modes)
-        acceleration, high_passed = fitted[body.name]
-        natural_hz = modes.frequencies_hz(count)
-        at_shapes, against_shapes = (_shapes(body, modes, count, places) for places in contact_ends)
-        slow = np.isin(np.arange(count), high_passed)
-        displaced = -acceleration[:count] / record.omega**2
-        displaced[:, 0] = 0.0
-        bodies.append(
+        body_mode_count = min(sum(station.body == body.name for station in stations), body.max_modes)
+        acceleration, high_passed = motion_by_body[body.name]
+        natural_hz = modes.frequencies_hz(body_mode_count)
+        at_shapes, against_shapes = (
+            _shapes_at_stations(body, modes, body_mode_count, end_stations) for end_stations in contact_ends
+        )
+        is_high_passed = np.isin(np.arange(body_mode_count), high_passed)
+        displacement_spectra = -acceleration[:body_mode_count] / record.omega**2
+        displacement_spectra[:, 0] = 0.0
+        modes_by_body.append(
             (
                 natural_hz,
-                _shapes(body, modes, count, stations),
+                _shapes_at_stations(body, modes, body_mode_count, stations),
                 at_shapes - against_shapes,
-                ~slow & (CROSSOVER * natural_hz > 2 * CORNER_HZ),
-                displaced,
+                ~is_high_passed & (CROSSOVER * natural_hz > 2 * CORNER_HZ),
+                displacement_spectra,
             )
         )
-    hz, shapes, across, forced, displaced = zip(*bodies, strict=True)
-    return _Modes(
-        np.concatenate(hz),
-        np.concatenate(shapes, axis=1),
-        np.concatenate(across, axis=1),
-        np.concatenate(forced),
-        np.concatenate(displaced),
+    natural_hz_by_body, shapes_by_body, contact_shapes_by_body, force_determined_by_body, displacement_spectra = zip(
+        *modes_by_body, strict=True
+    )
+    return _StationModes(
+        np.concatenate(natural_hz_by_body),
+        np.concatenate(shapes_by_body, axis=1),
+        np.concatenate(contact_shapes_by_body, axis=1),
+        np.concatenate(force_determined_by_body),
+        np.concatenate(displacement_spectra),
     )
 
 
-def _shapes(
-    body: Body, modes: Modes, count: int, stations: Sequence[Station | None]
+def _shapes_at_stations(
+    body: Body, modes: Modes, mode_count: int, stations: Sequence[Station | None]
 ) -> Float[np.ndarray, "places modes"]:
     """Shapes of a body's lowest modes; zero at stations on other bodies and on the ground."""
-    rows = np.zeros((len(stations), count))
-    for row, station in zip(rows, stations, strict=True):
+    station_shapes = np.zeros((len(stations), mode_count))
+    for station_shape, station in zip(station_shapes, stations, strict=True):
         if station is not None and station.body == body.name:
-            row[:] = modes.shapes(np.array([station.position_m]), count)[0]
-    return rows
+            station_shape[:] = modes.shapes(np.array([station.position_m]), mode_count)[0]
+    return station_shapes
 
 
 def _complete_displacements(
-    sensed_m: Float[np.ndarray, "modes samples"], modes: _Modes, record: Record
+    sensed_m: Float[np.ndarray, "modes samples"], station_modes: _StationModes, record: Record
 ) -> Float[np.ndarray, "modes samples"]:
     """Modal displacements, with the slow part by forces for the modes that forces determine."""
     completed_m = sensed_m.copy()
-    hz = np.fft.rfftfreq(record.length, 1 / record.sample_rate_hz)
-    for mode in np.flatnonzero(modes.force_determined):
-        crossover_hz = min(CROSSOVER * modes.natural_hz[mode], record.highest_hz)
-        high_pass = np.sin(np.pi / 2 * np.clip(2 * hz / crossover_hz - 1, 0, 1)) ** 2
-        spectrum = high_pass * rfft(sensed_m[mode], record.length)
-        line_count = modes.forced_m.shape[1]
-        spectrum[:line_count] += (1 - high_pass[:line_count]) * modes.forced_m[mode]
-        completed_m[mode] = irfft(spectrum, record.length)[: sensed_m.shape[1]]
+    lines_hz = np.fft.rfftfreq(record.transform_length, 1 / record.sample_rate_hz)
+    for mode_index in np.flatnonzero(station_modes.is_force_determined):
+        crossover_hz = min(CROSSOVER * station_modes.natural_hz[mode_index], record.highest_hz)
+        high_pass = np.sin(np.pi / 2 * np.clip(2 * lines_hz / crossover_hz - 1, 0, 1)) ** 2
+        spectrum = high_pass * rfft(sensed_m[mode_index], record.transform_length)
+        line_count = station_modes.coordinates_by_force_m.shape[1]
+        spectrum[:line_count] += (1 - high_pass[:line_count]) * station_modes.coordinates_by_force_m[mode_index]
+        completed_m[mode_index] = irfft(spectrum, record.transform_length)[: sensed_m.shape[1]]
     return completed_m
 
 
-def _slow_relative_motion(residual: Residual, samples: int) -> Float[np.ndarray, "2 contacts samples"]:
+def _slow_relative_motion(residual: Residual, sample_count: int) -> Float[np.ndarray, "2 contacts samples"]:
     """Slow relative displacement of each contact (m) and its rate (m/s) at all samples of a record."""
-    record, times = residual.model.record, np.arange(samples)
-    counted = np.arange(record.counted_samples.start, record.counted_samples.stop) * record.factor
-    motion = np.zeros((2, len(residual.contacts), samples))
-    for j, contact in enumerate(residual.contacts):
-        curve = contact.observation.curve
-        for row, by_knot in zip(motion[:, j], (curve.value, curve.rate), strict=True):
-            row[:] = np.interp(times, counted, by_knot @ contact.unknowns[: curve.knots])
-    return motion
+    record, sample_indices = residual.model.record, np.arange(sample_count)
+    counted_indices = np.arange(record.counted_slice.start, record.counted_slice.stop) * record.decimation
+    slow_motion = np.zeros((2, len(residual.contacts), sample_count))
+    for contact_index, contact in enumerate(residual.contacts):
+        drift_spline = contact.observation.drift_spline
+        for slow_row, value_per_knot in zip(
+            slow_motion[:, contact_index], (drift_spline.value, drift_spline.rate), strict=True
+        ):
+            slow_row[:] = np.interp(
+                sample_indices, counted_indices, value_per_knot @ contact.unknowns[: drift_spline.knots]
+            )
+    return slow_motion
 
 
-def _rms(rows: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, " rows"]:
+def _rms_by_row(signals: Float[np.ndarray, "rows samples"]) -> Float[np.ndarray, " rows"]:
     """Root mean square of each row."""
-    return np.asarray(np.sqrt(np.mean(rows**2, axis=1)))
+    return np.asarray(np.sqrt(np.mean(signals**2, axis=1)))

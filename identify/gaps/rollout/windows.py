@@ -32,39 +32,48 @@ Windows = Float[np.ndarray, "windows stations times"]
 
 
 def measured_and_predicted(
-    motion: MeasuredMotion, predict: Predict, starts: Int[np.ndarray, " windows"], samples: int
+    motion: MeasuredMotion, predict: Predict, window_starts: Int[np.ndarray, " windows"], window_samples: int
 ) -> tuple[Windows, Windows]:
     """Measured and predicted signals in each window: velocities, or displacements of displacement sensors."""
-    states = motion.states[:, :, starts].transpose(2, 0, 1)
-    prediction = predict(motion.rig, motion.forces_n, starts, samples, motion.stations, states)
-    derivatives = [min(order, 1) for order in motion.orders]
-    rows = [(motion.displacement_m, motion.velocity_m_per_s)[d][i] for i, d in enumerate(derivatives)]
-    measured = np.stack([sliding_window_view(row, samples)[starts] for row in rows], axis=1)
-    return measured, prediction[:, derivatives, np.arange(len(rows))]
+    start_states = motion.modal_states[:, :, window_starts].transpose(2, 0, 1)
+    prediction = predict(motion.rig, motion.forces_n, window_starts, window_samples, motion.stations, start_states)
+    shown_derivatives = [min(order, 1) for order in motion.derivative_orders]
+    sensor_signals = [
+        (motion.displacement_m, motion.velocity_m_per_s)[derivative][sensor_index]
+        for sensor_index, derivative in enumerate(shown_derivatives)
+    ]
+    measured_windows = np.stack(
+        [sliding_window_view(sensor_signal, window_samples)[window_starts] for sensor_signal in sensor_signals], axis=1
+    )
+    return measured_windows, prediction[:, shown_derivatives, np.arange(len(sensor_signals))]
 
 
 def prediction_errors(
-    motion: MeasuredMotion, predict: Predict, starts: Int[np.ndarray, " windows"], samples: int
+    motion: MeasuredMotion, predict: Predict, window_starts: Int[np.ndarray, " windows"], window_samples: int
 ) -> Windows:
     """Predicted less measured motion in each window, over each sensor's standard deviation."""
-    measured, predicted = measured_and_predicted(motion, predict, starts, samples)
-    rms = [
-        np.std((motion.displacement_m, motion.velocity_m_per_s)[min(order, 1)][i, motion.valid_samples])
-        for i, order in enumerate(motion.orders)
+    measured_windows, predicted_windows = measured_and_predicted(motion, predict, window_starts, window_samples)
+    sensor_deviations = [
+        np.std(
+            (motion.displacement_m, motion.velocity_m_per_s)[min(derivative_order, 1)][
+                sensor_index, motion.valid_samples
+            ]
+        )
+        for sensor_index, derivative_order in enumerate(motion.derivative_orders)
     ]
-    errors = (predicted - measured) / np.maximum(rms, 1e-300)[:, None]
-    return np.clip(np.nan_to_num(errors, nan=LOST_ERROR), -LOST_ERROR, LOST_ERROR)
+    relative_errors = (predicted_windows - measured_windows) / np.maximum(sensor_deviations, 1e-300)[:, None]
+    return np.clip(np.nan_to_num(relative_errors, nan=LOST_ERROR), -LOST_ERROR, LOST_ERROR)
 
 
-def rms_by_window(errors: Windows) -> Float[np.ndarray, " windows"]:
+def rms_by_window(window_errors: Windows) -> Float[np.ndarray, " windows"]:
     """Root mean square of the errors in each window."""
-    return np.asarray(np.sqrt(np.mean(errors**2, axis=(1, 2))))
+    return np.asarray(np.sqrt(np.mean(window_errors**2, axis=(1, 2))))
 
 
-def median_errors(errors: Windows) -> list[float]:
+def median_errors(window_errors: Windows) -> list[float]:
     """Median over windows of the root-mean-square error: of all sensors together, then of each."""
-    by_sensor = np.median(np.sqrt(np.mean(errors**2, axis=2)), axis=0)
-    return [float(np.median(rms_by_window(errors))), *by_sensor.tolist()]
+    median_by_sensor = np.median(np.sqrt(np.mean(window_errors**2, axis=2)), axis=0)
+    return [float(np.median(rms_by_window(window_errors))), *median_by_sensor.tolist()]
 
 
 def null_errors(recording: Recording, residual: Residual, predict: Predict) -> NullErrors:
@@ -73,40 +82,57 @@ def null_errors(recording: Recording, residual: Residual, predict: Predict) -> N
     Raises RigError if the rig cannot be predicted.
     """
     motions = [measured_motion(recording, rig, residual) for rig in (residual.rig, residual.corrected_rig)]
-    start, available = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
-    horizons, window = horizon_ladder(available), 16 * SHORTEST_HORIZON
-    nominal: list[tuple[float, ...]] = []
-    fitted: list[tuple[float, ...]] = []
-    while len(fitted) < len(horizons) and (not fitted or fitted[-1][0] < LADDER_END_ERROR):
-        window = min(window, horizons[-1])
-        starts = disjoint_starts(start, available, window, NULL_WINDOWS)
-        evaluated = [n for n in horizons[len(fitted) :] if n <= window]
-        for rows, motion in zip((nominal, fitted), motions, strict=True):
-            errors = prediction_errors(motion, predict, starts, window)
-            rows += [tuple(median_errors(errors[:, :, :n])) for n in evaluated]
-        window *= WINDOW_GROWTH
-    return NullErrors(samples=tuple(horizons[: len(fitted)]), nominal=tuple(nominal), within=tuple(fitted))
+    first_sample, available_samples = motions[0].first_sample, motions[0].stop_sample - motions[0].first_sample
+    horizons, window_samples = horizon_ladder(available_samples), 16 * SHORTEST_HORIZON
+    nominal_medians: list[tuple[float, ...]] = []
+    fitted_medians: list[tuple[float, ...]] = []
+    while len(fitted_medians) < len(horizons) and (not fitted_medians or fitted_medians[-1][0] < LADDER_END_ERROR):
+        window_samples = min(window_samples, horizons[-1])
+        window_starts = disjoint_starts(first_sample, available_samples, window_samples, NULL_WINDOWS)
+        new_horizons = [
+            horizon_samples for horizon_samples in horizons[len(fitted_medians) :] if horizon_samples <= window_samples
+        ]
+        for medians_by_horizon, motion in zip((nominal_medians, fitted_medians), motions, strict=True):
+            window_errors = prediction_errors(motion, predict, window_starts, window_samples)
+            medians_by_horizon += [
+                tuple(median_errors(window_errors[:, :, :horizon_samples])) for horizon_samples in new_horizons
+            ]
+        window_samples *= WINDOW_GROWTH
+    return NullErrors(
+        samples=tuple(horizons[: len(fitted_medians)]), nominal=tuple(nominal_medians), within=tuple(fitted_medians)
+    )
 
 
 def horizon_ladder(available_samples: int) -> list[int]:
     """Horizons in samples, growing by sqrt(2), up to the available number."""
-    ladder: list[int] = []
-    while (n := round(SHORTEST_HORIZON * 2 ** (len(ladder) / 2))) <= available_samples:
-        ladder.append(n)
-    return ladder
+    horizons: list[int] = []
+    while (horizon_samples := round(SHORTEST_HORIZON * 2 ** (len(horizons) / 2))) <= available_samples:
+        horizons.append(horizon_samples)
+    return horizons
 
 
 def disjoint_starts(
     first_sample: int, available_samples: int, window_samples: int, max_windows: int
 ) -> Int[np.ndarray, " windows"]:
     """First samples of evenly spread disjoint windows, as many as fit and at most `max_windows`."""
-    count = min(max_windows, available_samples // window_samples)
-    return np.asarray(first_sample + np.round(np.linspace(0, available_samples - window_samples, count)).astype(int))
+    window_count = min(max_windows, available_samples // window_samples)
+    return np.asarray(
+        first_sample + np.round(np.linspace(0, available_samples - window_samples, window_count)).astype(int)
+    )
 
 
-def horizon_of(nulls: Sequence[NullErrors]) -> int | None:
+def horizon_of(null_records: Sequence[NullErrors]) -> int | None:
     """Longest horizon, samples, at which the median null simulation is predicted; None if there is none."""
-    rows = [dict(zip(null.samples, (all_sensors for all_sensors, *_ in null.within), strict=True)) for null in nulls]
-    horizons = sorted({n for row in rows for n in row})
-    reached = [n for n in horizons if np.median([row.get(n, np.inf) for row in rows]) < HORIZON_ERROR]
-    return reached[-1] if reached else None
+    error_by_horizon = [
+        dict(zip(null_record.samples, (all_sensors for all_sensors, *_ in null_record.within), strict=True))
+        for null_record in null_records
+    ]
+    tried_horizons = sorted(
+        {horizon_samples for record_errors in error_by_horizon for horizon_samples in record_errors}
+    )
+    reached_horizons = [
+        horizon_samples
+        for horizon_samples in tried_horizons
+        if np.median([record_errors.get(horizon_samples, np.inf) for record_errors in error_by_horizon]) < HORIZON_ERROR
+    ]
+    return reached_horizons[-1] if reached_horizons else None

@@ -45,43 +45,51 @@ def fit_base_excitation(
     low_hz, high_hz = float(lines_hz[1]), float(lines_hz[-1])
     unit_motion = BaseMotion(acceleration_rms_m_per_s2=float(np.sqrt(high_hz - low_hz)), low_hz=low_hz, high_hz=high_hz)
     shaken_rig = changed(linearization.rig, base_motion=unit_motion)
-    model = linear_model(record, shaken_rig, linearization.scales.discrepancy, linearization.cache.responses)
+    model = linear_model(record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses)
     contact_count = len(linearization.observations)
-    pattern = model.by_input[contact_count]
-    by_contacts = linearization.model.projection.of(pattern * linearization.model.deviation)[1]
-    pattern = pattern - np.einsum("isl,il->sl", model.by_input[:contact_count], by_contacts)
-    spectra = _windowed_spectra(linearization, residual)
-    smoothing_lines = max(1, round(SMOOTHED_HZ * record.length / record.sample_rate_hz))
-    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    spectra, pattern = spectra / sensor_level, pattern / sensor_level
+    pattern = model.signal_per_input[contact_count]
+    contact_forces = linearization.model.projection.of(pattern * linearization.model.error_deviation)[1]
+    pattern = pattern - np.einsum("isl,il->sl", model.signal_per_input[:contact_count], contact_forces)
+    residual_spectra = _windowed_spectra(linearization, residual)
+    smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
+    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(residual_spectra) ** 2, smoothing_lines, axis=1), 1e-300))
+    residual_spectra, pattern = residual_spectra / sensor_level, pattern / sensor_level
     pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
-    pattern_power = np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
-    remaining_power = (np.sum(np.abs(spectra) ** 2, axis=0) - pattern_power) / max(1, len(spectra) - contact_count - 1)
+    pattern_power = np.abs(np.sum(pattern.conj() * residual_spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
+    remaining_power = (np.sum(np.abs(residual_spectra) ** 2, axis=0) - pattern_power) / max(
+        1, len(residual_spectra) - contact_count - 1
+    )
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
     pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
-    bounds = candidate.parameters
-    in_range = (lines_hz >= bounds["low_hz"].low) & (lines_hz <= bounds["high_hz"].high)
-    best_gain, band, density = 0.0, slice(0, 0), 0.0
+    parameter_ranges = candidate.parameters
+    is_in_range = (lines_hz >= parameter_ranges["low_hz"].low) & (lines_hz <= parameter_ranges["high_hz"].high)
+    largest_gain, best_lines, best_density = 0.0, slice(0, 0), 0.0
     for trial_density in TRIAL_DENSITIES:
-        gains = np.where(in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
-        interval_gain, interval = _interval_of_largest_sum(gains)
-        if interval_gain > best_gain:
-            best_gain, band, density = interval_gain, interval, trial_density
-    counted_samples = (record.counted_samples.stop - record.counted_samples.start) * record.factor
-    if not 2 * best_gain * counted_samples / record.length / WINDOW_BANDWIDTH_LINES > min_gain:
+        gain_by_line = np.where(is_in_range, _line_gains(trial_density, pattern_power, pattern_size), 0.0)
+        interval_gain, interval_lines = _interval_of_largest_sum(gain_by_line)
+        if interval_gain > largest_gain:
+            largest_gain, best_lines, best_density = interval_gain, interval_lines, trial_density
+    counted_count = (record.counted_slice.stop - record.counted_slice.start) * record.decimation
+    if not 2 * largest_gain * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES > min_gain:
         return None
-    counted_share = counted_samples / record.length
-    density, relative_error = _fitted_density(density, pattern_power[band], pattern_size[band], counted_share)
-    gains = np.where(in_range, _line_gains(density, pattern_power, pattern_size), 0.0)
-    sums = np.concatenate([[0.0], np.cumsum(gains * counted_samples / record.length / WINDOW_BANDWIDTH_LINES)])
-    resolution = record.sample_rate_hz / counted_samples
-    middle_line = (band.start + band.stop) // 2
-    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -sums[:middle_line], resolution)
-    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], sums[middle_line:-1], resolution)
-    rms_m_per_s2 = float(np.sqrt(density * record.samples / counted_samples * (high_hz - low_hz)))
-    values = np.array([np.clip(rms_m_per_s2, 0, bounds["acceleration_rms_m_per_s2"].high), low_hz, high_hz])
+    counted_share = counted_count / record.transform_length
+    best_density, relative_error = _fitted_density(
+        best_density, pattern_power[best_lines], pattern_size[best_lines], counted_share
+    )
+    gain_by_line = np.where(is_in_range, _line_gains(best_density, pattern_power, pattern_size), 0.0)
+    cumulative_gains = np.concatenate(
+        [[0.0], np.cumsum(gain_by_line * counted_count / record.transform_length / WINDOW_BANDWIDTH_LINES)]
+    )
+    resolution_hz = record.sample_rate_hz / counted_count
+    middle_line = (best_lines.start + best_lines.stop) // 2
+    low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative_gains[:middle_line], resolution_hz)
+    high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative_gains[middle_line:-1], resolution_hz)
+    rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
+    base_motion_values = np.array(
+        [np.clip(rms_m_per_s2, 0, parameter_ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz]
+    )
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
-    return values, np.array([rms_error, low_error_hz, high_error_hz])
+    return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])
 
 
 def _line_gains(
@@ -98,9 +106,11 @@ def _fitted_density(
     counted_share: float,
 ) -> tuple[float, float]:
     """Likeliest density within a decade of a start, and its relative standard error by Fisher's information."""
-    log_bounds = np.log(start_density) + np.array([-1.0, 1.0]) * np.log(10)
+    log_density_bounds = np.log(start_density) + np.array([-1.0, 1.0]) * np.log(10)
     optimum = minimize_scalar(
-        lambda x: -np.sum(_line_gains(np.exp(x), pattern_power, pattern_size)), bounds=log_bounds, method="bounded"
+        lambda log_density: -np.sum(_line_gains(np.exp(log_density), pattern_power, pattern_size)),
+        bounds=log_density_bounds,
+        method="bounded",
     )
     density = float(np.exp(optimum.x))
     signal_share = density * pattern_size / (1 + density * pattern_size)
@@ -108,28 +118,28 @@ def _fitted_density(
 
 
 def _band_edge(
-    lines_hz: Float[np.ndarray, " lines"], log_likelihood: Float[np.ndarray, " lines"], resolution_hz: float
+    lines_hz: Float[np.ndarray, " lines"], log_likelihoods: Float[np.ndarray, " lines"], resolution_hz: float
 ) -> tuple[float, float]:
     """Mean and standard deviation of a band's edge under a uniform prior, the latter with the window resolution."""
-    probabilities = np.exp(log_likelihood - np.max(log_likelihood))
+    probabilities = np.exp(log_likelihoods - np.max(log_likelihoods))
     probabilities /= probabilities.sum()
-    mean = float(probabilities @ lines_hz)
-    return mean, float(np.sqrt(probabilities @ (lines_hz - mean) ** 2 + resolution_hz**2))
+    mean_hz = float(probabilities @ lines_hz)
+    return mean_hz, float(np.sqrt(probabilities @ (lines_hz - mean_hz) ** 2 + resolution_hz**2))
 
 
 def _windowed_spectra(linearization: Linearization, residual: Residual) -> Complex[np.ndarray, "sensors lines"]:
     """Spectra of the residual on the record's lines, under a Hann window so that no band leaks into another."""
     record = linearization.record
-    rows = residual.linear[: len(record.sensors)]
-    window = hann(rows.shape[1]) * np.sqrt(8 / 3)
-    spectrum = np.fft.rfft(rows * window, record.length // record.factor)
-    return np.asarray(spectrum * record.factor / residual_scale(record))
+    sensor_residuals = residual.linear_residual[: len(record.sensors)]
+    window = hann(sensor_residuals.shape[1]) * np.sqrt(8 / 3)
+    spectrum = np.fft.rfft(sensor_residuals * window, record.transform_length // record.decimation)
+    return np.asarray(spectrum * record.decimation / residual_scale(record))
 
 
-def _interval_of_largest_sum(gains: Float[np.ndarray, " lines"]) -> tuple[float, slice]:
+def _interval_of_largest_sum(gain_by_line: Float[np.ndarray, " lines"]) -> tuple[float, slice]:
     """Largest sum of an interval, and the interval (Kadane)."""
-    sums = np.concatenate([[0.0], np.cumsum(gains)])
-    lowest = np.minimum.accumulate(sums)
-    stop = int(np.argmax(sums - lowest))
-    start = int(np.argmin(sums[: stop + 1]))
-    return float(sums[stop] - sums[start]), slice(start, stop)
+    cumulative_gains = np.concatenate([[0.0], np.cumsum(gain_by_line)])
+    lowest_before = np.minimum.accumulate(cumulative_gains)
+    stop_line = int(np.argmax(cumulative_gains - lowest_before))
+    start_line = int(np.argmin(cumulative_gains[: stop_line + 1]))
+    return float(cumulative_gains[stop_line] - cumulative_gains[start_line]), slice(start_line, stop_line)

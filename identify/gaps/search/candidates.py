@@ -36,82 +36,90 @@ class Candidate:
     """Effect at a place: a typical one, and the ranges of its parameters, the strength first.
 
     The effect vanishes where all parameters that have a neutral value are at it. The other parameters are places or
-    frequencies, of which `starts` gives trial values.
+    frequencies, of which `start_values` gives trial values.
     """
 
     kind: type[Effect]
     place: Place
     parameters: ParameterSet
-    typical: Effect
+    typical_effect: Effect
 
     @property
     def name(self) -> str:
         return ":".join([self.kind.name, *(target or "all" for target in self.place.values())])
 
     @property
-    def neutral(self) -> float:
+    def neutral_strength(self) -> float:
         """Strength without the effect."""
         return next(p.neutral for p in self.parameters if p.neutral is not None)
 
     @property
-    def default(self) -> Float[np.ndarray, " parameters"]:
+    def typical_values(self) -> Float[np.ndarray, " parameters"]:
         """Parameters of the typical effect."""
-        return np.array([getattr(self.typical, name) for name in self.parameters.names])
+        return np.array([getattr(self.typical_effect, name) for name in self.parameters.names])
 
     @property
-    def steps(self) -> Float[np.ndarray, " parameters"]:
+    def step_sizes(self) -> Float[np.ndarray, " parameters"]:
         """Steps for derivatives: `STEP_SHARE` of what the typical effect adds, or of the range of another parameter.
 
         For a sharp frequency it is a share of the lowest one, which has two periods in the record; for a parameter of a
         logarithmic range, of its typical value.
         """
-        adds = [
-            typical - p.neutral
-            if p.neutral is not None
-            else p.low
-            if p.name == self.kind.grid_screened
-            else typical
-            if _is_logarithmic(p)
-            else p.high - p.low
-            for typical, p in zip(self.default, self.parameters, strict=True)
+        typical_additions = [
+            typical_value - parameter.neutral
+            if parameter.neutral is not None
+            else parameter.low
+            if parameter.name == self.kind.grid_screened
+            else typical_value
+            if _has_logarithmic_range(parameter)
+            else parameter.high - parameter.low
+            for typical_value, parameter in zip(self.typical_values, self.parameters, strict=True)
         ]
-        adds = [a or self.default[0] - self.neutral for a in adds]
-        return STEP_SHARE * np.array(adds)
+        typical_additions = [
+            addition or self.typical_values[0] - self.neutral_strength for addition in typical_additions
+        ]
+        return STEP_SHARE * np.array(typical_additions)
 
-    def starts(self, screened: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
-        """Parameters of neutral strength at every trial place; `screened` are values of the grid-screened one.
+    def start_values(self, screened_values: Sequence[float] = ()) -> list[Float[np.ndarray, " parameters"]]:
+        """Parameters of neutral strength at every trial place; `screened_values` are values of the grid-screened one.
 
         An effect that contains another has one trial value, as the other one stands for further ones at small
         strengths.
         """
-        grids = []
-        for parameter, typical in zip(self.parameters, self.default, strict=True):
-            bounds = (parameter.low, parameter.high)
+        trial_values = []
+        for parameter, typical_value in zip(self.parameters, self.typical_values, strict=True):
+            parameter_range = (parameter.low, parameter.high)
             if parameter.name == self.kind.grid_screened:
-                grids.append(np.array([v for v in screened if bounds[0] <= v <= bounds[1]]))
+                trial_values.append(
+                    np.array([value for value in screened_values if parameter_range[0] <= value <= parameter_range[1]])
+                )
                 continue
             if parameter.neutral is not None:
-                grids.append(np.array([parameter.neutral]))
+                trial_values.append(np.array([parameter.neutral]))
             elif self.kind.contains:
-                grids.append(np.array([typical]))
-            elif _is_logarithmic(parameter):
-                grids.append(np.geomspace(*bounds, PLACE_VALUES + 2)[1:-1])
+                trial_values.append(np.array([typical_value]))
+            elif _has_logarithmic_range(parameter):
+                trial_values.append(np.geomspace(*parameter_range, PLACE_VALUES + 2)[1:-1])
             else:
-                grids.append(np.linspace(*bounds, PLACE_VALUES))
-        return [np.array(values) for values in product(*grids)]
+                trial_values.append(np.linspace(*parameter_range, PLACE_VALUES))
+        return [np.array(values) for values in product(*trial_values)]
 
-    def strengths(self, multiples: Sequence[float]) -> list[float]:
+    def trial_strengths(self, addition_multiples: Sequence[float]) -> list[float]:
         """Trial strengths: multiples of what the typical effect adds, of both signs, and the whole range of ratios."""
-        low, high = (float(bounds[0]) for bounds in self.parameters.bounds)
-        adds = float(self.default[0]) - self.neutral
-        strengths = [self.neutral + sign * m * adds for sign in (1, -1) for m in multiples]
-        if self.neutral == 1 and low > 0 and high > 4 * low:
-            strengths += list(np.geomspace(low, high, RATIO_VALUES))
-        return [float(strength) for strength in strengths if low <= strength <= high]
+        lowest, highest = (float(bounds[0]) for bounds in self.parameters.bounds)
+        typical_addition = float(self.typical_values[0]) - self.neutral_strength
+        strengths = [
+            self.neutral_strength + sign * multiple * typical_addition
+            for sign in (1, -1)
+            for multiple in addition_multiples
+        ]
+        if self.neutral_strength == 1 and lowest > 0 and highest > 4 * lowest:
+            strengths += list(np.geomspace(lowest, highest, RATIO_VALUES))
+        return [float(strength) for strength in strengths if lowest <= strength <= highest]
 
     def effect(self, values: Float[np.ndarray, " parameters"]) -> Effect:
         """Typical effect with other values of its parameters."""
-        return msgspec.structs.replace(self.typical, **self.parameters.named(values))
+        return msgspec.structs.replace(self.typical_effect, **self.parameters.named(values))
 
     def applied(self, rig: Rig, values: Float[np.ndarray, " parameters"]) -> Rig:
         """Rig with the effect; the rig itself at neutral values, at which some effects are not exactly nothing."""
@@ -119,12 +127,12 @@ class Candidate:
         return rig if is_neutral else self.effect(values).applied_to(rig)
 
 
-def contains(container: Candidate, contained: Candidate) -> bool:
+def contains(containing: Candidate, contained: Candidate) -> bool:
     """True if the container's parameters beside its strength make the contained effect at the same place."""
-    return contained.kind.name in container.kind.contains and contained.place == container.place
+    return contained.kind.name in containing.kind.contains and contained.place == containing.place
 
 
-def _is_logarithmic(parameter: Parameter) -> bool:
+def _has_logarithmic_range(parameter: Parameter) -> bool:
     return parameter.low > 0 and parameter.high > 20 * parameter.low
 
 
@@ -133,71 +141,93 @@ def scale_of(record: Record, rig: Rig) -> Scale:
 
     In a free decay the inertial forces of the bodies, averaged over the sensors, stand for the force.
     """
-    if record.forced:
-        forces_n = record.in_time(record.forces)
+    if record.has_force:
+        forces_n = record.in_time(record.force_spectra)
     else:
-        masses = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
-        forces_n = record.in_time(masses[:, None] * record.delivered) / np.sqrt(masses.size)
-    return Scale(rig, float(np.sqrt(np.mean(np.sum(forces_n**2, axis=0)))), record.samples / record.sample_rate_hz)
+        sensor_masses_kg = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
+        forces_n = record.in_time(sensor_masses_kg[:, None] * record.acceleration_signals) / np.sqrt(
+            sensor_masses_kg.size
+        )
+    return Scale(rig, float(np.sqrt(np.mean(np.sum(forces_n**2, axis=0)))), record.sample_count / record.sample_rate_hz)
 
 
-def candidates(scale: Scale, sensors: Sequence[str], zero_known: bool, forced: bool = True) -> list[Candidate]:
+def candidates(
+    effect_scale: Scale, sensor_names: Sequence[str], zero_known: bool, has_force: bool = True
+) -> list[Candidate]:
     """Every effect that the rig can have, at every place and sensor that a record observes.
 
     Left out are effects that only the zero of a relative displacement shows, where that is not known; those on the
     force and on channels where no force is measured (free motion has no scale, and may begin at any time); those on the
     force where several act; those that change nothing, or that separate contacts between the same places.
     """
-    possible = []
-    for kind in effects().values():
-        if kind.needs_zero and not zero_known:
+    possible_candidates = []
+    for effect_kind in effects().values():
+        if effect_kind.needs_zero and not zero_known:
             continue
-        for place in kind.placements(scale.rig, sensors):
-            place_scale = scale.with_place(place)
-            candidate = Candidate(kind, place, kind.parameters(place_scale), kind.typical(place_scale))
+        for place in effect_kind.placements(effect_scale.rig, sensor_names):
+            place_scale = effect_scale.with_place(place)
+            candidate = Candidate(
+                effect_kind, place, effect_kind.parameters(place_scale), effect_kind.typical(place_scale)
+            )
             try:
-                changed_rig = candidate.applied(scale.rig, candidate.default)
+                changed_rig = candidate.applied(effect_scale.rig, candidate.typical_values)
             except RigError:
                 continue  # the effect cannot act here
-            nominal = scale.rig
-            if not forced or len(nominal.forces) > 1:
-                changed_rig = replace(changed_rig, force_sensor=nominal.force_sensor)
-            if not forced:
-                changed_rig = replace(changed_rig, sensors=nominal.sensors, force_at=nominal.force_at)
-            if changed_rig != scale.rig and len(joined_contacts(changed_rig)) == len(joined_contacts(scale.rig)):
-                possible.append(candidate)
-    return possible
+            nominal_rig = effect_scale.rig
+            if not has_force or len(nominal_rig.forces) > 1:
+                changed_rig = replace(changed_rig, force_sensor=nominal_rig.force_sensor)
+            if not has_force:
+                changed_rig = replace(changed_rig, sensors=nominal_rig.sensors, force_at=nominal_rig.force_at)
+            if changed_rig != effect_scale.rig and len(joined_contacts(changed_rig)) == len(
+                joined_contacts(effect_scale.rig)
+            ):
+                possible_candidates.append(candidate)
+    return possible_candidates
 
 
 def is_possible(candidate: Candidate, rig: Rig) -> bool:
     """True if a rig can have the effect."""
     try:
-        candidate.applied(rig, candidate.default)
+        candidate.applied(rig, candidate.typical_values)
     except RigError:
         return False
     return True
 
 
 def strength_columns(
-    linearization: Linearization, residual: Residual, candidate: Candidate, start: Float[np.ndarray, " parameters"]
+    linearization: Linearization,
+    residual: Residual,
+    candidate: Candidate,
+    start_values: Float[np.ndarray, " parameters"],
 ) -> list[Column]:
-    """Decrease of the residuals by a step of each strength of a candidate, at the parameters `start`.
+    """Decrease of the residuals by a step of each strength of a candidate, at the parameters `start_values`.
 
     Raises RigError where no rig has the effect with these parameters.
     """
-    columns = []
-    for k in candidate.parameters.strengths:
-        values = start.copy()
-        values[k] = start[k] + candidate.steps[k]
-        rig = candidate.applied(linearization.rig, values)
-        columns.append(attached_column(linearization, rig, residual) or derivative(linearization, rig, residual))
-    return columns
+    strength_decreases = []
+    for strength_index in candidate.parameters.strengths:
+        stepped_values = start_values.copy()
+        stepped_values[strength_index] = start_values[strength_index] + candidate.step_sizes[strength_index]
+        stepped_rig = candidate.applied(linearization.rig, stepped_values)
+        strength_decreases.append(
+            attached_column(linearization, stepped_rig, residual) or derivative(linearization, stepped_rig, residual)
+        )
+    return strength_decreases
 
 
 def attachments_of(rig: Rig, changed_rig: Rig) -> Rig | None:
     """Rig with only the attachments that `changed_rig` adds to `rig`; None if it adds none, or differs otherwise."""
-    attachments = {kind: getattr(changed_rig, kind)[len(getattr(rig, kind)) :] for kind in ATTACHED_FIELDS}
-    expected_rig = replace(rig, **{kind: getattr(rig, kind) + items for kind, items in attachments.items()})
+    attachments = {
+        attachment_field: getattr(changed_rig, attachment_field)[len(getattr(rig, attachment_field)) :]
+        for attachment_field in ATTACHED_FIELDS
+    }
+    expected_rig = replace(
+        rig,
+        **{
+            attachment_field: getattr(rig, attachment_field) + attached
+            for attachment_field, attached in attachments.items()
+        },
+    )
     return replace(rig, **attachments) if changed_rig == expected_rig and any(attachments.values()) else None
 
 
@@ -210,13 +240,13 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     attachments = attachments_of(rig, changed_rig)
     if attachments is None or any(b.is_mass for b in rig.bodies):
         return None
-    forces = _attached_forces(record, model, attachments)
+    attached_forces = _attached_forces(record, model, attachments)
     linear_decrease, contact_force_decrease_n = model.projection.of(
-        delivered_by(model, sensor_stations_of(record, model.rig), forces)
+        delivered_by(model, sensor_stations_of(record, model.rig), attached_forces)
     )
-    eta_decrease_m = -model.unobserved_eta_m(forces, -contact_force_decrease_n)
-    columns = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
-    return residual_in_time(record, linear_decrease), columns
+    eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)
+    contact_decreases = contact_columns(record, residual, record.in_time(contact_force_decrease_n), eta_decrease_m)
+    return residual_in_time(record, linear_decrease), contact_decreases
 
 
 def _attached_forces(
@@ -224,13 +254,17 @@ def _attached_forces(
 ) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
     """Station and force spectrum (N) of each attachment."""
     sensor_stations = sensor_stations_of(record, model.rig)
-    displacements, accelerations = model.displaced, model.accelerations
+    displacements, accelerations = model.displacements, model.accelerations
     attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, displacements)
-    springs = [s for s in attachments.springs if s.stiffness_n_per_m]
-    for spring, w in zip(springs, displaced_at(model.responses, sensor_stations, springs, displacements), strict=True):
-        attached_forces.append((spring.station, -spring.stiffness_n_per_m * w))
+    linear_springs = [s for s in attachments.springs if s.stiffness_n_per_m]
+    for spring, displacement in zip(
+        linear_springs, displaced_at(model.responses, sensor_stations, linear_springs, displacements), strict=True
+    ):
+        attached_forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     masses = attachments.masses
-    for mass, a in zip(masses, displaced_at(model.responses, sensor_stations, masses, accelerations), strict=True):
-        attached_forces.append((mass.station, -mass.mass_kg * a))
-    tones = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
-    return attached_forces + tones
+    for mass, acceleration in zip(
+        masses, displaced_at(model.responses, sensor_stations, masses, accelerations), strict=True
+    ):
+        attached_forces.append((mass.station, -mass.mass_kg * acceleration))
+    tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
+    return attached_forces + tone_forces

@@ -42,16 +42,16 @@ Values = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class LawEstimate:
-    """Estimated quantities of a contact from one record: `values` = `quantities` @ law, with their covariance.
+    """Estimated quantities of a contact from one record: quantity_values = quantity_weights @ law, with covariance.
 
-    of_tolerances is the part of the covariance that all records of the machine share.
+    tolerance_covariance is the part of the covariance that all records of the machine share.
     """
 
-    contact: str
-    quantities: Float[np.ndarray, "rows 4"]
-    values: Float[np.ndarray, " rows"]
+    contact_name: str
+    quantity_weights: Float[np.ndarray, "rows 4"]
+    quantity_values: Float[np.ndarray, " rows"]
     covariance: Float[np.ndarray, "rows rows"]
-    of_tolerances: Float[np.ndarray, "rows rows"]
+    tolerance_covariance: Float[np.ndarray, "rows rows"]
 
 
 @dataclass(frozen=True)
@@ -67,22 +67,30 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
 
     Unmeasured excitation (a base motion, a tone) stays in the scatter.
     """
-    if not_modelled := _unmodelled_part(rig):
-        refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=not_modelled).refusal
+    if unmodelled_part := _unmodelled_part(rig):
+        refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
         return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
-    force = recording.signals["force"]
-    signals = {**recording.signals, "force": replace(force, values=force.values / rig.force_sensor.gain)}
+    force_signal = recording.signals["force"]
+    corrected_signals = {
+        **recording.signals,
+        "force": replace(force_signal, values=force_signal.values / rig.force_sensor.gain),
+    }
     sensors = tuple(s for s in rig.sensors if s.measures.translates)  # the diagnosis uses no strain gauges
-    fitted_rig = msgspec.structs.replace(rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors)
+    separated_rig = msgspec.structs.replace(
+        rig, base_motion=None, tones=(), force_sensor=ForceSensor(), sensors=sensors
+    )
     try:
-        separation = separate(replace(recording, rig=fitted_rig, signals=signals), "auto", tolerances)
+        separation = separate(replace(recording, rig=separated_rig, signals=corrected_signals), "auto", tolerances)
         outcomes = accept(separation, determine(separation)).outcomes
     except ContactRefusedError as error:
         return LawOutcomes((), {contact.name: error.refusal for contact in rig.contacts})
     except RigError:
         return LawOutcomes()
     return LawOutcomes(
-        tuple(_estimate(contact, estimate) for contact, estimate in outcomes.estimates.items()), outcomes.refusals
+        tuple(
+            _law_estimate(contact_name, joint_estimate) for contact_name, joint_estimate in outcomes.estimates.items()
+        ),
+        outcomes.refusals,
     )
 
 
@@ -99,25 +107,38 @@ def _unmodelled_part(rig: Rig) -> str:
 
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
-    largest_count = max(len(estimate.values) for estimate in estimates)
-    comparable = [estimate for estimate in estimates if len(estimate.values) == largest_count]
-    comparable = [estimate for estimate in comparable if np.array_equal(estimate.quantities, comparable[0].quantities)]
-    values, covariance = _pooled([(item.values, item.covariance, item.of_tolerances) for item in comparable])
-    shared_covariance = np.mean([estimate.of_tolerances for estimate in comparable], axis=0)
-    return replace(comparable[0], values=values, covariance=covariance, of_tolerances=shared_covariance)
+    largest_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
+    comparable_estimates = [
+        estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count
+    ]
+    comparable_estimates = [
+        estimate
+        for estimate in comparable_estimates
+        if np.array_equal(estimate.quantity_weights, comparable_estimates[0].quantity_weights)
+    ]
+    pooled_values, pooled_covariance = _pooled_values(
+        [(item.quantity_values, item.covariance, item.tolerance_covariance) for item in comparable_estimates]
+    )
+    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable_estimates], axis=0)
+    return replace(
+        comparable_estimates[0],
+        quantity_values=pooled_values,
+        covariance=pooled_covariance,
+        tolerance_covariance=shared_covariance,
+    )
 
 
-def _estimate(contact: str, fit: JointEstimate) -> LawEstimate:
-    rows = [STIFFNESS, DAMPING] if fit.is_spring else [fit.clearance, STIFFNESS, DAMPING]
-    if fit.sides_known and all(fit.touched):
-        rows.append(OFFSET)
-    quantities = np.array(rows)
+def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstimate:
+    quantity_rows = [STIFFNESS, DAMPING] if joint_estimate.is_spring else [joint_estimate.clearance, STIFFNESS, DAMPING]
+    if joint_estimate.sides_known and all(joint_estimate.touched):
+        quantity_rows.append(OFFSET)
+    quantity_weights = np.array(quantity_rows)
     return LawEstimate(
-        contact,
-        quantities,
-        quantities @ fit.values,
-        quantities @ fit.covariance @ quantities.T,
-        quantities @ fit.of_tolerances @ quantities.T,
+        contact_name,
+        quantity_weights,
+        quantity_weights @ joint_estimate.values,
+        quantity_weights @ joint_estimate.covariance @ quantity_weights.T,
+        quantity_weights @ joint_estimate.of_tolerances @ quantity_weights.T,
     )
 
 
@@ -127,101 +148,135 @@ def with_contact_fit(hypothesis: Hypothesis, recordings: Sequence[Recording], to
     Unchanged where its effects change no law, a law other than a dead zone, or quantities that no record determines.
     """
     nominal_rig, values = recordings[0].rig, hypothesis.values
-    change = _law_change(hypothesis, nominal_rig)
-    if change is None:
+    law_change = _law_change(hypothesis, nominal_rig)
+    if law_change is None:
         return hypothesis
-    rig, free = hypothesis.applied_to(nominal_rig), change.free
-    solutions = (
-        _record_solution(nominal_rig, law_outcomes(recording, rig, tolerances).estimates, change, values[free])
+    hypothesis_rig, free_parameters = hypothesis.applied_to(nominal_rig), law_change.free_parameters
+    record_solutions = (
+        _solution_of_record(
+            nominal_rig,
+            law_outcomes(recording, hypothesis_rig, tolerances).estimates,
+            law_change,
+            values[free_parameters],
+        )
         for recording in recordings
     )
-    determined = [solution for solution in solutions if solution is not None]
-    if not determined:
+    determined_solutions = [solution for solution in record_solutions if solution is not None]
+    if not determined_solutions:
         return hypothesis
     fitted_values, covariance = values.copy(), hypothesis.covariance.copy()
-    covariance[free] = covariance[:, free] = 0.0
-    pooled_values, covariance[np.ix_(free, free)] = _pooled(determined)
-    low, high = hypothesis.parameters.bounds
-    fitted_values[free] = np.clip(pooled_values, low[free], high[free])
+    covariance[free_parameters] = covariance[:, free_parameters] = 0.0
+    pooled_values, covariance[np.ix_(free_parameters, free_parameters)] = _pooled_values(determined_solutions)
+    lower_bounds, upper_bounds = hypothesis.parameters.bounds
+    fitted_values[free_parameters] = np.clip(
+        pooled_values, lower_bounds[free_parameters], upper_bounds[free_parameters]
+    )
     return replace(hypothesis, values=fitted_values, covariance=covariance)
 
 
 @dataclass(frozen=True)
 class LawChange:
-    """Numbers y of every contact's law under a hypothesis, and dy/dv for the parameters `free` that change them."""
+    """Numbers y of every contact's law under a hypothesis, and dy/dv for the `free_parameters` that change them."""
 
-    numbers: Float[np.ndarray, "contacts 4"]
-    jacobian: Float[np.ndarray, "free contacts 4"]
-    free: Int[np.ndarray, " free"]
+    law_numbers: Float[np.ndarray, "contacts 4"]
+    number_derivatives: Float[np.ndarray, "free contacts 4"]
+    free_parameters: Int[np.ndarray, " free"]
 
 
 def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     """Change of the laws by a hypothesis; None where it changes none, or other numbers than these four."""
-    steps, values = steps_of(hypothesis.candidates), hypothesis.values
-    steps = DERIVATIVE_STEP * np.where(values + steps > hypothesis.parameters.bounds[1], -steps, steps)
-    laws = [_law_numbers(hypothesis, nominal_rig, values + change) for change in (0 * values, *np.diag(steps))]
-    dead_zones = [law for law in laws if law is not None]
-    if len(dead_zones) < len(laws) or not steps.size:
+    step_sizes, values = steps_of(hypothesis.candidates), hypothesis.values
+    step_sizes = DERIVATIVE_STEP * np.where(
+        values + step_sizes > hypothesis.parameters.bounds[1], -step_sizes, step_sizes
+    )
+    law_numbers_by_step = [
+        _law_numbers(hypothesis, nominal_rig, values + value_change)
+        for value_change in (0 * values, *np.diag(step_sizes))
+    ]
+    dead_zone_numbers = [numbers for numbers in law_numbers_by_step if numbers is not None]
+    if len(dead_zone_numbers) < len(law_numbers_by_step) or not step_sizes.size:
         return None
-    jacobian = np.array([(law - dead_zones[0]) / step for law, step in zip(dead_zones[1:], steps, strict=True)])
-    free = np.flatnonzero(np.any(jacobian, axis=(1, 2)))
-    return LawChange(dead_zones[0], jacobian[free], free) if free.size else None
+    number_derivatives = np.array(
+        [
+            (numbers - dead_zone_numbers[0]) / derivative_step
+            for numbers, derivative_step in zip(dead_zone_numbers[1:], step_sizes, strict=True)
+        ]
+    )
+    free_parameters = np.flatnonzero(np.any(number_derivatives, axis=(1, 2)))
+    return (
+        LawChange(dead_zone_numbers[0], number_derivatives[free_parameters], free_parameters)
+        if free_parameters.size
+        else None
+    )
 
 
 def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Float[np.ndarray, "contacts 4"] | None:
     """Four numbers of every contact's law; None where any other number differs from the nominal law."""
     try:
-        contacts = replace(hypothesis, values=values).applied_to(nominal_rig).contacts
+        changed_contacts = replace(hypothesis, values=values).applied_to(nominal_rig).contacts
     except RigError:
         return None
-    pairs = zip(contacts, nominal_rig.contacts, strict=True)
-    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in pairs):
+    contact_pairs = zip(changed_contacts, nominal_rig.contacts, strict=True)
+    if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in contact_pairs):
         return None
-    return np.array([law_numbers(contact.law) for contact in contacts]).reshape(-1, len(LAW))
+    return np.array([law_numbers(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
 
 
-def numbers_alone_differ(law: ContactLaw, nominal: ContactLaw) -> bool:
+def numbers_alone_differ(law: ContactLaw, nominal_law: ContactLaw) -> bool:
     """True if both are dead zones or both springs that differ at most in clearances, stiffness and damping."""
-    if type(law) is not type(nominal) or not law.piecewise_linear:
+    if type(law) is not type(nominal_law) or not law.piecewise_linear:
         return False
-    return msgspec.structs.replace(law, **{name: getattr(nominal, name) for name in LAW.names}) == nominal
+    return (
+        msgspec.structs.replace(law, **{number_name: getattr(nominal_law, number_name) for number_name in LAW.names})
+        == nominal_law
+    )
 
 
-def _record_solution(
-    nominal_rig: Rig, estimates: Sequence[LawEstimate], change: LawChange, values: Values
+def _solution_of_record(
+    nominal_rig: Rig, estimates: Sequence[LawEstimate], law_change: LawChange, free_values: Values
 ) -> tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]] | None:
     """Estimate v of one record, its covariance and the tolerances' part of it; None where v is not determined."""
-    index = {contact.name: j for j, contact in enumerate(nominal_rig.contacts)}
-    rows, differences, covariances, tolerances = [], [], [], []
+    index_by_contact = {contact.name: j for j, contact in enumerate(nominal_rig.contacts)}
+    derivatives, differences, covariances, tolerance_covariances = [], [], [], []
     for estimate in estimates:
-        j = index[estimate.contact]
-        derivative = estimate.quantities @ change.jacobian[:, j].T
-        involved = np.any(derivative, axis=1)
-        rows.append(derivative[involved])
-        differences.append((estimate.values - estimate.quantities @ change.numbers[j])[involved])
-        covariances.append(estimate.covariance[np.ix_(involved, involved)])
-        tolerances.append(estimate.of_tolerances[np.ix_(involved, involved)])
-    matrix = np.concatenate(rows) if rows else np.zeros((0, values.size))
-    if len(matrix) < values.size or np.linalg.matrix_rank(matrix / np.abs(matrix).max(axis=0)) < values.size:
+        contact_index = index_by_contact[estimate.contact_name]
+        quantity_derivative = estimate.quantity_weights @ law_change.number_derivatives[:, contact_index].T
+        is_involved = np.any(quantity_derivative, axis=1)
+        derivatives.append(quantity_derivative[is_involved])
+        differences.append(
+            (estimate.quantity_values - estimate.quantity_weights @ law_change.law_numbers[contact_index])[is_involved]
+        )
+        covariances.append(estimate.covariance[np.ix_(is_involved, is_involved)])
+        tolerance_covariances.append(estimate.tolerance_covariance[np.ix_(is_involved, is_involved)])
+    stacked_derivatives = np.concatenate(derivatives) if derivatives else np.zeros((0, free_values.size))
+    if (
+        len(stacked_derivatives) < free_values.size
+        or np.linalg.matrix_rank(stacked_derivatives / np.abs(stacked_derivatives).max(axis=0)) < free_values.size
+    ):
         return None
-    full_covariance, tolerance_covariance = block_diag(*covariances), block_diag(*tolerances)
-    weighted = np.linalg.solve(full_covariance, matrix)
-    covariance = np.linalg.inv(matrix.T @ weighted)
-    kalman_gain = covariance @ weighted.T
+    full_covariance, tolerance_covariance = block_diag(*covariances), block_diag(*tolerance_covariances)
+    weighted_derivatives = np.linalg.solve(full_covariance, stacked_derivatives)
+    covariance = np.linalg.inv(stacked_derivatives.T @ weighted_derivatives)
+    kalman_gain = covariance @ weighted_derivatives.T
     return (
-        values + kalman_gain @ np.concatenate(differences),
+        free_values + kalman_gain @ np.concatenate(differences),
         covariance,
         kalman_gain @ tolerance_covariance @ kalman_gain.T,
     )
 
 
-def _pooled(
-    by_record: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
+def _pooled_values(
+    record_solutions: Sequence[tuple[Values, Float[np.ndarray, "free free"], Float[np.ndarray, "free free"]]],
 ) -> tuple[Values, Float[np.ndarray, "free free"]]:
     """Pooled v of records and its covariance, from v, its covariance and the shared part of it of each."""
-    information = [np.linalg.inv(covariance - shared) for _, covariance, shared in by_record]
-    pooled_covariance = np.linalg.inv(sum(information))
-    mean = pooled_covariance @ sum(
-        weight @ values for weight, (values, _, _) in zip(information, by_record, strict=True)
+    information_by_record = [
+        np.linalg.inv(covariance - shared_covariance) for _, covariance, shared_covariance in record_solutions
+    ]
+    pooled_covariance = np.linalg.inv(sum(information_by_record))
+    pooled_values = pooled_covariance @ sum(
+        record_information @ values
+        for record_information, (values, _, _) in zip(information_by_record, record_solutions, strict=True)
     )
-    return mean, pooled_covariance + np.mean([shared for _, _, shared in by_record], axis=0)
+    return pooled_values, pooled_covariance + np.mean(
+        [shared_covariance for _, _, shared_covariance in record_solutions], axis=0
+    )

@@ -52,7 +52,7 @@ class Hypothesis:
         return tuple(candidate.kind.name for candidate in self.candidates)
 
     @property
-    def key(self) -> tuple[str, ...]:
+    def effect_names(self) -> tuple[str, ...]:
         """Names of the effects with their places, sorted; one may occur twice."""
         return tuple(sorted(candidate.name for candidate in self.candidates))
 
@@ -65,23 +65,23 @@ class Hypothesis:
     def is_incomplete(self) -> bool:
         """True if the misfit above noise and tolerated shares exceeds what an effect must gain, or if a tolerance is
         pulled far off, so that it hides the misfit."""
-        return self.misfit.excess > MIN_GAIN or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > CHANCE_PULL
+        return self.misfit.excess_cost > MIN_GAIN or float(np.max(np.abs(self.misfit.pulls), initial=0.0)) > CHANCE_PULL
 
     @property
-    def at_limit(self) -> bool:
+    def tolerance_at_limit(self) -> bool:
         """True if a tolerance stands at its limit."""
         return bool(np.any(np.abs(self.misfit.pulls) > LIMIT_SHARE * LIMIT))
 
-    def split(self) -> list[Float[np.ndarray, " parameters"]]:
+    def values_by_candidate(self) -> list[Float[np.ndarray, " parameters"]]:
         """Values of each effect."""
-        return _split(self.candidates, self.values)
+        return _values_by_candidate(self.candidates, self.values)
 
     @property
     def parameters(self) -> ParameterSet:
         return parameters_of(self.candidates)
 
     def applied_to(self, rig: Rig) -> Rig:
-        return applied(rig, self.candidates, self.values)
+        return with_effects(rig, self.candidates, self.values)
 
 
 @dataclass(frozen=True)
@@ -97,14 +97,14 @@ class FittedHypothesis:
         return self.hypothesis.cost
 
 
-def applied(rig: Rig, candidates: Sequence[Candidate], values: Values) -> Rig:
+def with_effects(rig: Rig, candidates: Sequence[Candidate], effect_values: Values) -> Rig:
     """Rig with several effects, whose parameter values follow each other."""
-    for candidate, candidate_values in zip(candidates, _split(candidates, values), strict=True):
+    for candidate, candidate_values in zip(candidates, _values_by_candidate(candidates, effect_values), strict=True):
         rig = candidate.applied(rig, candidate_values)
     return rig
 
 
-def _split(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
+def _values_by_candidate(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
     return np.split(values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
 
 
@@ -122,124 +122,136 @@ class Search:
 
 
 def fit_effects(
-    search: Search, candidates: tuple[Candidate, ...], values: Values, start: Residual, best_cost: float = np.inf
+    search: Search,
+    candidates: tuple[Candidate, ...],
+    start_values: Values,
+    start_residual: Residual,
+    best_cost: float = np.inf,
 ) -> FittedHypothesis:
     """Fit of effects until it settles, from given values and the nuisance parameters and drifts of a residual."""
-    return refined(search, fit_briefly(search, candidates, values, reset_saturated_nuisance(start)), best_cost)
+    return refined(
+        search, fit_briefly(search, candidates, start_values, reset_saturated_nuisance(start_residual)), best_cost
+    )
 
 
 def fit_briefly(
     search: Search,
     candidates: tuple[Candidate, ...],
-    values: Values,
-    start: Residual | None,
+    start_values: Values,
+    start_residual: Residual | None,
     linearization: Linearization | None = None,
 ) -> FittedHypothesis:
     """Fit of effects by `FIRST_STEPS` Gauss-Newton steps at the scales of a linearisation (default: the nominal rig's).
 
     Without a start no nuisance parameter has compensated the effects, so the linearisation is about their values.
     """
-    linearization, build = linearization or search.linearization, _builder(search, candidates)
-    if start is None:
-        rig, scales, observations = build(values), linearization.scales, linearization.observations
-        linearization = linearization.relinearized(rig, None, scales, observations)
-    return _gauss_newton(search, build, candidates, values, linearization, start, FIRST_STEPS)
+    linearization, build_rig = linearization or search.linearization, _rig_builder(search, candidates)
+    if start_residual is None:
+        start_rig, scales, observations = build_rig(start_values), linearization.scales, linearization.observations
+        linearization = linearization.relinearized(start_rig, None, scales, observations)
+    return _gauss_newton(search, build_rig, candidates, start_values, linearization, start_residual, FIRST_STEPS)
 
 
-def fit_afresh(search: Search, candidates: tuple[Candidate, ...], values: Values) -> FittedHypothesis:
+def fit_afresh(search: Search, candidates: tuple[Candidate, ...], start_values: Values) -> FittedHypothesis:
     """Fit of effects from the contact scales that the tolerances state, and from a slow motion that follows no law yet.
 
     A decay counts for few seconds: scales made by the nominal law would not come down in the rounds of `refined`.
     """
-    build = _builder(search, candidates)
-    contact_scales = prior_scales(search.linearization.record).contacts
-    scales = replace(search.linearization.scales, contacts=contact_scales)
-    linearization = search.linearization.relinearized(build(values), None, scales)
-    return _gauss_newton(search, build, candidates, values, linearization)
+    build_rig = _rig_builder(search, candidates)
+    contact_scales = prior_scales(search.linearization.record).variances
+    initial_scales = replace(search.linearization.scales, variances=contact_scales)
+    linearization = search.linearization.relinearized(build_rig(start_values), None, initial_scales)
+    return _gauss_newton(search, build_rig, candidates, start_values, linearization)
 
 
-def refined(search: Search, initial: FittedHypothesis, best_cost: float = np.inf) -> FittedHypothesis:
+def refined(search: Search, initial_fit: FittedHypothesis, best_cost: float = np.inf) -> FittedHypothesis:
     """Fit continued until it settles, with scales and linearisation renewed at the parameters of each round.
 
     An effect that is known by its spectrum alone keeps its values. The rounds end where the cost stays
     `MAX_EXCESS_COST` above `best_cost`, the least of other hypotheses.
     """
-    candidates, rig = initial.hypothesis.candidates, search.linearization.rig
+    candidates, rig = initial_fit.hypothesis.candidates, search.linearization.rig
     if any(candidate.kind.stochastic for candidate in candidates):
-        return initial
-    rounds = ROUNDS + extra_relinearizations(rig)
-    return relinearised(search, _builder(search, candidates), initial, rounds, best_cost)
+        return initial_fit
+    round_limit = ROUNDS + extra_relinearizations(rig)
+    return relinearised(search, _rig_builder(search, candidates), initial_fit, round_limit, best_cost)
 
 
 def fit_from(
-    search: Search, build: Build, candidates: tuple[Candidate, ...], values: Values, rounds: int
+    search: Search, build_rig: Build, candidates: tuple[Candidate, ...], start_values: Values, round_limit: int
 ) -> FittedHypothesis:
-    """Fit of effects in the rigs of `build` until it settles, from the fit of another rig."""
-    linearization = search.linearization.relinearized(build(values), None, search.linearization.scales)
-    start = reset_saturated_nuisance(search.residual)
-    initial = _gauss_newton(search, build, candidates, values, linearization, start)
-    return relinearised(search, build, initial, rounds)
+    """Fit of effects in the rigs of `build_rig` until it settles, from the fit of another rig."""
+    linearization = search.linearization.relinearized(build_rig(start_values), None, search.linearization.scales)
+    start_residual = reset_saturated_nuisance(search.residual)
+    initial_fit = _gauss_newton(search, build_rig, candidates, start_values, linearization, start_residual)
+    return relinearised(search, build_rig, initial_fit, round_limit)
 
 
 def relinearised(
-    search: Search, build: Build, initial: FittedHypothesis, rounds: int, best_cost: float = np.inf
+    search: Search, build_rig: Build, initial_fit: FittedHypothesis, round_limit: int, best_cost: float = np.inf
 ) -> FittedHypothesis:
     """Best of successive refits, each linearised at the parameters and with the scales of the one before.
 
     Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
     contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
-    candidates, fits, record = initial.hypothesis.candidates, [initial], search.linearization.record
-    resonant_refits = stated_scale_refits(search.linearization.rig)
+    candidates, fitted_hypotheses, record = (
+        initial_fit.hypothesis.candidates,
+        [initial_fit],
+        search.linearization.record,
+    )
+    stated_scale_rounds = stated_scale_refits(search.linearization.rig)
 
     def refit(before: FittedHypothesis) -> FittedHypothesis:
         return refit_at(before, scales_at(before.linearization, before.residual))
 
     def refit_at(before: FittedHypothesis, scales: Scales) -> FittedHypothesis:
         values = before.hypothesis.values
-        start = reset_mode_nuisance(before.residual) if resonant_refits else before.residual
-        linearization = before.linearization.relinearized(build(values), start, scales)
-        fits.append(_gauss_newton(search, build, candidates, values, linearization, start))
-        return fits[-1]
+        start_residual = reset_mode_nuisance(before.residual) if stated_scale_rounds else before.residual
+        linearization = before.linearization.relinearized(build_rig(values), start_residual, scales)
+        fitted_hypotheses.append(_gauss_newton(search, build_rig, candidates, values, linearization, start_residual))
+        return fitted_hypotheses[-1]
 
     def settled(before: FittedHypothesis, after: FittedHypothesis) -> bool:
         scale_change = before.linearization.scales.distance(after.linearization.scales)
         is_settled = scale_change < SCALE_TOLERANCE and abs(before.cost - after.cost) < COST_TOLERANCE
         return is_settled or after.cost > best_cost + MAX_EXCESS_COST
 
-    latest = refit_until_settled(initial, refit, settled, rounds=rounds)
-    if resonant_refits and latest.cost <= best_cost + MAX_EXCESS_COST:
-        best = min(fits, key=lambda item: item.cost)
-        latest = refit_until_settled(
-            best, lambda before: refit_at(before, prior_scales(record)), rounds=resonant_refits
+    latest_fit = refit_until_settled(initial_fit, refit, settled, rounds=round_limit)
+    if stated_scale_rounds and latest_fit.cost <= best_cost + MAX_EXCESS_COST:
+        best_fit = min(fitted_hypotheses, key=lambda fitted: fitted.cost)
+        latest_fit = refit_until_settled(
+            best_fit, lambda before: refit_at(before, prior_scales(record)), rounds=stated_scale_rounds
         )
-        refit_until_settled(latest, refit, settled, rounds=rounds)
-    return min(fits, key=lambda item: item.cost)
+        refit_until_settled(latest_fit, refit, settled, rounds=round_limit)
+    return min(fitted_hypotheses, key=lambda fitted: fitted.cost)
 
 
-def _builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:
-    return partial(applied, search.linearization.rig, candidates)
+def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:
+    return partial(with_effects, search.linearization.rig, candidates)
 
 
 def _gauss_newton(
     search: Search,
-    build: Build,
+    build_rig: Build,
     candidates: tuple[Candidate, ...],
-    values: Values,
+    start_values: Values,
     linearization: Linearization,
-    start: Residual | None = None,
+    start_residual: Residual | None = None,
     max_steps: int = MAX_STEPS,
 ) -> FittedHypothesis:
     """Gauss-Newton fit of effects and nuisance parameters in a linearisation."""
-    bounds = parameters_of(candidates).bounds
-    estimate = fit(linearization, build, values, steps_of(candidates), bounds, start, max_steps)
+    parameter_bounds = parameters_of(candidates).bounds
+    effect_fit = fit(
+        linearization, build_rig, start_values, steps_of(candidates), parameter_bounds, start_residual, max_steps
+    )
     return _fitted_hypothesis(
-        search, candidates, estimate.values, estimate.covariance, linearization, estimate.residual
+        search, candidates, effect_fit.values, effect_fit.covariance, linearization, effect_fit.residual
     )
 
 
 def steps_of(candidates: tuple[Candidate, ...]) -> Float[np.ndarray, " parameters"]:
-    return np.concatenate([np.zeros(0), *(candidate.steps for candidate in candidates)])
+    return np.concatenate([np.zeros(0), *(candidate.step_sizes for candidate in candidates)])
 
 
 def parameters_of(candidates: Sequence[Candidate]) -> ParameterSet:
@@ -265,15 +277,17 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
     if not nominal_fit.hypothesis.is_incomplete:
         return None
-    estimate = fit_base_excitation(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
-    if estimate is None:
+    base_estimate = fit_base_excitation(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
+    if base_estimate is None:
         return None
-    values, standard_errors = estimate
+    values, standard_errors = base_estimate
     try:
-        rig = candidate.applied(search.linearization.rig, values)
+        shaken_rig = candidate.applied(search.linearization.rig, values)
     except RigError:
         return None
-    linearization = search.linearization.relinearized(rig, nominal_fit.residual, nominal_fit.linearization.scales)
+    linearization = search.linearization.relinearized(
+        shaken_rig, nominal_fit.residual, nominal_fit.linearization.scales
+    )
     linearization = rescaled(linearization, fitted_nuisance(linearization, nominal_fit.residual).residual)
     residual = fitted_nuisance(linearization, nominal_fit.residual).residual
     return _fitted_hypothesis(search, (candidate,), values, np.diag(standard_errors**2), linearization, residual)
@@ -284,7 +298,7 @@ def reset_saturated_nuisance(residual: Residual) -> Residual:
     if np.max(np.abs(residual.pulls), initial=0.0) < LIMIT - 1e-6:
         return residual
     reset_contacts = tuple(replace(contact, unknowns=contact.unknowns_without_pulls) for contact in residual.contacts)
-    return replace(residual, nuisance=np.zeros_like(residual.nuisance), contacts=reset_contacts)
+    return replace(residual, nuisance_pulls=np.zeros_like(residual.nuisance_pulls), contacts=reset_contacts)
 
 
 def reset_mode_nuisance(residual: Residual) -> Residual:
@@ -293,19 +307,19 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
     An effect on frequencies and these tolerances are nearly the same change of the rig: fitted together they advance by
     only part of the resonance's width per step.
     """
-    is_of_modes = np.array([parameter.kind in TUNED_KINDS for parameter in residual.parameters], dtype=bool)
-    if np.max(np.abs(residual.nuisance[is_of_modes]), initial=0.0) < CHANCE_PULL:
+    is_mode_parameter = np.array([parameter.kind in TUNED_KINDS for parameter in residual.parameters], dtype=bool)
+    if np.max(np.abs(residual.nuisance_pulls[is_mode_parameter]), initial=0.0) < CHANCE_PULL:
         return residual
-    return replace(residual, nuisance=np.where(is_of_modes, 0.0, residual.nuisance))
+    return replace(residual, nuisance_pulls=np.where(is_mode_parameter, 0.0, residual.nuisance_pulls))
 
 
-def combined(base: FittedHypothesis, added: FittedHypothesis) -> Hypothesis:
+def combined(base_fit: FittedHypothesis, added_fit: FittedHypothesis) -> Hypothesis:
     """Union of two hypotheses, of which the second was fitted with the first held."""
-    base_hypothesis, added_hypothesis = base.hypothesis, added.hypothesis
-    values = np.concatenate([base_hypothesis.values, added_hypothesis.values])
+    base_hypothesis, added_hypothesis = base_fit.hypothesis, added_fit.hypothesis
+    joined_values = np.concatenate([base_hypothesis.values, added_hypothesis.values])
     return Hypothesis(
         (*base_hypothesis.candidates, *added_hypothesis.candidates),
-        values,
+        joined_values,
         block_diag(base_hypothesis.covariance, added_hypothesis.covariance),
         added_hypothesis.misfit,
     )

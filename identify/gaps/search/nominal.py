@@ -21,25 +21,29 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
     nominal_variances = nominal_variances_of(linearization := linearized(record, rig))
 
-    def fit_in(linearization: Linearization, start: Residual | None) -> _NuisanceFit:
-        residual = fitted_nuisance(linearization, start).residual
+    def fit_in(linearization: Linearization, start_residual: Residual | None) -> _NuisanceFit:
+        residual = fitted_nuisance(linearization, start_residual).residual
         return _NuisanceFit(linearization, residual, misfit(record, nominal_variances, residual))
 
-    def refit(estimate: _NuisanceFit) -> _NuisanceFit:
-        return fit_in(rescaled(estimate.linearization, estimate.residual), estimate.residual)
+    def refit(previous_fit: _NuisanceFit) -> _NuisanceFit:
+        return fit_in(rescaled(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
 
-    def relinearize(estimate: _NuisanceFit) -> _NuisanceFit:
-        relinearized = linearization.relinearized(rig, estimate.residual, scales=estimate.linearization.scales)
-        return fit_in(relinearized, estimate.residual)
+    def relinearize(previous_fit: _NuisanceFit) -> _NuisanceFit:
+        new_linearization = linearization.relinearized(
+            rig, previous_fit.residual, scales=previous_fit.linearization.scales
+        )
+        return fit_in(new_linearization, previous_fit.residual)
 
-    def settled(before: _NuisanceFit, after: _NuisanceFit) -> bool:
-        fall = before.misfit.minus_two_log - after.misfit.minus_two_log
-        return not (after.misfit.excess > COST_TOLERANCE and fall > COST_TOLERANCE)
+    def settled(earlier_fit: _NuisanceFit, later_fit: _NuisanceFit) -> bool:
+        cost_fall = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
+        return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_fall > COST_TOLERANCE)
 
-    estimate = fit_in(linearization, None)
-    estimate = refit_until_settled(estimate, relinearize, rounds=stated_scale_refits(rig))
-    estimate = refit_until_settled(estimate, refit, settled, rounds=MAX_ROUNDS, at_least=extra_relinearizations(rig))
-    return estimate.linearization, estimate.residual
+    nuisance_fit = fit_in(linearization, None)
+    nuisance_fit = refit_until_settled(nuisance_fit, relinearize, rounds=stated_scale_refits(rig))
+    nuisance_fit = refit_until_settled(
+        nuisance_fit, refit, settled, rounds=MAX_ROUNDS, at_least=extra_relinearizations(rig)
+    )
+    return nuisance_fit.linearization, nuisance_fit.residual
 
 
 @dataclass(frozen=True)
@@ -49,11 +53,16 @@ class _NuisanceFit:
     misfit: Misfit
 
 
-def fitted_nuisance(linearization: Linearization, start: Residual | None = None) -> Fit:
+def fitted_nuisance(linearization: Linearization, start_residual: Residual | None = None) -> Fit:
     """Fit of nuisance parameters, drifts and contact tolerances in the linearised rig."""
     no_parameters = np.zeros(0)
     return fit(
-        linearization, lambda _: linearization.rig, no_parameters, no_parameters, (no_parameters, no_parameters), start
+        linearization,
+        lambda _: linearization.rig,
+        no_parameters,
+        no_parameters,
+        (no_parameters, no_parameters),
+        start_residual,
     )
 
 

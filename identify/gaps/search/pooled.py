@@ -20,7 +20,7 @@ from identify.gaps.residual.likelihood import NominalVariances, misfit, nominal_
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Linearization, Residual, derivative, linearized
-from identify.gaps.search.hypothesis import Hypothesis, applied, parameters_of, steps_of
+from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
@@ -36,10 +36,10 @@ STEP_TOLERANCE = 0.1
 class Information:
     """-2 ln p of one record as a quadratic of tolerances and parameters (in units of their steps)."""
 
-    tolerances: tuple[Hashable, ...]
+    tolerance_names: tuple[Hashable, ...]
     normal_matrix: Float[np.ndarray, "unknowns unknowns"]
     right_side: Float[np.ndarray, " unknowns"]
-    constant: float
+    constant_cost: float
 
 
 @dataclass(frozen=True)
@@ -48,157 +48,196 @@ class LinearizedRecord:
 
     linearization: Linearization
     residual: Residual
-    information: Information
-    rows: tuple[Float[np.ndarray, "_ tolerances"], ...]
+    tolerance_information: Information
+    tolerance_columns: tuple[Float[np.ndarray, "_ tolerances"], ...]
     cost: float
 
     def with_parameters(
-        self, build: Callable[[Values], Rig], values: Values, steps: Values, high: Values
+        self, build_rig: Callable[[Values], Rig], parameter_values: Values, steps: Values, upper_bounds: Values
     ) -> Information:
-        """Information of the record on tolerances and parameters; `build` makes the rig from `values`."""
-        signs = np.where(values + steps > high, -DERIVATIVE_STEP, DERIVATIVE_STEP)
-        derivatives = [
-            derivative(self.linearization, build(values + signs[i] * step), self.residual)
-            for i, step in enumerate(np.diag(steps))
+        """Information of the record on tolerances and parameters; `build_rig` makes the rig from `parameter_values`."""
+        signed_shares = np.where(parameter_values + steps > upper_bounds, -DERIVATIVE_STEP, DERIVATIVE_STEP)
+        decreases_by_step = [
+            derivative(
+                self.linearization, build_rig(parameter_values + signed_shares[parameter_index] * step), self.residual
+            )
+            for parameter_index, step in enumerate(np.diag(steps))
         ]
-        columns = [
-            tuple(block / sign for block in (linear, *contacts))
-            for (linear, contacts), sign in zip(derivatives, signs, strict=True)
+        parameter_columns = [
+            tuple(residual_block / signed_share for residual_block in (linear, *contacts))
+            for (linear, contacts), signed_share in zip(decreases_by_step, signed_shares, strict=True)
         ]
-        tolerance_information, ratio = self.information, self.linearization.record.sample_ratio
-        count, nuisance_count = len(tolerance_information.tolerances), len(self.linearization.columns.parameters)
-        size = count + len(columns)
-        normal_matrix, gradient = np.zeros((size, size)), np.zeros(size)
-        if columns:
-            linear = np.array([column[0].ravel() for column in columns])
-            normal_matrix[:nuisance_count, count:] = self.linearization.columns.products(linear)
-            normal_matrix[count:, count:] = linear @ linear.T
-            gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
-        for j, tolerance_rows in enumerate(self.rows):
+        tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
+        tolerance_count, nuisance_count = (
+            len(tolerance_information.tolerance_names),
+            len(self.linearization.columns.parameters),
+        )
+        unknown_count = tolerance_count + len(parameter_columns)
+        normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
+        if parameter_columns:
+            linear_columns = np.array([parameter_column[0].ravel() for parameter_column in parameter_columns])
+            normal_matrix[:nuisance_count, tolerance_count:] = self.linearization.columns.products(linear_columns)
+            normal_matrix[tolerance_count:, tolerance_count:] = linear_columns @ linear_columns.T
+            gradient[tolerance_count:] = linear_columns @ self.residual.linear_without_lines.ravel()
+        for contact_index, contact_tolerance_columns in enumerate(self.tolerance_columns):
             contact_columns = (
-                np.array([column[1 + j] for column in columns]).reshape(len(columns), len(tolerance_rows)).T
+                np.array([parameter_column[1 + contact_index] for parameter_column in parameter_columns])
+                .reshape(len(parameter_columns), len(contact_tolerance_columns))
+                .T
             )
             contact_matrix, contact_gradient = without_drift(
-                self.residual, j, np.concatenate([tolerance_rows, contact_columns], axis=1)
+                self.residual, contact_index, np.concatenate([contact_tolerance_columns, contact_columns], axis=1)
             )
-            normal_matrix[:, count:] += contact_matrix[:, count:]
-            gradient[count:] += contact_gradient[count:]
-        normal_matrix[count:, :count] = normal_matrix[:count, count:].T
-        normal_matrix, gradient = normal_matrix / ratio, gradient / ratio
-        normal_matrix[:count, :count] = tolerance_information.normal_matrix
-        gradient[:count] = tolerance_information.right_side - tolerance_information.normal_matrix @ self.residual.pulls
-        point = np.append(self.residual.pulls, values / steps)
-        return _quadratic(tolerance_information.tolerances, normal_matrix, gradient, point, self.cost)
+            normal_matrix[:, tolerance_count:] += contact_matrix[:, tolerance_count:]
+            gradient[tolerance_count:] += contact_gradient[tolerance_count:]
+        normal_matrix[tolerance_count:, :tolerance_count] = normal_matrix[:tolerance_count, tolerance_count:].T
+        normal_matrix, gradient = normal_matrix / sample_ratio, gradient / sample_ratio
+        normal_matrix[:tolerance_count, :tolerance_count] = tolerance_information.normal_matrix
+        gradient[:tolerance_count] = (
+            tolerance_information.right_side - tolerance_information.normal_matrix @ self.residual.pulls
+        )
+        expansion_point = np.append(self.residual.pulls, parameter_values / steps)
+        return _information_at(
+            tolerance_information.tolerance_names, normal_matrix, gradient, expansion_point, self.cost
+        )
 
 
 def linearized_record(record: Record, nominal_variances: NominalVariances, rig: Rig) -> LinearizedRecord:
     """Fit of a rig to a record by its tolerances, at the scales that the record shows, with its information."""
     linearization, residual = fit_nuisance(record, rig)
-    nuisance_count, ratio = len(linearization.columns.parameters), record.sample_ratio
-    names = (
-        *((id(record), k) if p.kind == "initial state" else p for k, p in enumerate(linearization.columns.parameters)),
+    nuisance_count, sample_ratio = len(linearization.columns.parameters), record.sample_ratio
+    tolerance_names = (
         *(
-            (c.name, k)
+            (id(record), tolerance_index) if parameter.kind == "initial state" else parameter
+            for tolerance_index, parameter in enumerate(linearization.columns.parameters)
+        ),
+        *(
+            (c.name, tolerance_index)
             for c, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
-            for k in range(contact.pulls.size)
+            for tolerance_index in range(contact.pulls.size)
         ),
     )
-    normal_matrix, gradient = np.zeros((len(names), len(names))), np.zeros(len(names))
-    normal_matrix[:nuisance_count, :nuisance_count] = linearization.gram
+    normal_matrix, gradient = np.zeros((len(tolerance_names), len(tolerance_names))), np.zeros(len(tolerance_names))
+    normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
     gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
-    contact_rows = []
-    for j, contact in enumerate(residual.contacts):
-        rows = np.zeros((contact.residual.size, len(names)))
-        rows[:, :nuisance_count] = contact_jacobian(linearization, residual, j)
-        first = nuisance_count + sum(c.pulls.size for c in residual.contacts[:j])
+    columns_by_contact = []
+    for contact_index, contact in enumerate(residual.contacts):
+        contact_columns = np.zeros((contact.residual.size, len(tolerance_names)))
+        contact_columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
+        first_tolerance = nuisance_count + sum(c.pulls.size for c in residual.contacts[:contact_index])
         sample_count = contact.observation.weights.size
-        rows[:sample_count, first : first + contact.pulls.size] = contact.columns[
+        contact_columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
             :sample_count, contact.observation.tolerance_slice
         ].toarray()
-        contact_matrix, contact_gradient = without_drift(residual, j, rows)
+        contact_matrix, contact_gradient = without_drift(residual, contact_index, contact_columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
-        contact_rows.append(rows)
+        columns_by_contact.append(contact_columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
-    information = _quadratic(names, normal_matrix / ratio, gradient / ratio, residual.pulls, cost)
-    return LinearizedRecord(linearization, residual, information, tuple(contact_rows), cost)
+    information = _information_at(
+        tolerance_names, normal_matrix / sample_ratio, gradient / sample_ratio, residual.pulls, cost
+    )
+    return LinearizedRecord(linearization, residual, information, tuple(columns_by_contact), cost)
 
 
-def _quadratic(
-    tolerances: tuple[Hashable, ...],
+def _information_at(
+    tolerance_names: tuple[Hashable, ...],
     normal_matrix: Float[np.ndarray, "unknowns unknowns"],
     gradient: Float[np.ndarray, " unknowns"],
-    point: Float[np.ndarray, " unknowns"],
-    cost: float,
+    expansion_point: Float[np.ndarray, " unknowns"],
+    cost_at_point: float,
 ) -> Information:
-    """Information from the derivatives at a point, where -2 ln p is `cost`, the prior of the tolerances included."""
-    pulls, right_side = point[: len(tolerances)], gradient + normal_matrix @ point
+    """Information from the derivatives at a point, where -2 ln p is `cost_at_point`, prior of tolerances included."""
+    pulls, right_side = expansion_point[: len(tolerance_names)], gradient + normal_matrix @ expansion_point
     return Information(
-        tolerances, normal_matrix, right_side, cost - float(pulls @ pulls - point @ (right_side + gradient))
+        tolerance_names,
+        normal_matrix,
+        right_side,
+        cost_at_point - float(pulls @ pulls - expansion_point @ (right_side + gradient)),
     )
 
 
 def without_drift(
-    residual: Residual, contact_index: int, rows: Float[np.ndarray, "_ unknowns"]
+    residual: Residual, contact_index: int, unknown_columns: Float[np.ndarray, "_ unknowns"]
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
-    """Normal equations of a contact's residual by `rows`, with its slow motion eliminated."""
+    """Normal equations of a contact's residual by `unknown_columns`, with its slow motion eliminated."""
     contact_residual = residual.contacts[contact_index]
-    normal_matrix, gradient = rows.T @ rows, rows.T @ contact_residual.residual
-    if not contact_residual.observation.curve.knots:
+    normal_matrix, gradient = unknown_columns.T @ unknown_columns, unknown_columns.T @ contact_residual.residual
+    if not contact_residual.observation.drift_spline.knots:
         return normal_matrix, gradient
     drift_solver, drift_columns = contact_residual.drift_solver, contact_residual.drift_columns
-    coupling = drift_columns.T @ rows
-    return normal_matrix - coupling.T @ drift_solver.solve(coupling), gradient - coupling.T @ drift_solver.solve(
-        drift_columns.T @ contact_residual.residual
-    )
+    drift_coupling = drift_columns.T @ unknown_columns
+    return normal_matrix - drift_coupling.T @ drift_solver.solve(
+        drift_coupling
+    ), gradient - drift_coupling.T @ drift_solver.solve(drift_columns.T @ contact_residual.residual)
 
 
 @dataclass(frozen=True)
 class PooledEstimate:
     """Estimate from several records; parameters that differ by record follow each other in the order of the records."""
 
-    tolerances: dict[Hashable, float]
+    tolerance_pulls: dict[Hashable, float]
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     cost: float
 
 
 def pooled(
-    records: Sequence[Information],
+    record_information: Sequence[Information],
     steps: Values,
     bounds: tuple[Values, Values],
     prior_centre: Values,
-    per_record: bool = False,
+    differs_by_record: bool = False,
 ) -> PooledEstimate:
-    """Estimate of tolerances shared by all records, and of parameters shared or `per_record`, of least -2 ln p.
+    """Estimate of tolerances shared by all records, and of parameters shared or `differs_by_record`, of least -2 ln p.
 
     A weak prior, `prior_centre` with the width of the range, keeps parameters that a record does not show in range.
     """
-    names = list(dict.fromkeys(name for information in records for name in information.tolerances))
-    count, size, copies = len(names), len(steps), len(records) if per_record else 1
+    tolerance_names = list(
+        dict.fromkeys(name for information in record_information for name in information.tolerance_names)
+    )
+    tolerance_count, parameter_count, parameter_copies = (
+        len(tolerance_names),
+        len(steps),
+        len(record_information) if differs_by_record else 1,
+    )
     step_bounds = np.sort(np.stack(bounds) / steps, axis=0)
-    widths = np.tile(step_bounds[1] - step_bounds[0], copies)
-    centre = np.concatenate([np.zeros(count), np.tile(prior_centre / steps, copies)])
-    prior = np.concatenate([np.ones(count), widths**-2.0])
-    normal_matrix, right_side = np.diag(prior), prior * centre
-    for k, information in enumerate(records):
-        first = count + (k * size if per_record else 0)
-        unknowns = [*(names.index(name) for name in information.tolerances), *range(first, first + size)]
+    prior_widths = np.tile(step_bounds[1] - step_bounds[0], parameter_copies)
+    prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
+    prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
+    normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
+    for record_index, information in enumerate(record_information):
+        first_parameter = tolerance_count + (record_index * parameter_count if differs_by_record else 0)
+        unknowns = [
+            *(tolerance_names.index(name) for name in information.tolerance_names),
+            *range(first_parameter, first_parameter + parameter_count),
+        ]
         normal_matrix[np.ix_(unknowns, unknowns)] += information.normal_matrix
         right_side[unknowns] += information.right_side
-    low, high = (
-        np.append(np.full(count, sign * LIMIT), np.tile(bound, copies))
+    lower_bounds, upper_bounds = (
+        np.append(np.full(tolerance_count, sign * LIMIT), np.tile(bound, parameter_copies))
         for sign, bound in zip((-1, 1), step_bounds, strict=True)
     )
-    z = centre + bounded_minimum(normal_matrix, right_side - normal_matrix @ centre, low - centre, high - centre)
-    cost = sum(information.constant for information in records) + float(
-        z @ normal_matrix @ z - 2 * right_side @ z + centre @ (prior * centre)
+    pooled_unknowns = prior_means + bounded_minimum(
+        normal_matrix, right_side - normal_matrix @ prior_means, lower_bounds - prior_means, upper_bounds - prior_means
     )
-    scale = np.tile(steps, copies)
-    covariance = np.linalg.inv(normal_matrix)[count:, count:] * np.outer(scale, scale)
-    values = np.clip(
-        z[count:] * scale, np.tile(bounds[0], copies), np.tile(bounds[1], copies)
+    cost = sum(information.constant_cost for information in record_information) + float(
+        pooled_unknowns @ normal_matrix @ pooled_unknowns
+        - 2 * right_side @ pooled_unknowns
+        + prior_means @ (prior_precisions * prior_means)
+    )
+    tiled_steps = np.tile(steps, parameter_copies)
+    covariance = np.linalg.inv(normal_matrix)[tolerance_count:, tolerance_count:] * np.outer(tiled_steps, tiled_steps)
+    pooled_values = np.clip(
+        pooled_unknowns[tolerance_count:] * tiled_steps,
+        np.tile(bounds[0], parameter_copies),
+        np.tile(bounds[1], parameter_copies),
     )  # the bounds of `bounded_minimum` have slack
-    return PooledEstimate(dict(zip(names, z[:count].tolist(), strict=True)), values, covariance, cost)
+    return PooledEstimate(
+        dict(zip(tolerance_names, pooled_unknowns[:tolerance_count].tolist(), strict=True)),
+        pooled_values,
+        covariance,
+        cost,
+    )
 
 
 def nominal_variances_by_record(records: Sequence[Record]) -> list[NominalVariances]:
@@ -216,42 +255,44 @@ def fitted_together(
     candidates = hypothesis.candidates
     if not candidates or any(candidate.kind.stochastic or candidate.kind.of_a_record for candidate in candidates):
         return hypothesis
-    rig, steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
-    build = partial(applied, rig, candidates)
+    rig, parameter_steps, bounds = records[0].rig, steps_of(candidates), parameters_of(candidates).bounds
+    build_rig = partial(with_effects, rig, candidates)
 
     def pooled_about(values: Values) -> _PooledFit:
-        cost, information = 0.0, list[Information]()
+        summed_cost, information = 0.0, list[Information]()
         for record, nominal_variances in zip(records, variances_by_record, strict=True):
-            record_fit = linearized_record(record, nominal_variances, build(values))
-            cost += record_fit.cost
-            information.append(record_fit.with_parameters(build, values, steps, bounds[1]))
-        return _PooledFit(values, pooled(information, steps, bounds, values), cost)
+            record_fit = linearized_record(record, nominal_variances, build_rig(values))
+            summed_cost += record_fit.cost
+            information.append(record_fit.with_parameters(build_rig, values, parameter_steps, bounds[1]))
+        return _PooledFit(values, pooled(information, parameter_steps, bounds, values), summed_cost)
 
-    def refit(before: _PooledFit) -> _PooledFit:
-        if before.settled:
-            return before
+    def refit(earlier_fit: _PooledFit) -> _PooledFit:
+        if earlier_fit.has_settled:
+            return earlier_fit
         try:
-            after = pooled_about(before.pooled.values)
+            later_fit = pooled_about(earlier_fit.pooled_estimate.values)
         except RigError:  # no rig has these values together
-            return before
-        return before if after.cost > before.cost else after
+            return earlier_fit
+        return earlier_fit if later_fit.cost > earlier_fit.cost else later_fit
 
     best_fit = refit_until_settled(
         pooled_about(hypothesis.values), refit, lambda before, after: after is before, rounds=ROUNDS
     )
-    return Hypothesis(candidates, best_fit.values, best_fit.pooled.covariance, hypothesis.misfit)
+    return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 
 
 @dataclass(frozen=True)
 class _PooledFit:
     """Pooled fit linearised about values, and the sum of the records' -2 ln p there, each with its own tolerances."""
 
-    values: Values
-    pooled: PooledEstimate
+    expansion_values: Values
+    pooled_estimate: PooledEstimate
     cost: float
 
     @property
-    def settled(self) -> bool:
+    def has_settled(self) -> bool:
         """True if no value changes by more than `STEP_TOLERANCE` standard errors."""
-        errors = np.sqrt(np.diag(self.pooled.covariance))
-        return bool(np.all(np.abs(self.pooled.values - self.values) < STEP_TOLERANCE * errors))
+        standard_errors = np.sqrt(np.diag(self.pooled_estimate.covariance))
+        return bool(
+            np.all(np.abs(self.pooled_estimate.values - self.expansion_values) < STEP_TOLERANCE * standard_errors)
+        )

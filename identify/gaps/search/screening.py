@@ -44,17 +44,17 @@ MAX_EVALUATIONS, RELATIVE_STEP = 40, 1e-4
 
 
 @dataclass(frozen=True)
-class Screened:
+class ScreenedCandidate:
     """Screened candidate: the decrease of the cost that it promises, and the parameter values from which to fit it."""
 
     candidate: Candidate
     cost_decrease: float
-    values: Float[np.ndarray, " parameters"]
+    start_values: Float[np.ndarray, " parameters"]
 
 
 def score_screening(
     linearization: Linearization, residual: Residual, candidates: Sequence[Candidate]
-) -> list[Screened]:
+) -> list[ScreenedCandidate]:
     """Screening by the gain of the linearised cost, with nuisance parameters and drifts free; the best first.
 
     This is Rao's score test of each effect at every trial place.
@@ -64,60 +64,91 @@ def score_screening(
     if any(candidate.kind.grid_screened for candidate in candidates):
         peaks_hz = peak_frequencies_hz(linearization, residual, PEAKS).tolist()
         equations_with_lines = equations.with_lines()
-    screened = []
+    screened_candidates = []
     for candidate in candidates:
         candidate_equations = equations_with_lines if candidate.kind.grid_screened else equations
-        starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
-        screened.append(max(starts, key=lambda item: item.cost_decrease))
-    return sorted(screened, key=lambda item: -item.cost_decrease)
+        screened_starts = _strength_gains(linearization, candidate_equations, candidate, peaks_hz)
+        screened_candidates.append(max(screened_starts, key=lambda item: item.cost_decrease))
+    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
 
 
-def peak_frequencies_hz(linearization: Linearization, residual: Residual, count: int) -> Float[np.ndarray, " lines"]:
+def peak_frequencies_hz(
+    linearization: Linearization, residual: Residual, peak_count: int
+) -> Float[np.ndarray, " lines"]:
     """Frequencies of the lines that stand out most in the linear and the contact residuals."""
-    rows = np.concatenate(
-        [residual.linear, *(contact.residual[None, : residual.linear.shape[1]] for contact in residual.contacts)]
+    residual_rows = np.concatenate(
+        [
+            residual.linear_residual,
+            *(contact.residual[None, : residual.linear_residual.shape[1]] for contact in residual.contacts),
+        ]
     )
     rate_hz = linearization.record.rate_hz
-    return rate_hz * sharpest_frequencies(rows, count, PEAK_BAND_HZ / rate_hz, linearization.record.repeats)
+    return rate_hz * sharpest_frequencies(
+        residual_rows, peak_count, PEAK_BAND_HZ / rate_hz, linearization.record.repeats_per_sample
+    )
 
 
 def _strength_gains(
     linearization: Linearization, equations: ReducedEquations, candidate: Candidate, peaks_hz: Sequence[float]
-) -> list[Screened]:
+) -> list[ScreenedCandidate]:
     """Gains of the strengths at every start, within their bounds; none where the record shows no change."""
-    strengths, residual = candidate.parameters.strengths, equations.residual
-    screened = [Screened(candidate, 0.0, candidate.default)]
-    starts: list[Float[np.ndarray, " parameters"]] = []
-    columns: list[Column] = []
-    for start in candidate.starts(peaks_hz):
+    strength_indices, residual = candidate.parameters.strengths, equations.residual
+    screened_starts = [ScreenedCandidate(candidate, 0.0, candidate.typical_values)]
+    possible_starts: list[Float[np.ndarray, " parameters"]] = []
+    strength_decreases: list[Column] = []
+    for start_values in candidate.start_values(peaks_hz):
         with suppress(RigError):  # no such rig
-            columns += strength_columns(linearization, residual, candidate, start)
-            starts.append(start)
-    normal = equations.with_columns(columns)
+            strength_decreases += strength_columns(linearization, residual, candidate, start_values)
+            possible_starts.append(start_values)
+    normal_equations = equations.with_columns(strength_decreases)
     nuisance_count = len(equations.gradient)
-    free_nuisance = np.flatnonzero(np.abs(residual.nuisance) < LIMIT - 1e-6)
-    response = np.linalg.solve(
-        normal.matrix[np.ix_(free_nuisance, free_nuisance)], normal.matrix[free_nuisance, nuisance_count:]
+    free_nuisance = np.flatnonzero(np.abs(residual.nuisance_pulls) < LIMIT - 1e-6)
+    nuisance_response = np.linalg.solve(
+        normal_equations.matrix[np.ix_(free_nuisance, free_nuisance)],
+        normal_equations.matrix[free_nuisance, nuisance_count:],
     )
-    steps = candidate.steps[strengths]
-    low, high = (bound[strengths] for bound in candidate.parameters.bounds)
-    for k, start in enumerate(starts):
-        term = slice(nuisance_count + k * len(strengths), nuisance_count + (k + 1) * len(strengths))
-        term_response = response[:, term.start - nuisance_count : term.stop - nuisance_count]
-        curvature = normal.matrix[term, term] - normal.matrix[term][:, free_nuisance] @ term_response
-        slope = normal.gradient[term] - term_response.T @ normal.gradient[free_nuisance]
-        if np.any(np.diag(curvature) <= 1e-9 * np.maximum(np.diag(normal.matrix)[term], 1.0)):
+    strength_steps = candidate.step_sizes[strength_indices]
+    lower_bounds, upper_bounds = (bound[strength_indices] for bound in candidate.parameters.bounds)
+    for start_index, start_values in enumerate(possible_starts):
+        parameter_slice = slice(
+            nuisance_count + start_index * len(strength_indices),
+            nuisance_count + (start_index + 1) * len(strength_indices),
+        )
+        start_response = nuisance_response[
+            :, parameter_slice.start - nuisance_count : parameter_slice.stop - nuisance_count
+        ]
+        reduced_curvature = (
+            normal_equations.matrix[parameter_slice, parameter_slice]
+            - normal_equations.matrix[parameter_slice][:, free_nuisance] @ start_response
+        )
+        reduced_slope = (
+            normal_equations.gradient[parameter_slice] - start_response.T @ normal_equations.gradient[free_nuisance]
+        )
+        if np.any(
+            np.diag(reduced_curvature) <= 1e-9 * np.maximum(np.diag(normal_equations.matrix)[parameter_slice], 1.0)
+        ):
             continue  # without influence, such as a force on a clamp
-        step = (
-            np.clip(start[strengths] + np.linalg.solve(curvature, slope) * steps, low, high) - start[strengths]
-        ) / steps
-        values = start.copy()
-        values[strengths] = start[strengths] + step * steps
-        screened.append(Screened(candidate, float(2 * slope @ step - step @ curvature @ step), values))
-    return screened
+        scaled_step = (
+            np.clip(
+                start_values[strength_indices] + np.linalg.solve(reduced_curvature, reduced_slope) * strength_steps,
+                lower_bounds,
+                upper_bounds,
+            )
+            - start_values[strength_indices]
+        ) / strength_steps
+        best_values = start_values.copy()
+        best_values[strength_indices] = start_values[strength_indices] + scaled_step * strength_steps
+        screened_starts.append(
+            ScreenedCandidate(
+                candidate,
+                float(2 * reduced_slope @ scaled_step - scaled_step @ reduced_curvature @ scaled_step),
+                best_values,
+            )
+        )
+    return screened_starts
 
 
-def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[Screened]:
+def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]) -> list[ScreenedCandidate]:
     """Screening by the linear residual over a grid of strengths and places, for effects too large for a slope.
 
     It holds for effects that change the linear model and need a selection of lines only: not with friction to the
@@ -125,41 +156,46 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     """
     if needs_every_line(linearization.rig):
         return []
-    thinned_record = _thinned(linearization.record)
-    discrepancy, responses = linearization.scales.discrepancy[:, 1::LINE_STRIDE], ResponseCache(thinned_record.omega)
+    thinned_record = _thinned_record(linearization.record)
+    unmodelled_shares, response_cache = (
+        linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE],
+        ResponseCache(thinned_record.omega),
+    )
 
     def cost(rig: Rig) -> float:
-        model = linear_model(thinned_record, rig, discrepancy, responses)
+        model = linear_model(thinned_record, rig, unmodelled_shares, response_cache)
         return LINE_STRIDE * float(np.sum(np.abs(model.residual) ** 2))
 
     nominal_cost = cost(linearization.rig)
-    screened = []
+    screened_candidates = []
     for candidate in candidates:
-        changed_rig = candidate.applied(linearization.rig, candidate.default)
+        changed_rig = candidate.applied(linearization.rig, candidate.typical_values)
         has_linear_change = not same_but_laws(linearization.rig, changed_rig)
         has_same_loads = changed_rig.loads == linearization.rig.loads
         if not (has_linear_change and has_same_loads) or candidate.kind.stochastic or needs_every_line(changed_rig):
             continue
-        costs = []
-        for values in _grid(candidate):
+        costs_and_values = []
+        for grid_values in _grid_values(candidate):
             try:
-                costs.append((cost(candidate.applied(linearization.rig, values)), values))
+                costs_and_values.append((cost(candidate.applied(linearization.rig, grid_values)), grid_values))
             except RigError:
                 continue
-        if costs:
-            least_cost, values = min(costs, key=lambda pair: pair[0])
-            screened.append(Screened(candidate, nominal_cost - least_cost, values))
-    return sorted(screened, key=lambda item: -item.cost_decrease)
+        if costs_and_values:
+            least_cost, grid_values = min(costs_and_values, key=lambda cost_and_values: cost_and_values[0])
+            screened_candidates.append(ScreenedCandidate(candidate, nominal_cost - least_cost, grid_values))
+    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
 
 
 def law_candidates(rig: Rig, candidates: Sequence[Candidate]) -> list[Candidate]:
     """Candidates that change contact laws alone."""
-    return [c for c in candidates if same_but_laws(rig, c.applied(rig, c.default))]
+    return [
+        candidate for candidate in candidates if same_but_laws(rig, candidate.applied(rig, candidate.typical_values))
+    ]
 
 
 def law_screening(
     linearization: Linearization, law_free_residual: Residual, candidates: Sequence[Candidate]
-) -> list[Screened]:
+) -> list[ScreenedCandidate]:
     """Screening of `law_candidates` by the contact residuals over a grid of strengths; the best first.
 
     `law_free_residual` is one whose slow motion follows no law yet. A smaller clearance has no slope where the nominal
@@ -167,80 +203,99 @@ def law_screening(
     slow motion differs between contacts.
     """
     contact_unknowns, nominal_scatter = (
-        tuple(c.unknowns for c in law_free_residual.contacts),
-        _scatter(law_free_residual),
+        tuple(contact.unknowns for contact in law_free_residual.contacts),
+        _log_scatter(law_free_residual),
     )
-    screened = []
+    screened_candidates = []
     for candidate in candidates:
-        values = candidate.starts()[0]
-        best = Screened(candidate, 0.0, values)
-        for strength in candidate.strengths(STRENGTHS):
-            trial_values = np.append(strength, values[1:])
+        start_values = candidate.start_values()[0]
+        best_trial = ScreenedCandidate(candidate, 0.0, start_values)
+        for strength in candidate.trial_strengths(STRENGTHS):
+            trial_values = np.append(strength, start_values[1:])
             with suppress(RigError):  # no such law
-                rig = candidate.applied(linearization.rig, trial_values)
-                nuisance = law_free_residual.nuisance
-                residual = residual_of(linearization, rig, nuisance, contact_unknowns, base=law_free_residual)
-                trial = Screened(candidate, nominal_scatter - _scatter(residual), trial_values)
-                best = max(best, trial, key=lambda item: item.cost_decrease)
-        screened.append(best)
-    return sorted(screened, key=lambda item: -item.cost_decrease)
+                trial_rig = candidate.applied(linearization.rig, trial_values)
+                nuisance_pulls = law_free_residual.nuisance_pulls
+                trial_residual = residual_of(
+                    linearization, trial_rig, nuisance_pulls, contact_unknowns, base=law_free_residual
+                )
+                trial = ScreenedCandidate(candidate, nominal_scatter - _log_scatter(trial_residual), trial_values)
+                best_trial = max(best_trial, trial, key=lambda item: item.cost_decrease)
+        screened_candidates.append(best_trial)
+    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
 
 
-def _scatter(residual: Residual) -> float:
+def _log_scatter(residual: Residual) -> float:
     return float(sum(contact.residual.size * np.log(contact.cost) for contact in residual.contacts))
 
 
-def _grid(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
+def _grid_values(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
     """Parameter values on the grid of strengths within the bounds, at every place."""
-    for place in candidate.starts():
-        for strength in candidate.strengths(STRENGTHS):
-            values = place.copy()
-            values[0] = strength
-            yield values
+    for place_values in candidate.start_values():
+        for strength in candidate.trial_strengths(STRENGTHS):
+            grid_values = place_values.copy()
+            grid_values[0] = strength
+            yield grid_values
 
 
-def _thinned(record: Record) -> Record:
-    lines = slice(1, None, LINE_STRIDE)
+def _thinned_record(record: Record) -> Record:
+    line_slice = slice(1, None, LINE_STRIDE)
     return replace(
         record,
-        omega=record.omega[lines],
-        windows_responses=False,
+        omega=record.omega[line_slice],
+        responses_windowed=False,
         **{
-            name: getattr(record, name)[..., lines]
-            for name in ("forces", "delivered", "displaced", "faded", "noise", "power")
+            field_name: getattr(record, field_name)[..., line_slice]
+            for field_name in (
+                "force_spectra",
+                "acceleration_signals",
+                "displacement_signals",
+                "velocity_correction",
+                "noise_variance",
+                "smoothed_power",
+            )
         },
     )
 
 
-def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) -> list[Screened]:
+def mode_screening(record: Record, rig: Rig, candidates: Sequence[Candidate]) -> list[ScreenedCandidate]:
     """Screening by the modes of a free decay, each effect at its best values; the best first, empty without modes."""
-    if not record.modes:
+    if not record.measured_modes:
         return []
     nominal_cost = float(np.sum(mode_mismatch(record, rig) ** 2))
-    screened = []
+    screened_candidates = []
     for candidate in candidates:
         if candidate.kind.stochastic or candidate.kind.grid_screened:
             continue
-        screened += [
-            Screened(candidate, nominal_cost - cost, values) for cost, values in _cost_minima(record, rig, candidate)
+        screened_candidates += [
+            ScreenedCandidate(candidate, nominal_cost - least_cost, best_values)
+            for least_cost, best_values in _cost_minima(record, rig, candidate)
         ]
-    return sorted(screened, key=lambda item: -item.cost_decrease)
+    return sorted(screened_candidates, key=lambda item: -item.cost_decrease)
 
 
 def mode_mismatch(record: Record, rig: Rig) -> Float[np.ndarray, " mismatch"]:
     """Deviation z of the measured modes from a rig's, whitened by their errors and the tolerances."""
-    modes, tolerances = matched_modes(record.modes, rig), record.tolerances
-    mode_tolerances = [tolerances.of_mode(mode.body, mode.mode_number) for mode in modes]
-    is_same_body = np.equal.outer([mode.body for mode in modes], [mode.body for mode in modes])
-    frequency = np.diag(
-        [m.measured.frequency_error**2 + t.frequency**2 for m, t in zip(modes, mode_tolerances, strict=True)]
+    modes_of_rig, tolerances = matched_modes(record.measured_modes, rig), record.tolerances
+    mode_tolerances = [tolerances.of_mode(mode.body_name, mode.mode_number) for mode in modes_of_rig]
+    is_same_body = np.equal.outer([mode.body_name for mode in modes_of_rig], [mode.body_name for mode in modes_of_rig])
+    frequency_variances = np.diag(
+        [
+            matched_mode.measured_mode.frequency_error**2 + mode_tolerance.frequency**2
+            for matched_mode, mode_tolerance in zip(modes_of_rig, mode_tolerances, strict=True)
+        ]
     )
-    damping = np.diag([m.measured.damping_error**2 + t.damping**2 for m, t in zip(modes, mode_tolerances, strict=True)])
+    damping_variances = np.diag(
+        [
+            matched_mode.measured_mode.damping_error**2 + mode_tolerance.damping**2
+            for matched_mode, mode_tolerance in zip(modes_of_rig, mode_tolerances, strict=True)
+        ]
+    )
     covariance = block_diag(
-        frequency + is_same_body * tolerances.frequency**2, damping + is_same_body * tolerances.damping**2
+        frequency_variances + is_same_body * tolerances.frequency**2,
+        damping_variances + is_same_body * tolerances.damping**2,
     )
-    logarithms = np.array([mode.logarithms for mode in modes]).reshape(-1, 2)
-    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), logarithms.T.ravel()))
+    log_ratios = np.array([mode.log_ratios for mode in modes_of_rig]).reshape(-1, 2)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(covariance), log_ratios.T.ravel()))
 
 
 def _cost_minima(
@@ -251,31 +306,33 @@ def _cost_minima(
     Few modes may fit one mass at one place as well as another elsewhere; the mode shapes at the sensors decide later.
     """
 
-    def mismatch(values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " mismatch"]:
-        return mode_mismatch(record, candidate.applied(rig, values))
+    def mismatch(effect_values: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " mismatch"]:
+        return mode_mismatch(record, candidate.applied(rig, effect_values))
 
-    low, high = candidate.parameters.bounds
-    starts = []
-    for place in candidate.starts():
-        fits = []
-        for strength in candidate.strengths(STRENGTHS):
-            values = np.append(strength, place[1:])
+    lower_bounds, upper_bounds = candidate.parameters.bounds
+    best_of_places = []
+    for place_values in candidate.start_values():
+        costs_and_values = []
+        for strength in candidate.trial_strengths(STRENGTHS):
+            start_values = np.append(strength, place_values[1:])
             with suppress(RigError):
-                fits.append((float(np.sum(mismatch(values) ** 2)), values))
-        starts += [min(fits, key=_cost)] if fits else []
-    minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
-    options = {"diff_step": RELATIVE_STEP, "x_scale": high - low, "max_nfev": MAX_EVALUATIONS}
-    for start in sorted(starts, key=_cost)[:FOLLOWED_PLACES]:
-        minimum = start
+                costs_and_values.append((float(np.sum(mismatch(start_values) ** 2)), start_values))
+        best_of_places += [min(costs_and_values, key=_cost_of_minimum)] if costs_and_values else []
+    distinct_minima: list[tuple[float, Float[np.ndarray, " parameters"]]] = []
+    solver_options = {"diff_step": RELATIVE_STEP, "x_scale": upper_bounds - lower_bounds, "max_nfev": MAX_EVALUATIONS}
+    for place_best in sorted(best_of_places, key=_cost_of_minimum)[:FOLLOWED_PLACES]:
+        minimum = place_best
         with suppress(RigError, ValueError):
-            values = np.clip(start[1], low, high)
-            solution = least_squares(mismatch, values, bounds=(low, high), method="dogbox", **options)
+            start_values = np.clip(place_best[1], lower_bounds, upper_bounds)
+            solution = least_squares(
+                mismatch, start_values, bounds=(lower_bounds, upper_bounds), method="dogbox", **solver_options
+            )
             minimum = 2 * float(solution.cost), solution.x
-        distances = [np.abs(minimum[1] - values) for _, values in minima]
-        if all(np.any(distance > DISTINCT_SHARE * (high - low)) for distance in distances):
-            minima.append(minimum)
-    return minima
+        distances = [np.abs(minimum[1] - values) for _, values in distinct_minima]
+        if all(np.any(distance > DISTINCT_SHARE * (upper_bounds - lower_bounds)) for distance in distances):
+            distinct_minima.append(minimum)
+    return distinct_minima
 
 
-def _cost(fit: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
-    return fit[0]
+def _cost_of_minimum(cost_and_values: tuple[float, Float[np.ndarray, " parameters"]]) -> float:
+    return cost_and_values[0]

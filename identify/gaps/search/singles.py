@@ -20,7 +20,7 @@ from identify.gaps.search.hypothesis import (
     reset_saturated_nuisance,
 )
 from identify.gaps.search.screening import (
-    Screened,
+    ScreenedCandidate,
     grid_screening,
     law_candidates,
     law_screening,
@@ -35,8 +35,8 @@ MAX_REFINED, RIVAL_GAIN = 3, 0.5
 """Number of these that are refined, and share of the best one's gain that they must reach. Effort."""
 
 
-def _cost_of(fit: FittedHypothesis) -> float:
-    return fit.cost
+def _cost_of_fit(fitted: FittedHypothesis) -> float:
+    return fitted.cost
 
 
 class _BestFits:
@@ -45,34 +45,34 @@ class _BestFits:
     def __init__(self) -> None:
         self.by_name: dict[str, FittedHypothesis] = {}
 
-    def take(self, fit: FittedHypothesis) -> None:
-        name = fit.hypothesis.candidates[0].name
-        if name not in self.by_name or fit.cost < self.by_name[name].cost:
-            self.by_name[name] = fit
-        for dropped_name in sorted(self.by_name, key=lambda n: self.by_name[n].cost)[MAX_REFINED:]:
+    def keep_if_better(self, new_fit: FittedHypothesis) -> None:
+        effect_name = new_fit.hypothesis.candidates[0].name
+        if effect_name not in self.by_name or new_fit.cost < self.by_name[effect_name].cost:
+            self.by_name[effect_name] = new_fit
+        for dropped_name in sorted(self.by_name, key=lambda kept_name: self.by_name[kept_name].cost)[MAX_REFINED:]:
             del self.by_name[dropped_name]
 
 
 def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
     """Refined fits of single effects, the likeliest first."""
     linearization, residual = search.linearization, reset_saturated_nuisance(search.residual)
-    law_free_residual = residual_of(linearization, linearization.rig, residual.nuisance)
-    steady = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
-    laws = law_candidates(linearization.rig, steady)
+    law_free_residual = residual_of(linearization, linearization.rig, residual.nuisance_pulls)
+    time_fitted = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
+    law_effects = law_candidates(linearization.rig, time_fitted)
     best_fits = _BestFits()
     for fit in chain(
-        _screened_fits(search, nominal_fit, residual, law_free_residual, steady, laws),
-        _law_fits(search, law_free_residual, laws),
+        _screened_fits(search, nominal_fit, residual, law_free_residual, time_fitted, law_effects),
+        _law_fits(search, law_free_residual, law_effects),
         _spectrum_fits(search, nominal_fit),
     ):
-        best_fits.take(fit)
-    refined_fits = _refined_all(search, _rivals(best_fits.by_name.values(), nominal_fit))
-    if not min(refined_fits, key=_cost_of, default=nominal_fit).hypothesis.at_limit:
+        best_fits.keep_if_better(fit)
+    refined_fits = _refined_all(search, _rival_fits(best_fits.by_name.values(), nominal_fit))
+    if not min(refined_fits, key=_cost_of_fit, default=nominal_fit).hypothesis.tolerance_at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
-    for fit in _typical_fits(search, law_free_residual, steady, laws):
-        best_fits.take(fit)
-    return sorted(best_fits.by_name.values(), key=_cost_of)
+    for fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
+        best_fits.keep_if_better(fit)
+    return sorted(best_fits.by_name.values(), key=_cost_of_fit)
 
 
 def _screened_fits(
@@ -80,33 +80,41 @@ def _screened_fits(
     nominal_fit: FittedHypothesis,
     residual: Residual,
     law_free_residual: Residual,
-    steady: Sequence[Candidate],
-    laws: Sequence[Candidate],
+    time_fitted: Sequence[Candidate],
+    law_effects: Sequence[Candidate],
 ) -> Iterator[FittedHypothesis]:
     """Brief fits of the candidates of which the screenings promise most."""
     linearization = search.linearization
-    screened: Iterator[tuple[Screened, Residual | None]] = chain(
-        ((s, residual) for s in _score_screened(linearization, residual, steady, nominal_fit, BY_SCORE)),
+    screened_and_starts: Iterator[tuple[ScreenedCandidate, Residual | None]] = chain(
+        ((s, residual) for s in _score_screened(linearization, residual, time_fitted, nominal_fit, BY_SCORE)),
         (
             (s, law_free_residual)
-            for s in _worthwhile(linearization, score_screening(linearization, law_free_residual, laws), BY_LAW_SCORE)
+            for s in _worth_fitting(
+                linearization, score_screening(linearization, law_free_residual, law_effects), BY_LAW_SCORE
+            )
         ),
-        ((s, None) for s in _worthwhile(linearization, grid_screening(linearization, steady), BY_GRID)),
-        ((s, None) for s in mode_screening(linearization.record, linearization.rig, steady)[:BY_MODES]),
+        ((s, None) for s in _worth_fitting(linearization, grid_screening(linearization, time_fitted), BY_GRID)),
+        ((s, None) for s in mode_screening(linearization.record, linearization.rig, time_fitted)[:BY_MODES]),
     )
-    for item, start in screened:
+    for screened_candidate, start_residual in screened_and_starts:
         with suppress(RigError):
-            yield fit_briefly(search, (item.candidate,), item.values, start)
+            yield fit_briefly(search, (screened_candidate.candidate,), screened_candidate.start_values, start_residual)
 
 
-def _law_fits(search: Search, law_free_residual: Residual, laws: Sequence[Candidate]) -> Iterator[FittedHypothesis]:
+def _law_fits(
+    search: Search, law_free_residual: Residual, law_effects: Sequence[Candidate]
+) -> Iterator[FittedHypothesis]:
     """Fits of contact laws that the contact residual promises, far from where the scales of the nominal law hold."""
     linearization = search.linearization
-    for item in _worthwhile(linearization, law_screening(linearization, law_free_residual, laws), BY_LAW):
+    for screened_candidate in _worth_fitting(
+        linearization, law_screening(linearization, law_free_residual, law_effects), BY_LAW
+    ):
         with suppress(RigError):
-            yield fit_effects(search, (item.candidate,), item.values, law_free_residual)
-            if not linearization.record.forced:
-                yield fit_afresh(search, (item.candidate,), item.values)
+            yield fit_effects(
+                search, (screened_candidate.candidate,), screened_candidate.start_values, law_free_residual
+            )
+            if not linearization.record.has_force:
+                yield fit_afresh(search, (screened_candidate.candidate,), screened_candidate.start_values)
 
 
 def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
@@ -117,18 +125,31 @@ def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[Fi
 
 
 def _typical_fits(
-    search: Search, law_free_residual: Residual, steady: Sequence[Candidate], laws: Sequence[Candidate]
+    search: Search, law_free_residual: Residual, time_fitted: Sequence[Candidate], law_effects: Sequence[Candidate]
 ) -> Iterator[FittedHypothesis]:
     """Fits of ratios and linear effects from their typical size, those of single sensors left out."""
-    not_of_sensors = [c for c in steady if "sensor" not in c.place]
-    for candidate in (c for c in not_of_sensors if c.neutral == 1 or (c not in laws and len(c.starts()) == 1)):
+    without_sensor_effects = [
+        possible_effect for possible_effect in time_fitted if "sensor" not in possible_effect.place
+    ]
+    for candidate in (
+        possible_effect
+        for possible_effect in without_sensor_effects
+        if possible_effect.neutral_strength == 1
+        or (possible_effect not in law_effects and len(possible_effect.start_values()) == 1)
+    ):
         with suppress(RigError):
-            yield fit_effects(search, (candidate,), candidate.default, law_free_residual)
+            yield fit_effects(search, (candidate,), candidate.typical_values, law_free_residual)
 
 
-def _worthwhile(linearization: Linearization, screened: Sequence[Screened], count: int) -> list[Screened]:
+def _worth_fitting(
+    linearization: Linearization, ranked_candidates: Sequence[ScreenedCandidate], fit_count: int
+) -> list[ScreenedCandidate]:
     """Best candidates of a screening, as far as they gain enough for a fit."""
-    return [item for item in screened[:count] if item.cost_decrease > MIN_GAIN * linearization.record.sample_ratio]
+    return [
+        screened_candidate
+        for screened_candidate in ranked_candidates[:fit_count]
+        if screened_candidate.cost_decrease > MIN_GAIN * linearization.record.sample_ratio
+    ]
 
 
 def _score_screened(
@@ -136,27 +157,35 @@ def _score_screened(
     residual: Residual,
     candidates: Sequence[Candidate],
     nominal_fit: FittedHypothesis,
-    count: int,
-) -> list[Screened]:
+    fit_count: int,
+) -> list[ScreenedCandidate]:
     """Best candidates by score and, where lines stand out of the residual, a tone on each body.
 
     Where the misfit is large the best candidate is fitted whatever it promises: scales that the misfit itself raised
     hide its gain.
     """
-    screened = score_screening(linearization, residual, candidates)
-    tones = [item for item in screened if item.candidate.kind.grid_screened]
-    steady = [item for item in screened if not item.candidate.kind.grid_screened]
-    promising = _worthwhile(linearization, steady, count) or (
-        steady[:1] if nominal_fit.hypothesis.is_incomplete else []
+    screened_candidates = score_screening(linearization, residual, candidates)
+    screened_tones = [
+        screened_candidate
+        for screened_candidate in screened_candidates
+        if screened_candidate.candidate.kind.grid_screened
+    ]
+    screened_without_tones = [
+        screened_candidate
+        for screened_candidate in screened_candidates
+        if not screened_candidate.candidate.kind.grid_screened
+    ]
+    promising = _worth_fitting(linearization, screened_without_tones, fit_count) or (
+        screened_without_tones[:1] if nominal_fit.hypothesis.is_incomplete else []
     )
-    return promising + (tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
+    return promising + (screened_tones if nominal_fit.hypothesis.misfit.line_cost > MIN_GAIN else [])
 
 
-def _rivals(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
+def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
     """Fits whose gain is near that of the best one."""
-    gains = [(nominal_fit.cost - fit.cost, fit) for fit in fits]
-    min_gain = max(MIN_GAIN / 2, RIVAL_GAIN * max((gain for gain, _ in gains), default=0.0))
-    return [fit for gain, fit in gains if gain > min_gain]
+    gains_and_fits = [(nominal_fit.cost - fit.cost, fit) for fit in fits]
+    least_gain = max(MIN_GAIN / 2, RIVAL_GAIN * max((gain for gain, _ in gains_and_fits), default=0.0))
+    return [fit for gain, fit in gains_and_fits if gain > least_gain]
 
 
 def _refined_all(
@@ -164,7 +193,7 @@ def _refined_all(
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
-    for fit in sorted(rivals, key=_cost_of):
+    for fit in sorted(rivals, key=_cost_of_fit):
         refined_fits.append(refined(search, fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
-    return sorted(refined_fits, key=_cost_of)
+    return sorted(refined_fits, key=_cost_of_fit)

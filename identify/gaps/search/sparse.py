@@ -75,11 +75,11 @@ Values = Float[np.ndarray, " _"]
 
 @dataclass(frozen=True)
 class Selection:
-    """Candidates chosen in a local model with the values of their parameters; hints gain too little to be chosen."""
+    """Candidates chosen in a local model with the values of their parameters; hint_candidates gain too little."""
 
     candidates: tuple[Candidate, ...]
-    values: tuple[Values, ...]
-    hints: tuple[tuple[Candidate, Values], ...] = ()
+    values_by_candidate: tuple[Values, ...]
+    hint_candidates: tuple[tuple[Candidate, Values], ...] = ()
 
 
 def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> list[Hypothesis]:
@@ -87,45 +87,45 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
 
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
-    nominal = search.nominal_fit()
-    best = nominal if search.linearization.record.modes else _refined_from(search, nominal)
+    nominal_fit = search.nominal_fit()
+    best_fit = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
     progress(0.4)
-    best, rivals = _with_single_effects(search, nominal, best)
+    best_fit, rival_hypotheses = _with_single_effects(search, nominal_fit, best_fit)
     progress(0.6)
-    best, variants = reduced_sets(search, _with_base_motion(search, best))
+    best_fit, variant_hypotheses = reduced_sets(search, _with_base_motion(search, best_fit))
     progress(1.0)
-    hypotheses = (nominal.hypothesis, best.hypothesis, *variants, *rivals)
-    return sorted({h.key: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
+    hypotheses = (nominal_fit.hypothesis, best_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
+    return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 
-def _refined_from(search: Search, start: FittedHypothesis) -> FittedHypothesis:
+def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
-        start, lambda best: refined_set(search, best), lambda before, after: before is after, rounds=ROUNDS
+        start_set, lambda found: refined_set(search, found), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
 def _with_single_effects(
-    search: Search, nominal: FittedHypothesis, best: FittedHypothesis
+    search: Search, nominal_fit: FittedHypothesis, best_set: FittedHypothesis
 ) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Better one of a set and of the set started from the best single effect, and that effect where the set is better.
 
     Single effects are fitted where the set leaves most of the misfit, where it is so large that one effect may stand
     behind it or, if the modes of a decay are known, where it leaves any of the misfit.
     """
-    nominal_misfit, set_misfit = nominal.hypothesis.misfit, best.hypothesis.misfit
-    if search.linearization.record.modes:
-        is_doubtful = best.hypothesis.is_incomplete
+    nominal_misfit, set_misfit = nominal_fit.hypothesis.misfit, best_set.hypothesis.misfit
+    if search.linearization.record.measured_modes:
+        is_doubtful = best_set.hypothesis.is_incomplete
     else:
-        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess)
-        is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess >= dominant_excess
-        is_doubtful = is_mostly_unexplained or len(best.hypothesis.candidates) >= DOUBTFUL_SIZE
-    singles = single_effects(search, nominal) if is_doubtful else []
-    if not singles:
-        return best, []
-    likeliest = singles[0]
-    if likeliest.cost >= best.cost:
-        return best, [likeliest.hypothesis]
+        dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess_cost)
+        is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
+        is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SIZE
+    single_effect_fits = single_effects(search, nominal_fit) if is_doubtful else []
+    if not single_effect_fits:
+        return best_set, []
+    likeliest = single_effect_fits[0]
+    if likeliest.cost >= best_set.cost:
+        return best_set, [likeliest.hypothesis]
     is_base_motion = _is_stochastic(likeliest.hypothesis)
     return _base_motion_with_set(search, likeliest) if is_base_motion else _refined_from(search, likeliest), []
 
@@ -143,60 +143,60 @@ def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> Fitt
     return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
 
 
-def _search_about_set(search: Search, fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
+def _search_about_set(search: Search, set_fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
     """Search whose nominal rig is that of a fitted set."""
-    rig = fit.hypothesis.applied_to(search.linearization.rig)
-    return Search(search.nominal_variances, *_relinearized(fit, rig), tuple(candidates))
+    set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
+    return Search(search.nominal_variances, *_relinearized(set_fit, set_rig), tuple(candidates))
 
 
-def refined_set(search: Search, best: FittedHypothesis) -> FittedHypothesis:
+def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Set fitted together with what the local model selects beside it; the set itself where that gains too little."""
-    if not best.hypothesis.is_incomplete:
-        return best
-    linearization, residual, model = _local_model_of(search, best)
-    selection = selected(model, best.hypothesis)
-    hints = [((candidate,), (values,)) for candidate, values in selection.hints]
-    additions = [(selection.candidates, selection.values)] if selection.candidates else hints
-    fits = (_brief_fit_with(search, best.hypothesis, *addition, residual, linearization) for addition in additions)
+    if not best_set.hypothesis.is_incomplete:
+        return best_set
+    linearization, residual, model = _local_model_of(search, best_set)
+    selection = selected(model, best_set.hypothesis)
+    hint_additions = [((candidate,), (values,)) for candidate, values in selection.hint_candidates]
+    additions = [(selection.candidates, selection.values_by_candidate)] if selection.candidates else hint_additions
+    fits = (_brief_fit_with(search, best_set.hypothesis, *addition, residual, linearization) for addition in additions)
     brief_fit = min((fit for fit in fits if fit is not None), key=lambda fit: fit.cost, default=None)
     min_gain = MIN_REFINED_GAIN if selection.candidates else MIN_GAIN
-    if brief_fit is None or (not selection.candidates and best.cost - brief_fit.cost <= min_gain):
-        return best
+    if brief_fit is None or (not selection.candidates and best_set.cost - brief_fit.cost <= min_gain):
+        return best_set
     refined_fit = refined(search, brief_fit)
-    return refined_fit if best.cost - refined_fit.cost > min_gain else best
+    return refined_fit if best_set.cost - refined_fit.cost > min_gain else best_set
 
 
-def _local_model_of(search: Search, fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
+def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
-    rig = fit.hypothesis.applied_to(search.linearization.rig)
-    linearization, residual = _relinearized(fit, rig)
-    steady = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
-    nominal, present = search.linearization.rig, fit.hypothesis
+    rig = set_fit.hypothesis.applied_to(search.linearization.rig)
+    linearization, residual = _relinearized(set_fit, rig)
+    further = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
+    nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
         linearization,
         residual,
-        local_model(linearization, residual, search.nominal_variances, nominal, present, steady),
+        local_model(linearization, residual, search.nominal_variances, nominal_rig, present_set, further),
     )
 
 
 def _brief_fit_with(
     search: Search,
-    present: Hypothesis,
-    candidates: tuple[Candidate, ...],
-    values: tuple[Values, ...],
+    present_set: Hypothesis,
+    added_candidates: tuple[Candidate, ...],
+    added_values: tuple[Values, ...],
     residual: Residual,
     linearization: Linearization,
 ) -> FittedHypothesis | None:
     """Fit of a set with further members by a few steps, without those that others contain; None where no rig has them
     all."""
-    members = (*present.candidates, *candidates)
-    start_values = (*present.split(), *values)
-    containers = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
+    members = (*present_set.candidates, *added_candidates)
+    start_values = (*present_set.values_by_candidate(), *added_values)
+    kept_members = [k for k, member in enumerate(members) if not any(contains(other, member) for other in members)]
     try:
         return fit_briefly(
             search,
-            tuple(members[k] for k in containers),
-            np.concatenate([start_values[k] for k in containers]),
+            tuple(members[k] for k in kept_members),
+            np.concatenate([start_values[k] for k in kept_members]),
             reset_saturated_nuisance(residual),
             linearization,
         )
@@ -204,28 +204,28 @@ def _brief_fit_with(
         return None
 
 
-def _relinearized(fit: FittedHypothesis, rig: Rig) -> tuple[Linearization, Residual]:
+def _relinearized(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation about the rig of a fitted set, with the tolerances fitted in it."""
-    linearization = fit.linearization.relinearized(rig, fit.residual, fit.linearization.scales)
-    return linearization, fitted_nuisance(linearization, fit.residual).residual
+    linearization = set_fit.linearization.relinearized(set_rig, set_fit.residual, set_fit.linearization.scales)
+    return linearization, fitted_nuisance(linearization, set_fit.residual).residual
 
 
-def selected(model: LocalModel, present: Hypothesis) -> Selection:
+def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
     """Candidates that together lower S most, each by `MIN_GAIN` or more beside the others."""
     chosen: list[CandidateTerm] = []
-    solution = model.solved(chosen)
+    solution = model.minimum(chosen)
     hints: tuple[tuple[Candidate, Values], ...] = ()
-    while len(present.candidates) + len(chosen) < LARGEST_SET:
-        promising = _promising(model, chosen, present, solution)
-        trials = [(model.solved([*chosen, term], solution.theta), term) for term in promising]
+    while len(present_set.candidates) + len(chosen) < LARGEST_SET:
+        promising_terms = _promising_terms(model, chosen, present_set, solution)
+        trials = [(model.minimum([*chosen, term], solution.theta), term) for term in promising_terms]
         if not trials:
             break
         best_trial, term = min(trials, key=lambda pair: pair[0].statistic)
         if solution.statistic - best_trial.statistic < MIN_GAIN:
-            hints = _hints(trials, solution)
+            hints = _hint_values(trials, solution)
             break
         dominates = solution.statistic - best_trial.statistic > MAX_EXCESS_COST
-        chosen, solution = _pruned(model, [*chosen, term], best_trial)
+        chosen, solution = _without_superfluous(model, [*chosen, term], best_trial)
         if dominates:  # the local model does not hold that far: fit first, then select further
             break
     return Selection(
@@ -233,112 +233,118 @@ def selected(model: LocalModel, present: Hypothesis) -> Selection:
     )
 
 
-def _hints(trials: Sequence[tuple[Solution, CandidateTerm]], current: Solution) -> tuple[tuple[Candidate, Values], ...]:
+def _hint_values(
+    trials: Sequence[tuple[Solution, CandidateTerm]], current: Solution
+) -> tuple[tuple[Candidate, Values], ...]:
     """Best candidates that gain `HINT_GAIN`, each at one place."""
-    ranked = sorted(trials, key=lambda pair: pair[0].statistic)
-    hints = {
+    ranked_trials = sorted(trials, key=lambda pair: pair[0].statistic)
+    values_by_hint = {
         term.candidate.name: (term.candidate, term.values(solution.theta))
-        for solution, term in reversed(ranked)
+        for solution, term in reversed(ranked_trials)
         if current.statistic - solution.statistic > HINT_GAIN
     }
-    return tuple(reversed(hints.values()))[:MAX_HINTS]
+    return tuple(reversed(values_by_hint.values()))[:MAX_HINTS]
 
 
-def _promising(
-    model: LocalModel, chosen: Sequence[CandidateTerm], present: Hypothesis, solution: Solution
+def _promising_terms(
+    model: LocalModel, chosen_terms: Sequence[CandidateTerm], present_set: Hypothesis, solution: Solution
 ) -> list[CandidateTerm]:
     """Terms that promise most: of each candidate at most `PLACES_PER_CANDIDATE`, and none too often in the set."""
-    selected_candidates = [*present.candidates, *(term.candidate for term in chosen)]
-    promised = model.promised(chosen, solution)
+    selected_candidates = [*present_set.candidates, *(term.candidate for term in chosen_terms)]
+    promised_decreases = model.promised_decreases(chosen_terms, solution)
     promising_terms: list[CandidateTerm] = []
-    for k in np.argsort(-promised):
-        term = model.terms[k]
-        equal_candidates = [c for c in selected_candidates if c.name == term.candidate.name]
-        max_equal = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
-        if len(promising_terms) == SOLVED_CANDIDATES or promised[k] <= 0:
+    for term_index in np.argsort(-promised_decreases):
+        term = model.candidate_terms[term_index]
+        same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
+        largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
+        if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
-        place_count = sum(item.candidate is term.candidate for item in promising_terms)
+        place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)
         is_contained = any(contains(c, term.candidate) for c in selected_candidates)
-        if not is_contained and len(equal_candidates) < max_equal and place_count < PLACES_PER_CANDIDATE:
+        if not is_contained and len(same_effects) < largest_equal_count and place_count < PLACES_PER_CANDIDATE:
             promising_terms.append(term)
     return promising_terms
 
 
-def _pruned(model: LocalModel, chosen: list[CandidateTerm], solution: Solution) -> tuple[list[CandidateTerm], Solution]:
+def _without_superfluous(
+    model: LocalModel, chosen: list[CandidateTerm], solution: Solution
+) -> tuple[list[CandidateTerm], Solution]:
     """Set without the members that the others have made superfluous, and its solution."""
     for term in chosen[:-1]:
-        remaining_terms = [item for item in chosen if item is not term]
-        reduced_solution = model.solved(remaining_terms, solution.theta)
+        remaining_terms = [other_term for other_term in chosen if other_term is not term]
+        reduced_solution = model.minimum(remaining_terms, solution.theta)
         if reduced_solution.statistic - solution.statistic < MIN_GAIN:
             chosen, solution = remaining_terms, reduced_solution
     return chosen, solution
 
 
-def reduced_sets(search: Search, best: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
+def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypothesis, list[Hypothesis]]:
     """Best set without members that gain too little, and its variants.
 
     The variants are the set without each member, with a look-alike in the place of each, and without the two, three and
     more least important ones.
     """
-    candidates = best.hypothesis.candidates
-    if not candidates or _is_stochastic(best.hypothesis):
-        return best, []
-    indices = range(len(candidates))
+    candidates = best_set.hypothesis.candidates
+    if not candidates or _is_stochastic(best_set.hypothesis):
+        return best_set, []
+    member_indices = range(len(candidates))
     costs: list[float] = []
-    hypotheses: list[Hypothesis] = []
-    for k in indices:
-        reduced_fit = _subset_fit(search, best, [i for i in indices if i != k])
-        if len(candidates) > 1 and reduced_fit.cost - best.cost < MIN_GAIN:
+    variant_hypotheses: list[Hypothesis] = []
+    for member_index in member_indices:
+        reduced_fit = _subset_fit(search, best_set, [i for i in member_indices if i != member_index])
+        if len(candidates) > 1 and reduced_fit.cost - best_set.cost < MIN_GAIN:
             return reduced_sets(search, reduced_fit)
         costs.append(reduced_fit.cost)
-        hypotheses.append(reduced_fit.hypothesis)
-        if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[k], best)) is not None:
-            hypotheses.append(alternative_fit.hypothesis)
-    order = np.argsort(costs)  # the least important first
+        variant_hypotheses.append(reduced_fit.hypothesis)
+        if (alternative_fit := _look_alike_fit(search, reduced_fit, candidates[member_index], best_set)) is not None:
+            variant_hypotheses.append(alternative_fit.hypothesis)
+    by_importance = np.argsort(costs)  # the least important first
     for dropped_count in range(2, len(candidates)):
-        retained = sorted(order[dropped_count:].tolist())
-        hypotheses.append(_subset_fit(search, best, retained).hypothesis)
-    return best, hypotheses
+        retained_members = sorted(by_importance[dropped_count:].tolist())
+        variant_hypotheses.append(_subset_fit(search, best_set, retained_members).hypothesis)
+    return best_set, variant_hypotheses
 
 
 def _look_alike_fit(
-    search: Search, reduced_fit: FittedHypothesis, member: Candidate, best: FittedHypothesis
+    search: Search, reduced_fit: FittedHypothesis, member: Candidate, best_set: FittedHypothesis
 ) -> FittedHypothesis | None:
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
     linearization, residual, model = _local_model_of(search, reduced_fit)
-    nominal = model.solved([])
-    look_alikes = [t for t in _promising(model, [], reduced_fit.hypothesis, nominal) if t.candidate.name != member.name]
-    trials = [(model.solved([term], nominal.theta), term) for term in look_alikes]
+    without = model.minimum([])
+    look_alikes = [
+        t for t in _promising_terms(model, [], reduced_fit.hypothesis, without) if t.candidate.name != member.name
+    ]
+    trials = [(model.minimum([term], without.theta), term) for term in look_alikes]
     if not trials:
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)
     values = (term.values(solution.theta),)
     brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
-    if brief_fit is None or brief_fit.cost > best.cost + MAX_EXCESS_COST:
+    if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:
         return None
-    return refined(search, brief_fit, best.cost)
+    return refined(search, brief_fit, best_set.cost)
 
 
-def _subset_fit(search: Search, best: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
+def _subset_fit(search: Search, best_set: FittedHypothesis, members: Sequence[int]) -> FittedHypothesis:
     """Fit of some members of the set without the others; the nominal rig where there are none."""
     if not members:
         return search.nominal_fit()
-    candidates, values = best.hypothesis.candidates, best.hypothesis.split()
+    candidates, values = best_set.hypothesis.candidates, best_set.hypothesis.values_by_candidate()
     subset = tuple(candidates[k] for k in members)
-    start = reset_saturated_nuisance(best.residual)
-    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best.linearization)
-    return refined(search, brief_fit, best.cost)
+    start = reset_saturated_nuisance(best_set.residual)
+    brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best_set.linearization)
+    return refined(search, brief_fit, best_set.cost)
 
 
-def _with_base_motion(search: Search, best: FittedHypothesis) -> FittedHypothesis:
+def _with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
     """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
-    stochastic = [c for c in search.candidates if c.kind.stochastic]
-    if not stochastic or _is_stochastic(best.hypothesis) or not best.hypothesis.is_incomplete:
-        return best
-    search_about_set = _search_about_set(search, best, ())
-    for candidate in stochastic:
+    base_motions = [c for c in search.candidates if c.kind.stochastic]
+    if not base_motions or _is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
+        return best_set
+    search_about_set = _search_about_set(search, best_set, ())
+    for candidate in base_motions:
         base_motion_fit = fit_spectrum(search_about_set, search_about_set.nominal_fit(), candidate)
-        if base_motion_fit and best.cost - base_motion_fit.cost > MIN_GAIN:
-            hypothesis = combined(best, base_motion_fit)
-            return FittedHypothesis(hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
-    return best
+        if base_motion_fit and best_set.cost - base_motion_fit.cost > MIN_GAIN:
+            joined_hypothesis = combined(best_set, base_motion_fit)
+            return FittedHypothesis(joined_hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
+    return best_set

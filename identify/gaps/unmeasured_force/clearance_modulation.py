@@ -30,63 +30,71 @@ FEWEST_SAMPLES = 50
 
 @dataclass(frozen=True)
 class ClearanceModulation:
-    """Harmonic change of a clearance; share is its part of the variance of the clearance while pressed."""
+    """Harmonic change of a clearance; variance_share is its part of that of the clearance while pressed."""
 
-    contact: str
+    contact_name: str
     amplitude_m: float
     frequency_hz: float
-    share: float
+    variance_share: float
 
-    def described(self, contact: Contact) -> UnmeasuredForce:
+    def as_unmeasured_force(self, contact: Contact) -> UnmeasuredForce:
         """Entry of gap.json, as an unmeasured force of the kind "contact"."""
-        size = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
+        swing_text = f"{1e3 * self.amplitude_m:.2g} mm at {self.frequency_hz:.1f} Hz"
         return UnmeasuredForce(
-            sentence=f"the clearance of {self.contact} swings by {size}",
+            sentence=f"the clearance of {self.contact_name} swings by {swing_text}",
             kind="contact",
             body=contact.at.body,
             position_m=contact.at.position_m,
             position_error_m=0.0,
             against_body=contact.against.body if contact.against else None,
             against_position_m=contact.against.position_m if contact.against else None,
-            contact=self.contact,
+            contact=self.contact_name,
             frequency_hz=self.frequency_hz,
             band_hz=(self.frequency_hz, self.frequency_hz),
             rms_n=0.0,
             law=f"{1e3 * self.amplitude_m:.3g} mm at {self.frequency_hz:.4g} Hz",
-            explained=self.share,
+            explained=self.variance_share,
         )
 
 
 def clearance_modulation(record: Record, residual: Residual) -> ClearanceModulation | None:
     """Modulation with the largest share among the contacts; None if none reaches `NAMED_SHARE`."""
     modulations = [
-        _contact_modulation(record, c.name, contact)
-        for c, contact in zip(residual.model.rig.contacts, residual.contacts, strict=True)
+        _contact_modulation(record, rig_contact.name, contact_residual)
+        for rig_contact, contact_residual in zip(residual.model.rig.contacts, residual.contacts, strict=True)
     ]
-    named = [modulation for modulation in modulations if modulation is not None and modulation.share > NAMED_SHARE]
-    return max(named, key=lambda modulation: modulation.share, default=None)
+    nameable_modulations = [
+        modulation for modulation in modulations if modulation is not None and modulation.variance_share > NAMED_SHARE
+    ]
+    return max(nameable_modulations, key=lambda modulation: modulation.variance_share, default=None)
 
 
-def _contact_modulation(record: Record, name: str, contact: ContactResidual) -> ClearanceModulation | None:
+def _contact_modulation(
+    record: Record, contact_name: str, contact_residual: ContactResidual
+) -> ClearanceModulation | None:
     """Modulation at the peak of the periodogram of the pressed samples, refined within its resolution."""
-    weights = contact.observation.weights
-    tangent, signed_slope_n_per_m, *_ = contact.slopes.sum(axis=1)
-    pressed = (weights > 0) & (tangent > PRESSED_SHARE * max(float(tangent.max()), 1e-300))
-    if np.count_nonzero(pressed) < FEWEST_SAMPLES:
+    weights = contact_residual.observation.weights
+    tangent_n_per_m, signed_slope_n_per_m, *_ = contact_residual.slopes.sum(axis=1)
+    is_pressed = (weights > 0) & (tangent_n_per_m > PRESSED_SHARE * max(float(tangent_n_per_m.max()), 1e-300))
+    if np.count_nonzero(is_pressed) < FEWEST_SAMPLES:
         return None
-    time_s = record.time_s[pressed]
-    residual_force_n = contact.residual[: weights.size][pressed] / weights[pressed]
-    change_m = -residual_force_n * signed_slope_n_per_m[pressed] / tangent[pressed] ** 2
-    resolution_hz = 1 / (time_s[-1] - time_s[0])
-    hz, shares = _periodogram(change_m, pressed, record.rate_hz)
-    trial_hz = hz[int(np.argmax(shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
-    fits = [_harmonic(time_s, change_m, f) for f in trial_hz if f > 0]
-    share, amplitude_m, frequency_hz = max(fits)
-    return ClearanceModulation(name, amplitude_m, frequency_hz, share)
+    pressed_times_s = record.residual_times_s[is_pressed]
+    residual_force_n = contact_residual.residual[: weights.size][is_pressed] / weights[is_pressed]
+    clearance_change_m = -residual_force_n * signed_slope_n_per_m[is_pressed] / tangent_n_per_m[is_pressed] ** 2
+    resolution_hz = 1 / (pressed_times_s[-1] - pressed_times_s[0])
+    lines_hz, variance_shares = _periodogram(clearance_change_m, is_pressed, record.rate_hz)
+    trial_hz = lines_hz[int(np.argmax(variance_shares))] + resolution_hz * np.linspace(-0.5, 0.5, 41)
+    harmonic_fits = [
+        _fitted_harmonic(pressed_times_s, clearance_change_m, frequency_trial_hz)
+        for frequency_trial_hz in trial_hz
+        if frequency_trial_hz > 0
+    ]
+    variance_share, amplitude_m, frequency_hz = max(harmonic_fits)
+    return ClearanceModulation(contact_name, amplitude_m, frequency_hz, variance_share)
 
 
 def _periodogram(
-    change_m: Float[np.ndarray, " taken"], pressed: Bool[np.ndarray, " times"], rate_hz: float
+    clearance_change_m: Float[np.ndarray, " taken"], is_pressed: Bool[np.ndarray, " times"], rate_hz: float
 ) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
     """Frequencies (Hz), and the share of the samples' variance that a harmonic at each explains.
 
@@ -95,24 +103,39 @@ def _periodogram(
 
         2 (W(0) |Y|^2 - Re(W(2 f) conj(Y)^2)) / (W(0)^2 - |W(2 f)|^2) / sum y^2
     """
-    centred = np.zeros(pressed.size)
-    centred[pressed] = change_m - change_m.mean()
-    length = next_fast_len(3 * pressed.size, real=True)
-    ones, transform = rfft(pressed.astype(float), length), rfft(centred, length)
-    lines = np.arange(int(np.ceil(LOWEST_HZ * length / rate_hz)), length // 4)
-    count, ones_at_double, y = float(ones[0].real), ones[2 * lines], transform[lines]
-    fitted = (
-        2 * (count * np.abs(y) ** 2 - (ones_at_double * y.conj() ** 2).real) / (count**2 - np.abs(ones_at_double) ** 2)
+    centred_change_m = np.zeros(is_pressed.size)
+    centred_change_m[is_pressed] = clearance_change_m - clearance_change_m.mean()
+    padded_samples = next_fast_len(3 * is_pressed.size, real=True)
+    mask_spectrum, change_spectrum = (
+        rfft(is_pressed.astype(float), padded_samples),
+        rfft(centred_change_m, padded_samples),
     )
-    return lines * rate_hz / length, fitted / max(float(centred @ centred), 1e-300)
+    line_indices = np.arange(int(np.ceil(LOWEST_HZ * padded_samples / rate_hz)), padded_samples // 4)
+    pressed_count, mask_at_double, change_at_lines = (
+        float(mask_spectrum[0].real),
+        mask_spectrum[2 * line_indices],
+        change_spectrum[line_indices],
+    )
+    harmonic_squares = (
+        2
+        * (pressed_count * np.abs(change_at_lines) ** 2 - (mask_at_double * change_at_lines.conj() ** 2).real)
+        / (pressed_count**2 - np.abs(mask_at_double) ** 2)
+    )
+    return line_indices * rate_hz / padded_samples, harmonic_squares / max(
+        float(centred_change_m @ centred_change_m), 1e-300
+    )
 
 
-def _harmonic(
-    time_s: Float[np.ndarray, " times"], change_m: Float[np.ndarray, " times"], hz: float
+def _fitted_harmonic(
+    time_s: Float[np.ndarray, " times"], clearance_change_m: Float[np.ndarray, " times"], frequency_hz: float
 ) -> tuple[float, float, float]:
-    """Share of the variance, amplitude and frequency of a harmonic at hz, fitted by least squares with a mean."""
-    angle = 2 * np.pi * hz * time_s
-    columns = np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)
-    coefficients = np.linalg.lstsq(columns, change_m, rcond=None)[0]
-    residual_variance = float(np.var(change_m - columns @ coefficients))
-    return 1 - residual_variance / max(float(np.var(change_m)), 1e-300), float(np.hypot(*coefficients[1:])), float(hz)
+    """Share of the variance, amplitude and frequency of a harmonic, fitted by least squares with a mean."""
+    phase_rad = 2 * np.pi * frequency_hz * time_s
+    harmonic_columns = np.stack([np.ones_like(phase_rad), np.cos(phase_rad), np.sin(phase_rad)], axis=1)
+    coefficients = np.linalg.lstsq(harmonic_columns, clearance_change_m, rcond=None)[0]
+    residual_variance = float(np.var(clearance_change_m - harmonic_columns @ coefficients))
+    return (
+        1 - residual_variance / max(float(np.var(clearance_change_m)), 1e-300),
+        float(np.hypot(*coefficients[1:])),
+        float(frequency_hz),
+    )

@@ -34,90 +34,103 @@ RANDOM_RATIO = 0.5
 hand."""
 
 
-def described(fit: UnmeasuredForceFit) -> UnmeasuredForce:
+def described(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of the force by its fit record; the explained share is that of the validation record."""
-    if fit.on_fit.candidate.stations:
-        return _force(fit)
-    return _sensor(fit) if fit.on_fit.candidate.kind == "sensor" else _drift(fit)
+    if force_fit.on_fit.force_place.stations:
+        return _force_description(force_fit)
+    return (
+        _sensor_description(force_fit)
+        if force_fit.on_fit.force_place.kind == "sensor"
+        else _drift_description(force_fit)
+    )
 
 
-def _force(fit: UnmeasuredForceFit) -> UnmeasuredForce:
+def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a force at one station, or of a pair at two."""
-    located, candidate = fit.on_fit, fit.on_fit.candidate
-    history, size = force_history(located), _size(located)
-    law = shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located) > LAW_SEARCH_SHARE else None
+    located_force, candidate = force_fit.on_fit, force_fit.on_fit.force_place
+    history, size = force_history(located_force), _force_size(located_force)
+    force_law = (
+        shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located_force) > LAW_SEARCH_SHARE else None
+    )
     place, *against = candidate.stations
-    timing = _timing(history)
-    pattern: When = "always" if law is not None else timing.pattern
+    timing = _time_pattern(history)
+    time_pattern: When = "always" if force_law is not None else timing.pattern
     place_text = f"on the {place.body} near {place.position_m:.2f} m"
     if against:
         place_text = (
             f"between the {place.body} near {place.position_m:.2f} m and the {against[0].body} near "
             f"{against[0].position_m:.2f} m"
         )
-    tone = law if law is not None and law.form.is_tone else None
+    tone_law = force_law if force_law is not None and force_law.form.is_tone else None
     return UnmeasuredForce(
-        sentence=_sentence(law, size, timing, place_text),
+        sentence=_sentence(force_law, size, timing, place_text),
         kind=candidate.kind,
         body=place.body,
         position_m=place.position_m,
-        position_error_m=located.error_m,
+        position_error_m=located_force.position_error_m,
         against_body=against[0].body if against else None,
         against_position_m=against[0].position_m if against else None,
-        same_place=fit.same_place,
-        frequency_hz=tone.parameter if tone else None,
+        same_place=force_fit.same_place,
+        frequency_hz=tone_law.parameter_value if tone_law else None,
         band_hz=size.band_hz,
-        rms_n=size.rms,
-        amplitude_n=_amplitude_n(tone) if tone else None,
-        when=pattern,
-        before_excitation=timing.before_excitation,
-        by_time=timing.by_time,
-        against="none" if law is None or tone else law.form.against,
-        law_name="" if law is None else law.form.name,
-        law="" if law is None else law.text,
-        law_parameters={} if law is None else law.parameters,
-        explained=explained_share(fit.held),
-        over_motion=_over_motion(history),
+        rms_n=size.rms_value,
+        amplitude_n=_amplitude_n(tone_law) if tone_law else None,
+        when=time_pattern,
+        before_excitation=timing.rms_before_excitation,
+        by_time=timing.rms_by_interval,
+        against="none" if force_law is None or tone_law else force_law.form.argument,
+        law_name="" if force_law is None else force_law.form.name,
+        law="" if force_law is None else force_law.formula,
+        law_parameters={} if force_law is None else force_law.parameters,
+        explained=explained_share(force_fit.at_fit_place),
+        over_motion=_mean_force_over_motion(history),
         spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectrum,
+        spectrum=size.spectral_density,
     )
 
 
-def _sensor(fit: UnmeasuredForceFit) -> UnmeasuredForce:
+def _sensor_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a sensor's signal of its own, with the spectrum in (m/s^2)^2/Hz."""
-    size, sensor = _size(fit.on_fit), fit.on_fit.candidate.sensor
+    size, sensor_name = _force_size(force_fit.on_fit), force_fit.on_fit.force_place.sensor_name
     return UnmeasuredForce(
-        sentence=f"a fault of sensor {sensor}: its signal does not follow the motion",
+        sentence=f"a fault of sensor {sensor_name}: its signal does not follow the motion",
         kind="sensor",
-        sensor=sensor,
-        same_place=fit.same_place,
+        sensor=sensor_name,
+        same_place=force_fit.same_place,
         band_hz=size.band_hz,
-        rms_n=size.rms,
-        explained=explained_share(fit.held),
+        rms_n=size.rms_value,
+        explained=explained_share(force_fit.at_fit_place),
         spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectrum,
+        spectrum=size.spectral_density,
     )
 
 
-def _drift(fit: UnmeasuredForceFit) -> UnmeasuredForce:
+def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a modulus that changes over the record."""
-    size, located = _size(fit.on_fit), fit.on_fit
-    growth = {
-        body: Value(change, error, "1")
-        for body, change, error in zip(located.candidate.bodies, located.growth, located.growth_errors, strict=True)
+    size, located_force = _force_size(force_fit.on_fit), force_fit.on_fit
+    growth_by_body = {
+        body_name: Value(change, error, "1")
+        for body_name, change, error in zip(
+            located_force.force_place.body_names,
+            located_force.modulus_growth,
+            located_force.modulus_growth_errors,
+            strict=True,
+        )
     }
-    changes = " and ".join(f"of the {body} by {100 * change.value:+.2g} %" for body, change in growth.items())
+    change_texts = " and ".join(
+        f"of the {body_name} by {100 * change.value:+.2g} %" for body_name, change in growth_by_body.items()
+    )
     return UnmeasuredForce(
-        sentence=f"a stiffness that changes over the record, {changes}",
+        sentence=f"a stiffness that changes over the record, {change_texts}",
         kind="distributed",
-        growth=growth,
-        same_place=fit.same_place,
+        growth=growth_by_body,
+        same_place=force_fit.same_place,
         band_hz=size.band_hz,
-        rms_n=size.rms,
+        rms_n=size.rms_value,
         when="growing with time",
-        explained=explained_share(fit.held),
+        explained=explained_share(force_fit.at_fit_place),
         spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectrum,
+        spectrum=size.spectral_density,
     )
 
 
@@ -126,104 +139,126 @@ class _Size:
     """One-sided spectral density by band (centres in Hz), rms, and the band with most of the power."""
 
     spectrum_hz: tuple[float, ...]
-    spectrum: tuple[float, ...]
-    rms: float
+    spectral_density: tuple[float, ...]
+    rms_value: float
     band_hz: tuple[float, float]
 
 
-def _size(located: LocatedForce) -> _Size:
-    whitened, record = located.whitened, located.whitened.record
-    density = 2 * located.with_force.spectrum * 2 / (whitened.reals_per_line * record.length * record.sample_rate_hz)
-    power = density * whitened.band_sizes
-    band_number = np.floor(whitened.omega[whitened.band_starts] / (2 * np.pi * BAND_HZ))
+def _force_size(located_force: LocatedForce) -> _Size:
+    whitened, record = located_force.whitened_record, located_force.whitened_record.record
+    spectral_density = (
+        2
+        * located_force.with_force.force_spectrum
+        * 2
+        / (whitened.reals_per_line * record.transform_length * record.sample_rate_hz)
+    )
+    band_power = spectral_density * whitened.band_sizes
+    band_number = np.floor(whitened.line_omegas[whitened.band_starts] / (2 * np.pi * BAND_HZ))
     return _Size(
         spectrum_hz=tuple(((band_number + 0.5) * BAND_HZ).tolist()),
-        spectrum=tuple(density.tolist()),
-        rms=float(np.sqrt(np.sum(power) * record.sample_rate_hz / record.length)),
-        band_hz=_band(whitened, power),
+        spectral_density=tuple(spectral_density.tolist()),
+        rms_value=float(np.sqrt(np.sum(band_power) * record.sample_rate_hz / record.transform_length)),
+        band_hz=_power_band_hz(whitened, band_power),
     )
 
 
-def _band(whitened: WhitenedRecord, power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
+def _power_band_hz(whitened: WhitenedRecord, band_power: Float[np.ndarray, " bands"]) -> tuple[float, float]:
     """Limits (Hz) that hold `IN_BAND` of the power, with equal parts below and above; all lines if it is zero."""
-    if not np.any(power):
-        return float(whitened.omega[0] / (2 * np.pi)), float(whitened.omega[-1] / (2 * np.pi))
-    cumulative_power = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
-    first, last = np.searchsorted(cumulative_power, [(1 - IN_BAND) / 2, (1 + IN_BAND) / 2])
-    edges, last_band = np.append(whitened.band_starts, whitened.omega.size), cumulative_power.size - 1
-    low = whitened.omega[edges[min(first, last_band)]]
-    high = whitened.omega[edges[min(last, last_band) + 1] - 1]
-    return float(low / (2 * np.pi)), float(high / (2 * np.pi))
+    if not np.any(band_power):
+        return float(whitened.line_omegas[0] / (2 * np.pi)), float(whitened.line_omegas[-1] / (2 * np.pi))
+    cumulative_power = np.cumsum(band_power) / max(float(np.sum(band_power)), 1e-300)
+    first_band, second_band = np.searchsorted(cumulative_power, [(1 - IN_BAND) / 2, (1 + IN_BAND) / 2])
+    band_edge_lines, last_band = np.append(whitened.band_starts, whitened.line_omegas.size), cumulative_power.size - 1
+    lowest_omega = whitened.line_omegas[band_edge_lines[min(first_band, last_band)]]
+    highest_omega = whitened.line_omegas[band_edge_lines[min(second_band, last_band) + 1] - 1]
+    return float(lowest_omega / (2 * np.pi)), float(highest_omega / (2 * np.pi))
 
 
 @dataclass(frozen=True)
 class _Timing:
-    """Time pattern of a force: by_time and before_excitation as in `UnmeasuredForce`.
+    """Time pattern of a force: rms_by_interval and rms_before_excitation as in `UnmeasuredForce`.
 
     in_contact_share is the part of its sum of squares while a contact is closed; zero if one nearly always is.
     """
 
     in_contact_share: float
-    by_time: tuple[float, ...]
-    before_excitation: float
+    rms_by_interval: tuple[float, ...]
+    rms_before_excitation: float
 
     @property
     def pattern(self) -> When:
         if self.in_contact_share > IN_BAND:
             return "in contact"
-        if min(self.by_time) > 0:
-            correlation = float(np.corrcoef(np.arange(len(self.by_time)), np.array(self.by_time))[0, 1])
-            if correlation > IN_BAND and self.by_time[-1] > GROWTH_RATIO * self.by_time[0]:
+        if min(self.rms_by_interval) > 0:
+            correlation = float(np.corrcoef(np.arange(len(self.rms_by_interval)), np.array(self.rms_by_interval))[0, 1])
+            if correlation > IN_BAND and self.rms_by_interval[-1] > GROWTH_RATIO * self.rms_by_interval[0]:
                 return "growing with time"
         return "always"
 
 
-def _timing(history: ForceHistory) -> _Timing:
-    whitened = history.located.whitened
+def _time_pattern(history: ForceHistory) -> _Timing:
+    whitened = history.located_force.whitened_record
     record, model = whitened.record, whitened.model
-    force_n = history.force_n[record.counted_samples]
-    squares, excited = force_n**2, record.time_s > record.excited_s
-    closed = np.zeros(squares.size, dtype=bool)
-    for contact_n, open_n in zip(record.in_time(model.contact_n), model.contact_force_error_n(record), strict=True):
-        closed |= is_closed(contact_n, open_n)
-    share = float(squares[closed].sum() / max(float(squares.sum()), 1e-300))
-    quiet = np.mean(~excited) * squares.size >= QUIET_S * record.rate_hz
+    force_n = history.force_n[record.counted_slice]
+    force_squares, is_excited = force_n**2, record.residual_times_s > record.excitation_start_s
+    is_any_closed = np.zeros(force_squares.size, dtype=bool)
+    for contact_n, open_error_n in zip(
+        record.in_time(model.contact_n), model.contact_force_error_n(record), strict=True
+    ):
+        is_any_closed |= is_closed(contact_n, open_error_n)
+    closed_share = float(force_squares[is_any_closed].sum() / max(float(force_squares.sum()), 1e-300))
+    starts_quiet = np.mean(~is_excited) * force_squares.size >= QUIET_S * record.rate_hz
     return _Timing(
-        in_contact_share=share if np.mean(closed) < MOSTLY_CLOSED_SHARE else 0.0,
-        by_time=tuple(float(np.sqrt(np.mean(interval))) for interval in np.array_split(squares[excited], PARTS)),
-        before_excitation=float(np.sqrt(np.mean(squares[~excited]) / max(float(np.mean(squares[excited])), 1e-300)))
-        if quiet
+        in_contact_share=closed_share if np.mean(is_any_closed) < MOSTLY_CLOSED_SHARE else 0.0,
+        rms_by_interval=tuple(
+            float(np.sqrt(np.mean(interval_squares)))
+            for interval_squares in np.array_split(force_squares[is_excited], PARTS)
+        ),
+        rms_before_excitation=float(
+            np.sqrt(np.mean(force_squares[~is_excited]) / max(float(np.mean(force_squares[is_excited])), 1e-300))
+        )
+        if starts_quiet
         else 0.0,
     )
 
 
-def _over_motion(history: ForceHistory) -> MeanForce:
+def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
     """Mean of the force against the motion (N) in cells of displacement (m) and velocity (m/s), where ungated."""
-    ungated = history.gate == 1
-    w, v = history.displacement_m[::OVERSAMPLING][ungated], history.velocity_m_per_s[::OVERSAMPLING][ungated]
-    force, rows, columns = np.histogram2d(w, v, bins=CELLS, weights=-history.force_n[ungated])
-    count = np.histogram2d(w, v, bins=(rows, columns))[0]
-    mean = force / np.maximum(count, 1)
-    return MeanForce(tuple(rows.tolist()), tuple(columns.tolist()), tuple(tuple(row) for row in mean.tolist()))
+    is_ungated = history.time_gate == 1
+    displacement_m, velocity_m_per_s = (
+        history.displacement_m[::OVERSAMPLING][is_ungated],
+        history.velocity_m_per_s[::OVERSAMPLING][is_ungated],
+    )
+    force_sums, displacement_edges, velocity_edges = np.histogram2d(
+        displacement_m, velocity_m_per_s, bins=CELLS, weights=-history.force_n[is_ungated]
+    )
+    samples_per_cell = np.histogram2d(displacement_m, velocity_m_per_s, bins=(displacement_edges, velocity_edges))[0]
+    mean_forces_n = force_sums / np.maximum(samples_per_cell, 1)
+    return MeanForce(
+        tuple(displacement_edges.tolist()),
+        tuple(velocity_edges.tolist()),
+        tuple(tuple(force_row) for force_row in mean_forces_n.tolist()),
+    )
 
 
 def _amplitude_n(tone: ForceLaw) -> float:
     return math.hypot(*tone.coefficients)
 
 
-def _sentence(law: ForceLaw | None, size: _Size, timing: _Timing, place_text: str) -> str:
+def _sentence(force_law: ForceLaw | None, size: _Size, timing: _Timing, place_text: str) -> str:
     """Phrase such as "a force at 50.0 Hz, 1.4 N, on the cradle near 0.80 m"."""
-    if law is None:
+    if force_law is None:
         low, high = size.band_hz
         timing_text = {
             "always": "",
             "in contact": ", while contacts are closed",
             "growing with time": ", growing with time",
         }
-        noun = "a random force" if timing.before_excitation > RANDOM_RATIO else "a force by no law that was tried,"
+        noun = "a random force" if timing.rms_before_excitation > RANDOM_RATIO else "a force by no law that was tried,"
         return (
-            f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms:.2g} N rms, {place_text}{timing_text[timing.pattern]}"
+            f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms_value:.2g} N rms, "
+            f"{place_text}{timing_text[timing.pattern]}"
         )
-    if law.form.is_tone:
-        return f"a force at {law.parameter:.1f} Hz, {_amplitude_n(law):.2g} N, {place_text}"
-    return f"{law.form.words.format(where=place_text)}, {law.text}"
+    if force_law.form.is_tone:
+        return f"a force at {force_law.parameter_value:.1f} Hz, {_amplitude_n(force_law):.2g} N, {place_text}"
+    return f"{force_law.form.phrase_template.format(where=place_text)}, {force_law.formula}"

@@ -28,14 +28,14 @@ VARIANCE_FLOOR = 1e-12
 class ForceEvidence:
     """J at its minimum, with the estimates there; without a force S, |g| and t are zero.
 
-    criterion is J, theta the nuisance parameters in tolerances, noise s and spectrum S by band, response_norm |g| and
-    projection t by line.
+    criterion is J, theta the nuisance parameters in tolerances, noise_variance s and force_spectrum S by band,
+    response_norm |g| and projection t by line.
     """
 
     criterion: float
     theta: Float[np.ndarray, " columns"]
-    noise: Float[np.ndarray, " bands"]
-    spectrum: Float[np.ndarray, " bands"]
+    noise_variance: Float[np.ndarray, " bands"]
+    force_spectrum: Float[np.ndarray, " bands"]
     response_norm: Float[np.ndarray, " lines"]
     projection: Complex[np.ndarray, " lines"]
 
@@ -49,94 +49,120 @@ def _solve_positive_definite(
 def residual_squares(whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]) -> Float[np.ndarray, " bands"]:
     """|r - D theta|^2, summed over each band."""
     return np.maximum(
-        whitened.residual_squares - 2 * whitened.cross_products @ theta + (whitened.gram @ theta) @ theta,
+        whitened.residual_squares - 2 * whitened.cross_products @ theta + (whitened.column_gram @ theta) @ theta,
         VARIANCE_FLOOR * whitened.residual_squares,
     )
 
 
 def nuisance_equations(
-    whitened: WhitenedRecord, noise: Float[np.ndarray, " bands"]
+    whitened: WhitenedRecord, noise_variance: Float[np.ndarray, " bands"]
 ) -> tuple[Float[np.ndarray, "columns columns"], Float[np.ndarray, " columns"]]:
     """Matrix and right side of the normal equations of theta at the noise variance s, without a force."""
-    normal_matrix = whitened.reals_per_line * np.tensordot(1 / noise, whitened.gram, 1) + np.eye(
-        len(whitened.parameters)
+    normal_matrix = whitened.reals_per_line * np.tensordot(1 / noise_variance, whitened.column_gram, 1) + np.eye(
+        len(whitened.nuisance_parameters)
     )
-    return normal_matrix, whitened.reals_per_line * (whitened.cross_products.T @ (1 / noise) - whitened.trace_terms / 2)
+    return normal_matrix, whitened.reals_per_line * (
+        whitened.cross_products.T @ (1 / noise_variance) - whitened.trace_terms / 2
+    )
 
 
 def evidence_without_force(whitened: WhitenedRecord) -> ForceEvidence:
     """Evidence of the record by nuisance parameters and noise alone: S = 0."""
-    counts = whitened.band_sizes * whitened.rows
-    noise_is_fixed = whitened.rows == 1
-    theta = np.zeros(len(whitened.parameters))
-    noise = np.ones(counts.size) if noise_is_fixed else whitened.residual_squares / counts
+    values_per_band = whitened.band_sizes * whitened.row_count
+    noise_is_fixed = whitened.row_count == 1
+    theta = np.zeros(len(whitened.nuisance_parameters))
+    noise_variance = np.ones(values_per_band.size) if noise_is_fixed else whitened.residual_squares / values_per_band
     for _ in range(3 * ROUNDS):
-        theta = _solve_positive_definite(*nuisance_equations(whitened, noise))
+        theta = _solve_positive_definite(*nuisance_equations(whitened, noise_variance))
         if not noise_is_fixed:
-            noise = residual_squares(whitened, theta) / counts
+            noise_variance = residual_squares(whitened, theta) / values_per_band
     squares = residual_squares(whitened, theta)
-    criterion = whitened.reals_per_line * float(np.sum(counts * np.log(noise) + squares / noise))
+    criterion = whitened.reals_per_line * float(
+        np.sum(values_per_band * np.log(noise_variance) + squares / noise_variance)
+    )
     criterion = criterion + _nuisance_penalty(whitened, theta)
-    zeros = np.zeros(whitened.residual.shape[0])
-    return ForceEvidence(criterion, theta, noise, np.zeros(noise.size), zeros, zeros.astype(complex))
+    zeros_by_line = np.zeros(whitened.whitened_residual.shape[0])
+    return ForceEvidence(
+        criterion, theta, noise_variance, np.zeros(noise_variance.size), zeros_by_line, zeros_by_line.astype(complex)
+    )
 
 
 def evidence_with_force(
     whitened: WhitenedRecord,
     response: Complex[np.ndarray, "lines rows"],
-    start: ForceEvidence,
+    start_evidence: ForceEvidence,
     cleared_residual: Complex[np.ndarray, "lines rows"] | None = None,
-    shape: Float[np.ndarray, " bands"] | None = None,
+    spectrum_shape: Float[np.ndarray, " bands"] | None = None,
 ) -> ForceEvidence:
-    """Evidence with a force to which the residual responds by g = `response`; theta, s and S start from `start`.
+    """Evidence with a force to which the residual responds by g = `response`; it starts from `start_evidence`.
 
-    `cleared_residual` is r - D theta at the theta of `start`, which then stays fixed: fast, for screening. `shape` is a
-    spectrum S up to a factor; without one S is free in every band.
+    `cleared_residual` is r - D theta at the theta of `start_evidence`, which then stays fixed: fast, for screening.
+    `spectrum_shape` is a spectrum S up to a factor; without one S is free in every band.
     """
-    nuisance_held, reals_per_line, on_lines = cleared_residual is not None, whitened.reals_per_line, whitened.on_lines
+    nuisance_held, reals_per_line, to_lines = (
+        cleared_residual is not None,
+        whitened.reals_per_line,
+        whitened.at_each_line,
+    )
     response_norm = np.linalg.norm(response, axis=1)
     direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
     whole_projection = np.einsum(
-        "lr,lr->l", direction, whitened.residual if cleared_residual is None else cleared_residual
+        "lr,lr->l", direction, whitened.whitened_residual if cleared_residual is None else cleared_residual
     )
     projected_columns = (
-        np.zeros((len(whitened.parameters), 0)) if nuisance_held else _project_columns(direction, whitened.columns)
+        np.zeros((len(whitened.nuisance_parameters), 0))
+        if nuisance_held
+        else _project_columns(direction, whitened.nuisance_columns)
     )
-    theta, noise = start.theta, start.noise
-    spectrum = start.spectrum if np.any(start.spectrum) else None
+    theta, noise_variance = start_evidence.theta, start_evidence.noise_variance
+    force_spectrum = start_evidence.force_spectrum if np.any(start_evidence.force_spectrum) else None
     response_squares = response_norm**2
     for round_number in range(1 if nuisance_held else ROUNDS):
         projection = whole_projection if nuisance_held else whole_projection - theta @ projected_columns
-        squares, projection_power = residual_squares(whitened, theta), np.abs(projection) ** 2
-        noise, spectrum = _score_variances(
-            whitened, response_squares, projection_power, squares, noise, spectrum, shape
+        unexplained_squares, projection_power = residual_squares(whitened, theta), np.abs(projection) ** 2
+        noise_variance, force_spectrum = _score_variances(
+            whitened,
+            response_squares,
+            projection_power,
+            unexplained_squares,
+            noise_variance,
+            force_spectrum,
+            spectrum_shape,
         )
         if nuisance_held or round_number == ROUNDS - 1:
             break
-        weight_loss = on_lines(1 / noise) - 1 / (on_lines(noise) + on_lines(spectrum) * response_squares)
-        normal_matrix, right_side = nuisance_equations(whitened, noise)
+        weight_loss = to_lines(1 / noise_variance) - 1 / (
+            to_lines(noise_variance) + to_lines(force_spectrum) * response_squares
+        )
+        normal_matrix, right_side = nuisance_equations(whitened, noise_variance)
         lost_columns = real_pairs(weight_loss * projected_columns)
         normal_matrix -= reals_per_line * (lost_columns @ real_pairs(projected_columns).T)
         right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
         theta = _solve_positive_definite(normal_matrix, right_side)
-    assert spectrum is not None
-    line_variance, projection_power = on_lines(noise) + on_lines(spectrum) * response_squares, np.abs(projection) ** 2
-    squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
+    assert force_spectrum is not None
+    line_variance, projection_power = (
+        to_lines(noise_variance) + to_lines(force_spectrum) * response_squares,
+        np.abs(projection) ** 2,
+    )
+    unexplained_squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
     criterion = reals_per_line * float(
-        np.sum(whitened.band_sizes * (whitened.rows - 1) * np.log(noise) + squares / noise)
+        np.sum(
+            whitened.band_sizes * (whitened.row_count - 1) * np.log(noise_variance)
+            + unexplained_squares / noise_variance
+        )
         + np.sum(np.log(line_variance) + projection_power / line_variance)
     )
     criterion = criterion + _nuisance_penalty(whitened, theta)
-    return ForceEvidence(criterion, theta, noise, spectrum, response_norm, projection)
+    return ForceEvidence(criterion, theta, noise_variance, force_spectrum, response_norm, projection)
 
 
 def subtract_nuisance(
     whitened: WhitenedRecord, theta: Float[np.ndarray, " columns"]
 ) -> Complex[np.ndarray, "lines rows"]:
     """Residual r - D theta, computed one column at a time to spare memory."""
-    residual = whitened.residual.copy()
-    for value, column in zip(theta, whitened.columns, strict=True):
-        residual -= value * column
+    residual = whitened.whitened_residual.copy()
+    for pull, nuisance_column in zip(theta, whitened.nuisance_columns, strict=True):
+        residual -= pull * nuisance_column
     return residual
 
 
@@ -151,13 +177,13 @@ def _project_columns(
     return np.einsum("lr,clr->cl", direction, columns)
 
 
-def real_pairs(values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
+def real_pairs(complex_values: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows twice"]:
     """Real and imaginary parts, interleaved along the last axis."""
-    return np.ascontiguousarray(values).view(float)
+    return np.ascontiguousarray(complex_values).view(float)
 
 
-def _band_sums(whitened: WhitenedRecord, lines: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
-    return np.asarray(np.add.reduceat(lines, whitened.band_starts))
+def _band_sums(whitened: WhitenedRecord, line_values: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " bands"]:
+    return np.asarray(np.add.reduceat(line_values, whitened.band_starts))
 
 
 def _score_variances(
@@ -165,38 +191,46 @@ def _score_variances(
     response_squares: Float[np.ndarray, " lines"],
     projection_power: Float[np.ndarray, " lines"],
     total_squares: Float[np.ndarray, " bands"],
-    noise: Float[np.ndarray, " bands"],
-    spectrum: Float[np.ndarray, " bands"] | None,
-    shape: Float[np.ndarray, " bands"] | None,
+    noise_variance: Float[np.ndarray, " bands"],
+    force_spectrum: Float[np.ndarray, " bands"] | None,
+    spectrum_shape: Float[np.ndarray, " bands"] | None,
 ) -> tuple[Float[np.ndarray, " bands"], Float[np.ndarray, " bands"]]:
     """Noise variance s and spectrum S by Fisher scoring, one in turn with the other, at a fixed theta.
 
     total_squares is |r - D theta|^2 by band and projection_power |t|^2 by line; without a spectrum, S starts from the
     excess of |t|^2 over s.
     """
-    on_lines = whitened.on_lines
+    to_lines = whitened.at_each_line
     unexplained_squares = np.maximum(total_squares - _band_sums(whitened, projection_power), 0.0)
-    unexplained_count = whitened.band_sizes * (whitened.rows - 1)
-    noise_is_fixed = whitened.rows == 1
-    if spectrum is None:
-        noise = noise if noise_is_fixed else np.maximum(unexplained_squares / unexplained_count, VARIANCE_FLOOR * noise)
-        excess = _band_sums(whitened, projection_power) - noise * whitened.band_sizes
-        spectrum = np.maximum(excess, 0.0) / np.maximum(_band_sums(whitened, response_squares), 1e-300)
+    unexplained_count = whitened.band_sizes * (whitened.row_count - 1)
+    noise_is_fixed = whitened.row_count == 1
+    if force_spectrum is None:
+        noise_variance = (
+            noise_variance
+            if noise_is_fixed
+            else np.maximum(unexplained_squares / unexplained_count, VARIANCE_FLOOR * noise_variance)
+        )
+        excess_power = _band_sums(whitened, projection_power) - noise_variance * whitened.band_sizes
+        force_spectrum = np.maximum(excess_power, 0.0) / np.maximum(_band_sums(whitened, response_squares), 1e-300)
     for _ in range(SCORINGS):
         if not noise_is_fixed:
-            weights = 1 / (on_lines(noise) + on_lines(spectrum) * response_squares) ** 2
-            excess = _band_sums(whitened, weights * (projection_power - on_lines(spectrum) * response_squares))
-            numerator = unexplained_squares / noise**2 + excess
-            denominator = unexplained_count / noise**2 + _band_sums(whitened, weights)
-            noise = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise)
-        weights = response_squares / (on_lines(noise) + on_lines(spectrum) * response_squares) ** 2
-        if shape is None:
-            numerator = _band_sums(whitened, weights * (projection_power - on_lines(noise)))
-            spectrum = np.maximum(numerator, 0.0) / np.maximum(_band_sums(whitened, weights * response_squares), 1e-300)
-        else:
-            line_shape = on_lines(shape)
-            scale = np.sum(weights * line_shape * (projection_power - on_lines(noise))) / max(
-                float(np.sum(weights * response_squares * line_shape**2)), 1e-300
+            line_weights = 1 / (to_lines(noise_variance) + to_lines(force_spectrum) * response_squares) ** 2
+            excess_power = _band_sums(
+                whitened, line_weights * (projection_power - to_lines(force_spectrum) * response_squares)
             )
-            spectrum = max(float(scale), 0.0) * shape
-    return noise, spectrum
+            numerator = unexplained_squares / noise_variance**2 + excess_power
+            denominator = unexplained_count / noise_variance**2 + _band_sums(whitened, line_weights)
+            noise_variance = np.maximum(numerator / denominator, VARIANCE_FLOOR * noise_variance)
+        line_weights = response_squares / (to_lines(noise_variance) + to_lines(force_spectrum) * response_squares) ** 2
+        if spectrum_shape is None:
+            numerator = _band_sums(whitened, line_weights * (projection_power - to_lines(noise_variance)))
+            force_spectrum = np.maximum(numerator, 0.0) / np.maximum(
+                _band_sums(whitened, line_weights * response_squares), 1e-300
+            )
+        else:
+            line_shape = to_lines(spectrum_shape)
+            shape_factor = np.sum(line_weights * line_shape * (projection_power - to_lines(noise_variance))) / max(
+                float(np.sum(line_weights * response_squares * line_shape**2)), 1e-300
+            )
+            force_spectrum = max(float(shape_factor), 0.0) * spectrum_shape
+    return noise_variance, force_spectrum

@@ -11,7 +11,7 @@ from rig.model.contact_laws import penetration_m
 from rig.model.unmeasured_force import Against, Value
 
 Series = Float[np.ndarray, " fine"]
-Shape = Callable[[Series, Series, float], list[Series]]
+LawShapes = Callable[[Series, Series, float], list[Series]]
 """Forces per unit of each coefficient, by displacement (m), velocity (m/s) and the parameter."""
 
 CREEP = 0.01
@@ -19,29 +19,30 @@ CREEP = 0.01
 
 
 @dataclass(frozen=True)
-class Form:
+class ForceLawForm:
     """Form of a law: the force against the motion is the sum of coefficients times shapes.
 
-    `parameter` is the name of the one nonlinear parameter of the shapes ("" if there is none). `range_share` holds its
-    bounds, which a `slow` form takes in shares of the largest displacement: its force depends on the slow motion, which
-    integration loses. `text` has the places {0}, {1} for the coefficients and {p}, `words` {where} for the place.
+    `parameter_name` is that of the one nonlinear parameter of the shapes, unit_forces ("" if there is none).
+    `parameter_range` holds its bounds, which a form that needs_slow_motion takes in shares of the largest displacement:
+    its force depends on the slow motion, which integration loses. `formula_template` has the places {0}, {1} for the
+    coefficients and {p}, `phrase_template` {where} for the place.
     """
 
     name: str
-    words: str
-    against: Against
-    text: str
+    phrase_template: str
+    argument: Against
+    formula_template: str
     coefficient_units: tuple[str, ...]
-    shapes: Shape
-    parameter: str = ""
-    unit: str = ""
-    range_share: tuple[float, float] = (0.0, 0.0)
-    slow: bool = False
+    unit_forces: LawShapes
+    parameter_name: str = ""
+    parameter_unit: str = ""
+    parameter_range: tuple[float, float] = (0.0, 0.0)
+    needs_slow_motion: bool = False
 
     @property
-    def length(self) -> int:
+    def value_count(self) -> int:
         """Count of fitted values."""
-        return len(self.coefficient_units) + bool(self.parameter)
+        return len(self.coefficient_units) + bool(self.parameter_name)
 
     @property
     def is_tone(self) -> bool:
@@ -55,42 +56,53 @@ TONE = "tone"
 class ForceLaw:
     """Form with fitted values: the force on the body is minus the sum of coefficients times shapes.
 
-    errors are standard errors of the coefficients. share is the law's gain in -2 ln L over that of the free force.
-    offset_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its frequency as the
-    parameter.
+    coefficient_errors are standard errors. gain_share is the law's gain in -2 ln L over that of the free force.
+    mean_displacement_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its
+    frequency as parameter_value.
     """
 
-    form: Form
+    form: ForceLawForm
     coefficients: tuple[float, ...]
-    errors: tuple[float, ...]
-    parameter: float
+    coefficient_errors: tuple[float, ...]
+    parameter_value: float
     parameter_error: float
-    offset_m: float
-    share: float
+    mean_displacement_m: float
+    gain_share: float
 
     @property
-    def text(self) -> str:
+    def formula(self) -> str:
         """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
-        form = self.form
-        terms = [f"{c:.4g} {u}" for c, u in zip(self.coefficients, form.coefficient_units, strict=True)]
-        parameter_text = f"{self.parameter:.4g} {form.unit}" if form.unit not in ("", "1") else f"{self.parameter:.3g}"
-        if form.unit == "m":
-            parameter_text = f"{1e3 * self.parameter:.4g} mm"
-        return form.text.format(*terms, p=parameter_text)
+        law_form = self.form
+        coefficient_texts = [
+            f"{coefficient:.4g} {unit}"
+            for coefficient, unit in zip(self.coefficients, law_form.coefficient_units, strict=True)
+        ]
+        parameter_text = (
+            f"{self.parameter_value:.4g} {law_form.parameter_unit}"
+            if law_form.parameter_unit not in ("", "1")
+            else f"{self.parameter_value:.3g}"
+        )
+        if law_form.parameter_unit == "m":
+            parameter_text = f"{1e3 * self.parameter_value:.4g} mm"
+        return law_form.formula_template.format(*coefficient_texts, p=parameter_text)
 
     @property
     def parameters(self) -> dict[str, Value]:
-        names = ("amplitude of cosine", "amplitude of sine") if self.form.is_tone else ("coefficient", "cubic")
+        coefficient_names = (
+            ("amplitude of cosine", "amplitude of sine") if self.form.is_tone else ("coefficient", "cubic")
+        )
         values = {
-            name: Value(value, error, unit)
-            for name, value, error, unit in zip(
-                names, self.coefficients, self.errors, self.form.coefficient_units, strict=False
+            name: Value(value, standard_error, unit)
+            for name, value, standard_error, unit in zip(
+                coefficient_names, self.coefficients, self.coefficient_errors, self.form.coefficient_units, strict=False
             )
         }
-        if self.form.parameter:
-            values[self.form.parameter] = Value(self.parameter, self.parameter_error, self.form.unit)
-        if self.form.slow:
-            values["offset"] = Value(self.offset_m, 0.0, "m")
+        if self.form.parameter_name:
+            values[self.form.parameter_name] = Value(
+                self.parameter_value, self.parameter_error, self.form.parameter_unit
+            )
+        if self.form.needs_slow_motion:
+            values["offset"] = Value(self.mean_displacement_m, 0.0, "m")
         return values
 
 
@@ -99,8 +111,8 @@ def creep_m_per_s(velocity_m_per_s: Series) -> float:
     return CREEP * float(np.std(velocity_m_per_s)) + 1e-300
 
 
-FORMS: tuple[Form, ...] = (
-    Form(
+LAW_FORMS: tuple[ForceLawForm, ...] = (
+    ForceLawForm(
         "Coulomb friction",
         "friction {where}",
         "velocity",
@@ -108,7 +120,7 @@ FORMS: tuple[Form, ...] = (
         ("N",),
         lambda _, v, __: [np.tanh(v / creep_m_per_s(v))],
     ),
-    Form(
+    ForceLawForm(
         "viscous damping",
         "a force {where} that grows with the velocity",
         "velocity",
@@ -116,7 +128,7 @@ FORMS: tuple[Form, ...] = (
         ("N s/m",),
         lambda _, v, __: [v],
     ),
-    Form(
+    ForceLawForm(
         "quadratic drag",
         "a force {where} that grows with the square of the velocity",
         "velocity squared",
@@ -124,7 +136,7 @@ FORMS: tuple[Form, ...] = (
         ("N s^2/m^2",),
         lambda _, v, __: [np.abs(v) * v],
     ),
-    Form(
+    ForceLawForm(
         "cubic damping",
         "a force {where} that grows with the cube of the velocity",
         "velocity",
@@ -132,8 +144,8 @@ FORMS: tuple[Form, ...] = (
         ("N s^3/m^3",),
         lambda _, v, __: [v**3],
     ),
-    Form("linear spring", "a spring {where}", "displacement", "{0} w", ("N/m",), lambda w, _, __: [w]),
-    Form(
+    ForceLawForm("linear spring", "a spring {where}", "displacement", "{0} w", ("N/m",), lambda w, _, __: [w]),
+    ForceLawForm(
         "power of the velocity",
         "a force {where} that grows with a power of the velocity",
         "velocity",
@@ -144,16 +156,16 @@ FORMS: tuple[Form, ...] = (
         "1",
         (0.2, 4.0),
     ),
-    Form(
+    ForceLawForm(
         "cubic spring",
         "a spring {where} whose stiffness changes with the displacement",
         "displacement",
         "{0} w + {1} w^3",
         ("N/m", "N/m^3"),
         lambda w, _, __: [w, w**3],
-        slow=True,
+        needs_slow_motion=True,
     ),
-    Form(
+    ForceLawForm(
         "softening spring",
         "a softening spring {where}",
         "displacement",
@@ -163,9 +175,9 @@ FORMS: tuple[Form, ...] = (
         "w0",
         "m",
         (0.01, 1.5),
-        slow=True,
+        needs_slow_motion=True,
     ),
-    Form(
+    ForceLawForm(
         "stop",
         "a stop {where}",
         "clearance",
@@ -175,9 +187,9 @@ FORMS: tuple[Form, ...] = (
         "d",
         "m",
         (0.02, 0.95),
-        slow=True,
+        needs_slow_motion=True,
     ),
-    Form(
+    ForceLawForm(
         "stop on one side",
         "a stop on one side {where}",
         "clearance",
@@ -187,17 +199,17 @@ FORMS: tuple[Form, ...] = (
         "d",
         "m",
         (-0.9, 0.9),
-        slow=True,
+        needs_slow_motion=True,
     ),
 )
 
 
-def tone_form(history: ForceHistory) -> Form:
+def tone_form(history: ForceHistory) -> ForceLawForm:
     """Form of a harmonic force of time, with its frequency f (Hz) as the parameter."""
 
-    def shapes(_: Series, __: Series, hz: float) -> list[Series]:
-        phase = 2 * np.pi * hz * history.fine_s
-        return [np.cos(phase), np.sin(phase)]
+    def shapes(_: Series, __: Series, frequency_hz: float) -> list[Series]:
+        phase_rad = 2 * np.pi * frequency_hz * history.fine_times_s
+        return [np.cos(phase_rad), np.sin(phase_rad)]
 
-    text = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
-    return Form(TONE, "", "time", text, ("N", "N"), shapes, "f", "Hz")
+    formula_template = "{0} cos(2 pi f t) + {1} sin(2 pi f t), f = {p}"
+    return ForceLawForm(TONE, "", "time", formula_template, ("N", "N"), shapes, "f", "Hz")

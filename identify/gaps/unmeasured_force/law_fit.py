@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from identify.gaps.unmeasured_force.force_laws import FORMS, ForceLaw, Form, Series, tone_form
+from identify.gaps.unmeasured_force.force_laws import LAW_FORMS, ForceLaw, ForceLawForm, Series, tone_form
 from identify.gaps.unmeasured_force.time_history import KNOT_SPACING_S, ForceHistory, with_law_error
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.kinematics import CORNER_HZ
@@ -33,24 +33,28 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
 
     Slow forms are fitted only if no other law reaches the free force's gain, and the best of them only to the end.
     """
-    fast = [_fit_tone(history), *(fit_form(history, form) for form in FORMS if not form.slow)]
-    slow: list[ForceLaw] = []
-    if max(law.share for law in fast) < 1 - EQUIVALENT_SHARE:
-        started = sorted(
-            (_start_descent(history, form) for form in FORMS if form.slow), key=lambda start: -start[2].share
+    fast_laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
+    slow_laws: list[ForceLaw] = []
+    if max(law.gain_share for law in fast_laws) < 1 - EQUIVALENT_SHARE:
+        started_descents = sorted(
+            (_start_descent(history, form) for form in LAW_FORMS if form.needs_slow_motion),
+            key=lambda started_descent: -started_descent[2].gain_share,
         )
-        finished = [_finish_descent(history, descent, iterate) for descent, iterate, _ in started[:FULLY_FITTED]]
-        slow = finished + [
-            replace(law, share=min(law.share, finished[-1].share)) for _, _, law in started[FULLY_FITTED:]
+        finished_laws = [
+            _finish_descent(history, descent, iterate) for descent, iterate, _ in started_descents[:FULLY_FITTED]
         ]
-    return tuple(sorted(fast + slow, key=lambda law: -law.share))
+        slow_laws = finished_laws + [
+            replace(law, gain_share=min(law.gain_share, finished_laws[-1].gain_share))
+            for _, _, law in started_descents[FULLY_FITTED:]
+        ]
+    return tuple(sorted(fast_laws + slow_laws, key=lambda law: -law.gain_share))
 
 
 def shortest_law(laws: tuple[ForceLaw, ...], least_share: float) -> ForceLaw | None:
     """Law of the fewest values among those as good as the best (the first); None if its share is below the least."""
-    equivalent = [law for law in laws if law.share >= laws[0].share - EQUIVALENT_SHARE]
-    best = min(equivalent, key=lambda law: (law.form.length, -law.share))
-    return best if best.share >= least_share else None
+    equivalent_laws = [law for law in laws if law.gain_share >= laws[0].gain_share - EQUIVALENT_SHARE]
+    best_law = min(equivalent_laws, key=lambda law: (law.form.value_count, -law.gain_share))
+    return best_law if best_law.gain_share >= least_share else None
 
 
 def _fit_tone(history: ForceHistory) -> ForceLaw:
@@ -59,54 +63,72 @@ def _fit_tone(history: ForceHistory) -> ForceLaw:
     No law error is allowed for: it would hide the lines beside the tone's.
     """
     history = with_law_error(history, 0.0)
-    form = tone_form(history)
-    record = history.located.whitened.record
-    spectrum = np.abs(np.fft.rfft(history.force_n * history.gate))[: record.omega.size]
-    spectrum[: history.located.whitened.lines.start] = 0.0
-    peak_line, step_hz = int(np.argmax(spectrum)), record.omega[2] / (4 * np.pi)
+    tone = tone_form(history)
+    record = history.located_force.whitened_record.record
+    force_amplitudes = np.abs(np.fft.rfft(history.force_n * history.time_gate))[: record.omega.size]
+    force_amplitudes[: history.located_force.whitened_record.line_slice.start] = 0.0
+    peak_line, step_hz = int(np.argmax(force_amplitudes)), record.omega[2] / (4 * np.pi)
     peak_hz = record.omega[peak_line] / (2 * np.pi)
-    trial_hz = [peak_hz + k * step_hz / 2 for k in range(-2, 3)]
-    best_hz = max(trial_hz, key=lambda hz: solve_form(history, form, hz)[1])
-    return fit_form(history, form, (best_hz - step_hz / 2, best_hz + step_hz / 2))
+    trial_hz = [peak_hz + half_steps * step_hz / 2 for half_steps in range(-2, 3)]
+    best_hz = max(trial_hz, key=lambda tone_hz: solve_form(history, tone, tone_hz)[1])
+    return fit_form(history, tone, (best_hz - step_hz / 2, best_hz + step_hz / 2))
 
 
-def fit_form(history: ForceHistory, form: Form, bounds: tuple[float, float] | None = None) -> ForceLaw:
+def fit_form(
+    history: ForceHistory, law_form: ForceLawForm, parameter_bounds: tuple[float, float] | None = None
+) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain."""
-    low, high = bounds or form.range_share
-    parameter, error = 0.0, 0.0
-    if form.parameter and low == high:
-        parameter = low
-    elif form.parameter:
-        minimum = minimize_scalar(lambda p: -solve_form(history, form, p)[1], bounds=(low, high), method="bounded")
+    lower_bound, upper_bound = parameter_bounds or law_form.parameter_range
+    parameter, parameter_error = 0.0, 0.0
+    if law_form.parameter_name and lower_bound == upper_bound:
+        parameter = lower_bound
+    elif law_form.parameter_name:
+        minimum = minimize_scalar(
+            lambda trial_value: -solve_form(history, law_form, trial_value)[1],
+            bounds=(lower_bound, upper_bound),
+            method="bounded",
+        )
         parameter = float(minimum.x)
-        step = 1e-3 * (high - low)
-        gains = [solve_form(history, form, parameter + k * step)[1] for k in (-1, 0, 1)]
-        curvature = (2 * gains[1] - gains[0] - gains[2]) / step**2
-        error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
-    coefficients, gain, errors = solve_form(history, form, parameter)
-    share = gain / max(history.free_gain, 1e-300)
-    return ForceLaw(form, tuple((-coefficients).tolist()), tuple(errors.tolist()), parameter, error, 0.0, share)
+        parameter_step = 1e-3 * (upper_bound - lower_bound)
+        gains_around = [
+            solve_form(history, law_form, parameter + step_count * parameter_step)[1] for step_count in (-1, 0, 1)
+        ]
+        curvature = (2 * gains_around[1] - gains_around[0] - gains_around[2]) / parameter_step**2
+        parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
+    coefficients, gain, coefficient_errors = solve_form(history, law_form, parameter)
+    gain_share = gain / max(history.free_gain, 1e-300)
+    return ForceLaw(
+        law_form,
+        tuple((-coefficients).tolist()),
+        tuple(coefficient_errors.tolist()),
+        parameter,
+        parameter_error,
+        0.0,
+        gain_share,
+    )
 
 
 def solve_form(
-    history: ForceHistory, form: Form, parameter: float
+    history: ForceHistory, law_form: ForceLawForm, parameter: float
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Coefficients of the force on the body at a parameter, their gain in -2 ln L, and their standard errors."""
-    return _solve_shapes(history, np.stack(form.shapes(history.displacement_m, history.velocity_m_per_s, parameter)))
+    return _solve_unit_forces(
+        history, np.stack(law_form.unit_forces(history.displacement_m, history.velocity_m_per_s, parameter))
+    )
 
 
-def _solve_shapes(
-    history: ForceHistory, shapes: Float[np.ndarray, "coefficients fine"]
+def _solve_unit_forces(
+    history: ForceHistory, unit_forces: Float[np.ndarray, "coefficients fine"]
 ) -> tuple[Float[np.ndarray, " coefficients"], float, Float[np.ndarray, " coefficients"]]:
     """Least squares of the force on its shapes: coefficients, gain and standard errors, by normal equations."""
-    normal_matrix, right_side = history.reduced_equations(history.gated_spectra(shapes))
-    inverse_normal, scale = _scaled_inverse(normal_matrix)
-    scaled_coefficients = inverse_normal @ (right_side / scale)
+    normal_matrix, right_side = history.reduced_equations(history.gated_spectra(unit_forces))
+    inverse_normal, root_diagonal = _scaled_inverse(normal_matrix)
+    scaled_coefficients = inverse_normal @ (right_side / root_diagonal)
     return (
-        scaled_coefficients / scale,
-        float(scaled_coefficients @ (right_side / scale)),
-        np.sqrt(np.maximum(np.diag(inverse_normal), 0.0)) / scale,
+        scaled_coefficients / root_diagonal,
+        float(scaled_coefficients @ (right_side / root_diagonal)),
+        np.sqrt(np.maximum(np.diag(inverse_normal), 0.0)) / root_diagonal,
     )
 
 
@@ -114,21 +136,28 @@ def _scaled_inverse(
     matrix: Float[np.ndarray, "unknowns unknowns"],
 ) -> tuple[Float[np.ndarray, "unknowns unknowns"], Float[np.ndarray, " unknowns"]]:
     """Pseudoinverse of a symmetric matrix scaled to a unit diagonal, and the scale d_i = sqrt(M_ii)."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True), scale
+    root_diagonal = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(root_diagonal, root_diagonal), rcond=1e-10, hermitian=True), root_diagonal
 
 
-def _start_descent(history: ForceHistory, form: Form) -> "tuple[Descent, _Iterate, ForceLaw]":
+def _start_descent(history: ForceHistory, law_form: ForceLawForm) -> "tuple[Descent, _Iterate, ForceLaw]":
     """Descent of a slow form from the best parameter of a grid without slow motion, at the first two `LAW_ERRORS`."""
     soft_history = with_law_error(history, LAW_ERRORS[0])
-    largest_m = float(np.abs(history.displacement_m * (history.oversample(history.gate) > 0)).max())
-    low, high = (share * largest_m for share in form.range_share)
+    largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
+    lower_bound, upper_bound = (share * largest_displacement_m for share in law_form.parameter_range)
     parameter = 0.0
-    if form.parameter:
-        grid = np.geomspace(low, high, GRID) if low > 0 else np.linspace(low, high, GRID)
-        parameter = max((float(p) for p in grid), key=lambda p: solve_form(soft_history, form, p)[1])
-    descent = _descent(soft_history, form, largest_m, (low, high))
-    iterate, _ = descent.descend(descent.start(parameter))
+    if law_form.parameter_name:
+        parameter_grid = (
+            np.geomspace(lower_bound, upper_bound, GRID)
+            if lower_bound > 0
+            else np.linspace(lower_bound, upper_bound, GRID)
+        )
+        parameter = max(
+            (float(grid_value) for grid_value in parameter_grid),
+            key=lambda grid_value: solve_form(soft_history, law_form, grid_value)[1],
+        )
+    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (lower_bound, upper_bound))
+    iterate, _ = descent.descend(descent.start_iterate(parameter))
     descent = replace(descent, history=with_law_error(history, LAW_ERRORS[1]))
     return descent, *descent.descend(iterate)
 
@@ -147,7 +176,7 @@ class _Iterate:
 
     coefficients: Float[np.ndarray, " coefficients"]
     parameter: float
-    knots: Float[np.ndarray, " knots"]
+    slow_knots_m: Float[np.ndarray, " knots"]
     cost: float
 
 
@@ -156,7 +185,7 @@ class _ForceStep(Step[_Iterate]):
     covariance: Float[np.ndarray, "unknowns unknowns"]
 
 
-def _cost_tolerance(iterate: _Iterate) -> float:
+def _negligible_cost_change(iterate: _Iterate) -> float:
     return COST_TOLERANCE * abs(iterate.cost)
 
 
@@ -164,105 +193,126 @@ def _cost_tolerance(iterate: _Iterate) -> float:
 class Descent:
     """Gauss-Newton fit of one slow form to a time history with one weighting.
 
-    step (m) is that of numerical derivatives, prior the inverse covariance of the slow motion's knots (1/m^2).
+    displacement_step_m is that of numerical derivatives, knot_precision the inverse covariance of the slow motion's
+    knots (1/m^2).
     """
 
     history: ForceHistory
-    form: Form
-    step: float
+    law_form: ForceLawForm
+    displacement_step_m: float
     parameter_range: tuple[float, float]
-    prior: Float[np.ndarray, "knots knots"]
+    knot_precision: Float[np.ndarray, "knots knots"]
 
-    def start(self, parameter: float) -> _Iterate:
+    def start_iterate(self, parameter: float) -> _Iterate:
         """Iterate with the best coefficients at a parameter, without slow motion."""
-        coefficients, _, _ = solve_form(self.history, self.form, parameter)
-        return self._evaluate(coefficients, parameter, np.zeros(len(self.prior)))
+        best_coefficients, _, _ = solve_form(self.history, self.law_form, parameter)
+        return self._evaluate(best_coefficients, parameter, np.zeros(len(self.knot_precision)))
 
-    def shapes(
-        self, parameter: float, knots: Float[np.ndarray, " knots"], shift_m: float = 0.0
+    def unit_forces(
+        self, parameter: float, slow_knots_m: Float[np.ndarray, " knots"], shift_m: float = 0.0
     ) -> Float[np.ndarray, "coefficients fine"]:
         """Forces per unit coefficient along the motion with the slow motion added, all of it shifted by shift_m."""
         displacement_m = (
-            self.history.displacement_m + self.history.oversample(self.history.slow_basis @ knots) + shift_m
+            self.history.displacement_m + self.history.oversampled(self.history.slow_basis @ slow_knots_m) + shift_m
         )
-        return np.stack(self.form.shapes(displacement_m, self.history.velocity_m_per_s, parameter))
+        return np.stack(self.law_form.unit_forces(displacement_m, self.history.velocity_m_per_s, parameter))
 
-    def penalised_gain(self, force: Series, knots: Float[np.ndarray, " knots"]) -> float:
+    def penalised_gain(self, fine_force_n: Series, slow_knots_m: Float[np.ndarray, " knots"]) -> float:
         """Gain in -2 ln L of a force, less the prior's cost of the slow motion."""
-        return self.history.gain(self.history.gated_spectra(force)) - float(knots @ self.prior @ knots)
+        return self.history.log_likelihood_gain(self.history.gated_spectra(fine_force_n)) - float(
+            slow_knots_m @ self.knot_precision @ slow_knots_m
+        )
 
-    def descend(self, start: _Iterate) -> tuple[_Iterate, ForceLaw]:
-        """Best iterate from the values of `start`, and its law."""
-        start = self._evaluate(start.coefficients, start.parameter, start.knots)
-        iterate, last_step = gauss_newton(start, self._step, _cost_tolerance, STEPS)
-        coefficient_count, errors = (
-            len(self.form.coefficient_units),
+    def descend(self, start_iterate: _Iterate) -> tuple[_Iterate, ForceLaw]:
+        """Best iterate from the values of `start_iterate`, and its law."""
+        start_iterate = self._evaluate(start_iterate.coefficients, start_iterate.parameter, start_iterate.slow_knots_m)
+        best_iterate, last_step = gauss_newton(start_iterate, self._step, _negligible_cost_change, STEPS)
+        coefficient_count, standard_errors = (
+            len(self.law_form.coefficient_units),
             np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)),
         )
-        law = ForceLaw(
-            self.form,
-            tuple((-iterate.coefficients).tolist()),
-            tuple(errors[:coefficient_count].tolist()),
-            iterate.parameter,
-            float(errors[coefficient_count]) if self.form.parameter else 0.0,
-            float(np.mean((self.history.slow_basis @ iterate.knots)[self.history.gate > 0])),
-            -iterate.cost / max(self.history.free_gain, 1e-300),
+        force_law = ForceLaw(
+            self.law_form,
+            tuple((-best_iterate.coefficients).tolist()),
+            tuple(standard_errors[:coefficient_count].tolist()),
+            best_iterate.parameter,
+            float(standard_errors[coefficient_count]) if self.law_form.parameter_name else 0.0,
+            float(np.mean((self.history.slow_basis @ best_iterate.slow_knots_m)[self.history.time_gate > 0])),
+            -best_iterate.cost / max(self.history.free_gain, 1e-300),
         )
-        return iterate, law
+        return best_iterate, force_law
 
     def _evaluate(
         self,
         coefficients: Float[np.ndarray, " coefficients"],
         parameter: float,
-        knots: Float[np.ndarray, " knots"],
+        slow_knots_m: Float[np.ndarray, " knots"],
     ) -> _Iterate:
-        cost = -self.penalised_gain(coefficients @ self.shapes(parameter, knots), knots)
-        return _Iterate(coefficients, parameter, knots, cost)
+        cost = -self.penalised_gain(coefficients @ self.unit_forces(parameter, slow_knots_m), slow_knots_m)
+        return _Iterate(coefficients, parameter, slow_knots_m, cost)
 
     def _step(self, iterate: _Iterate) -> _ForceStep:
         """Gauss-Newton step of coefficients, parameter and knots.
 
         After a share of the step the coefficients are solved for again at the new parameter and knots.
         """
-        history, form, coefficient_count = self.history, self.form, len(self.form.coefficient_units)
-        free_count = coefficient_count + bool(form.parameter)
-        shapes = self.shapes(iterate.parameter, iterate.knots)
-        force = iterate.coefficients @ shapes
-        fine_forces = [*shapes]
-        if form.parameter:
-            fine_forces.append(
-                (iterate.coefficients @ self.shapes(iterate.parameter + self.step, iterate.knots) - force) / self.step
+        history, law_form, coefficient_count = self.history, self.law_form, len(self.law_form.coefficient_units)
+        free_count = coefficient_count + bool(law_form.parameter_name)
+        unit_forces = self.unit_forces(iterate.parameter, iterate.slow_knots_m)
+        fine_force_n = iterate.coefficients @ unit_forces
+        force_derivatives = [*unit_forces]
+        if law_form.parameter_name:
+            force_derivatives.append(
+                (
+                    iterate.coefficients
+                    @ self.unit_forces(iterate.parameter + self.displacement_step_m, iterate.slow_knots_m)
+                    - fine_force_n
+                )
+                / self.displacement_step_m
             )
-        tangent = (iterate.coefficients @ self.shapes(iterate.parameter, iterate.knots, self.step) - force) / self.step
-        means = tangent.reshape(len(history.slow_basis), -1).mean(axis=1)
-        knot_columns = history.spectra_of_samples((history.slow_basis * means[:, None]).T)
-        columns = np.concatenate(
-            [history.gated_spectra(np.stack(fine_forces)), knot_columns, history.gated_spectra(force)[None]]
+        force_by_displacement = (
+            iterate.coefficients @ self.unit_forces(iterate.parameter, iterate.slow_knots_m, self.displacement_step_m)
+            - fine_force_n
+        ) / self.displacement_step_m
+        mean_tangents = force_by_displacement.reshape(len(history.slow_basis), -1).mean(axis=1)
+        knot_columns = history.spectra_of_samples((history.slow_basis * mean_tangents[:, None]).T)
+        force_columns = np.concatenate(
+            [
+                history.gated_spectra(np.stack(force_derivatives)),
+                knot_columns,
+                history.gated_spectra(fine_force_n)[None],
+            ]
         )
-        normal_matrix, right_side = history.reduced_equations(columns)
+        normal_matrix, right_side = history.reduced_equations(force_columns)
         gradient, normal_matrix = right_side[:-1] - normal_matrix[:-1, -1], normal_matrix[:-1, :-1]
-        normal_matrix[free_count:, free_count:] += self.prior
-        gradient[free_count:] -= self.prior @ iterate.knots
-        covariance, scale = _scaled_inverse(normal_matrix)
-        covariance /= np.outer(scale, scale)
-        change = covariance @ gradient
+        normal_matrix[free_count:, free_count:] += self.knot_precision
+        gradient[free_count:] -= self.knot_precision @ iterate.slow_knots_m
+        covariance, root_diagonal = _scaled_inverse(normal_matrix)
+        covariance /= np.outer(root_diagonal, root_diagonal)
+        full_step = covariance @ gradient
 
-        def iterate_after(share: float) -> _Iterate | None:
+        def iterate_after(step_share: float) -> _Iterate | None:
             parameter = 0.0
-            if form.parameter:
-                changed = iterate.parameter + share * change[coefficient_count]
-                parameter = float(np.clip(changed, *self.parameter_range))
+            if law_form.parameter_name:
+                stepped_parameter = iterate.parameter + step_share * full_step[coefficient_count]
+                parameter = float(np.clip(stepped_parameter, *self.parameter_range))
                 if not parameter:
                     return None
-            knots = iterate.knots + share * change[free_count:]
-            return self._evaluate(_solve_shapes(history, self.shapes(parameter, knots))[0], parameter, knots)
+            slow_knots_m = iterate.slow_knots_m + step_share * full_step[free_count:]
+            return self._evaluate(
+                _solve_unit_forces(history, self.unit_forces(parameter, slow_knots_m))[0], parameter, slow_knots_m
+            )
 
-        return _ForceStep(iterate_after, float(gradient @ change), covariance)
+        return _ForceStep(iterate_after, float(gradient @ full_step), covariance)
 
 
-def _descent(history: ForceHistory, form: Form, largest_m: float, parameter_range: tuple[float, float]) -> Descent:
+def _descent_of_form(
+    history: ForceHistory, law_form: ForceLawForm, largest_displacement_m: float, parameter_range: tuple[float, float]
+) -> Descent:
     """Descent whose prior holds the slow motion below the corner of integration, and its rms to that of the motion."""
     knot_count = history.slow_basis.shape[1]
-    bending = np.diff(np.eye(knot_count), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
-    prior = (np.eye(knot_count) + bending.T @ bending) / float(np.std(history.displacement_m)) ** 2
-    return Descent(history, form, 1e-4 * largest_m, parameter_range, prior)
+    second_differences = np.diff(np.eye(knot_count), 2, axis=0) / (2 * np.pi * CORNER_HZ * KNOT_SPACING_S) ** 2
+    knot_precision = (np.eye(knot_count) + second_differences.T @ second_differences) / float(
+        np.std(history.displacement_m)
+    ) ** 2
+    return Descent(history, law_form, 1e-4 * largest_displacement_m, parameter_range, knot_precision)

@@ -34,213 +34,271 @@ FLAT_PRIOR = 1e4
 @dataclass(frozen=True)
 class ForcePlace:
     """Candidate of an unmeasured force by its kind: "force" at one station, "pair" with the opposite force at a second
-    station, "sensor" with a signal of its own, or "distributed", a modulus of the `bodies` that drifts.
+    station, "sensor" with a signal of its own, or "distributed", a modulus of the `body_names` that drifts.
     """
 
     kind: Kind
     stations: tuple[Station, ...] = ()
-    sensor: str = ""
-    bodies: tuple[str, ...] = ()
+    sensor_name: str = ""
+    body_names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class LocatedForce:
     """Candidate fitted to a record; criterion_decrease is that of J against the record without a force.
 
-    error_m is the standard error of the position by the curvature of J. response is g, the residual per unit force.
-    growth is the relative change of the modulus of each body over the record, with its standard errors.
+    position_error_m is the standard error by the curvature of J. residual_per_force is g. modulus_growth is the
+    relative change of the modulus of each body over the record, with its standard errors.
     """
 
-    candidate: ForcePlace
+    force_place: ForcePlace
     criterion_decrease: float
-    error_m: float
+    position_error_m: float
     without_force: ForceEvidence
     with_force: ForceEvidence
-    whitened: WhitenedRecord
-    response: Complex[np.ndarray, "lines rows"]
-    growth: tuple[float, ...] = ()
-    growth_errors: tuple[float, ...] = ()
+    whitened_record: WhitenedRecord
+    residual_per_force: Complex[np.ndarray, "lines rows"]
+    modulus_growth: tuple[float, ...] = ()
+    modulus_growth_errors: tuple[float, ...] = ()
 
 
-def response_of(whitened: WhitenedRecord, candidate: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
+def response_of(whitened: WhitenedRecord, force_place: ForcePlace) -> Complex[np.ndarray, "lines rows"]:
     """Response g of the residual per newton of a candidate's force, or per m/s^2 of a sensor's own signal."""
-    if candidate.kind == "sensor":
-        row = [s.name for s in whitened.record.sensors].index(candidate.sensor)
+    if force_place.kind == "sensor":
+        sensor_index = [s.name for s in whitened.record.sensors].index(force_place.sensor_name)
         unit_signal = np.zeros((len(whitened.record.sensors), whitened.record.omega.size), dtype=complex)
-        unit_signal[row] = 1.0
+        unit_signal[sensor_index] = 1.0
         return whitened.ungated_residual(unit_signal)
-    first, *opposing = candidate.stations
-    accelerances = whitened.accelerance(first)
-    for station in opposing:
+    first_station, *opposing_stations = force_place.stations
+    accelerances = whitened.accelerance(first_station)
+    for station in opposing_stations:
         accelerances = accelerances - whitened.accelerance(station)
     return whitened.ungated_residual(accelerances)
 
 
-def locate_force(whitened: WhitenedRecord, expected: ForcePlace | None = None, radius_m: float = 0.1) -> LocatedForce:
+def locate_force(
+    whitened: WhitenedRecord, expected_place: ForcePlace | None = None, radius_m: float = 0.1
+) -> LocatedForce:
     """Candidate with the largest gain, its position refined.
 
-    With an `expected` one only its kind, no further than radius_m from it, is tried.
+    With an `expected_place` one only its kind, no further than radius_m from it, is tried.
     """
     without_force = evidence_without_force(whitened)
-    places = [
-        c
-        for c in candidates(whitened.record.rig, whitened.record.sensors)
-        if expected is None or _within_radius(c, expected, radius_m)
+    possible_places = [
+        place
+        for place in force_places(whitened.record.rig, whitened.record.sensors)
+        if expected_place is None or _within_radius(place, expected_place, radius_m)
     ]
-    if expected is not None and expected.kind != "distributed":
-        places.append(expected)
+    if expected_place is not None and expected_place.kind != "distributed":
+        possible_places.append(expected_place)
     cleared_residual = subtract_nuisance(whitened, without_force.theta)
-    screened = {
-        c: evidence_with_force(whitened, response_of(whitened, c), without_force, cleared_residual) for c in places
+    evidence_by_place = {
+        place: evidence_with_force(whitened, response_of(whitened, place), without_force, cleared_residual)
+        for place in possible_places
     }
     best_of_kinds: list[LocatedForce] = []
     for kind in ("force", "pair", "sensor"):
-        chosen = sorted((c for c in screened if c.kind == kind), key=lambda c: screened[c].criterion)[
-            :REFITTED_PER_KIND
+        best_places = sorted(
+            (place for place in evidence_by_place if place.kind == kind),
+            key=lambda place: evidence_by_place[place].criterion,
+        )[:REFITTED_PER_KIND]
+        refitted_evidence = [
+            (evidence_with_force(whitened, response_of(whitened, place), without_force), place) for place in best_places
         ]
-        refitted = [(evidence_with_force(whitened, response_of(whitened, c), without_force), c) for c in chosen]
-        if refitted:
-            with_force, candidate = min(refitted, key=lambda choice: choice[0].criterion)
-            best_of_kinds.append(_located_force(whitened, candidate, without_force, with_force))
-    if expected is None or expected.kind == "distributed":
-        best_of_kinds += [d for d in [_locate_drift(whitened, without_force, expected)] if d is not None]
-    return _refine_position(max(best_of_kinds, key=lambda choice: choice.criterion_decrease))
+        if refitted_evidence:
+            with_force, best_place = min(refitted_evidence, key=lambda located_force: located_force[0].criterion)
+            best_of_kinds.append(_located_force(whitened, best_place, without_force, with_force))
+    if expected_place is None or expected_place.kind == "distributed":
+        best_of_kinds += [
+            drift for drift in [_locate_drift(whitened, without_force, expected_place)] if drift is not None
+        ]
+    return _refine_position(max(best_of_kinds, key=lambda located_force: located_force.criterion_decrease))
 
 
-def candidates(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
+def force_places(rig: Rig, sensors: Sequence[Sensor]) -> Iterator[ForcePlace]:
     """Candidates: every 0.05 m of each body, pairs side by side on two bodies, and the record's sensors if several."""
     for body in rig.bodies:
-        for position_m in _grid_m(body.length_m):
+        for position_m in _position_grid_m(body.length_m):
             yield ForcePlace("force", (Station(body.name, position_m),))
-    for first, second in combinations(rig.bodies, 2):
-        shift_m = offset_m(rig, first.name, second.name)
-        for position_m in _grid_m(first.length_m):
-            if 0 <= position_m + shift_m <= second.length_m:
-                yield ForcePlace("pair", (Station(first.name, position_m), Station(second.name, position_m + shift_m)))
+    for first_body, second_body in combinations(rig.bodies, 2):
+        shift_m = offset_m(rig, first_body.name, second_body.name)
+        for position_m in _position_grid_m(first_body.length_m):
+            if 0 <= position_m + shift_m <= second_body.length_m:
+                yield ForcePlace(
+                    "pair", (Station(first_body.name, position_m), Station(second_body.name, position_m + shift_m))
+                )
     if len(sensors) > 1:
         for sensor in sensors:
-            yield ForcePlace("sensor", sensor=sensor.name)
+            yield ForcePlace("sensor", sensor_name=sensor.name)
 
 
-def offset_m(rig: Rig, from_body: str, to_body: str) -> float:
+def offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
     """Offset from a position on one body to that beside it on the other: the median over the contacts between them, 0
     without any."""
     offsets_m = []
     for contact in rig.contacts:
-        if contact.against is not None and {contact.at.body, contact.against.body} == {from_body, to_body}:
+        if contact.against is not None and {contact.at.body, contact.against.body} == {from_body_name, to_body_name}:
             distance_m = contact.against.position_m - contact.at.position_m
-            offsets_m.append(distance_m if contact.at.body == from_body else -distance_m)
+            offsets_m.append(distance_m if contact.at.body == from_body_name else -distance_m)
     return float(np.median(offsets_m)) if offsets_m else 0.0
 
 
-def _shifted(candidate: ForcePlace, shift_m: float) -> ForcePlace:
-    return replace(candidate, stations=tuple(Station(s.body, s.position_m + shift_m) for s in candidate.stations))
-
-
-def _shift_range_m(rig: Rig, candidate: ForcePlace) -> tuple[float, float]:
-    """Lowest and highest shift (m) with which every station stays on its body."""
-    lengths = [rig.body(s.body).length_m for s in candidate.stations]
-    return (
-        max(-s.position_m for s in candidate.stations),
-        min(length - s.position_m for s, length in zip(candidate.stations, lengths, strict=True)),
+def _shifted_place(force_place: ForcePlace, shift_m: float) -> ForcePlace:
+    return replace(
+        force_place,
+        stations=tuple(Station(station.body, station.position_m + shift_m) for station in force_place.stations),
     )
 
 
-def _grid_m(length_m: float) -> list[float]:
+def _shift_range_m(rig: Rig, force_place: ForcePlace) -> tuple[float, float]:
+    """Lowest and highest shift (m) with which every station stays on its body."""
+    body_lengths_m = [rig.body(station.body).length_m for station in force_place.stations]
+    return (
+        max(-station.position_m for station in force_place.stations),
+        min(
+            body_length_m - station.position_m
+            for station, body_length_m in zip(force_place.stations, body_lengths_m, strict=True)
+        ),
+    )
+
+
+def _position_grid_m(length_m: float) -> list[float]:
     """Positions (m) along a body, evenly spaced by about `SPACING_M`; 0 alone on a point mass."""
     if not length_m:
         return [0.0]
-    return [float(x) for x in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
+    return [float(position_m) for position_m in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
 
 
-def _within_radius(candidate: ForcePlace, expected: ForcePlace, radius_m: float) -> bool:
-    if candidate.kind != expected.kind or candidate.sensor != expected.sensor:
+def _within_radius(force_place: ForcePlace, expected_place: ForcePlace, radius_m: float) -> bool:
+    if force_place.kind != expected_place.kind or force_place.sensor_name != expected_place.sensor_name:
         return False
     return all(
-        a.body == b.body and abs(a.position_m - b.position_m) <= radius_m
-        for a, b in zip(candidate.stations, expected.stations, strict=True)
+        station.body == expected_station.body and abs(station.position_m - expected_station.position_m) <= radius_m
+        for station, expected_station in zip(force_place.stations, expected_place.stations, strict=True)
     )
 
 
 def _located_force(
-    whitened: WhitenedRecord, candidate: ForcePlace, without_force: ForceEvidence, with_force: ForceEvidence
+    whitened: WhitenedRecord, force_place: ForcePlace, without_force: ForceEvidence, with_force: ForceEvidence
 ) -> LocatedForce:
     criterion_decrease = without_force.criterion - with_force.criterion
     return LocatedForce(
-        candidate, criterion_decrease, 0.0, without_force, with_force, whitened, response_of(whitened, candidate)
+        force_place, criterion_decrease, 0.0, without_force, with_force, whitened, response_of(whitened, force_place)
     )
 
 
-def _refine_position(estimate: LocatedForce) -> LocatedForce:
+def _refine_position(located_force: LocatedForce) -> LocatedForce:
     """Candidate at the minimum of J over its shift, to `FINE_M`: each round takes the vertex of a parabola through J at
     three shifts, then a shorter step. Its standard error follows from the curvature of J."""
-    whitened, candidate = estimate.whitened, estimate.candidate
-    if not candidate.stations or not whitened.record.rig.body(candidate.stations[0].body).length_m:
-        return estimate
-    evidence: dict[float, ForceEvidence] = {}
+    whitened, force_place = located_force.whitened_record, located_force.force_place
+    if not force_place.stations or not whitened.record.rig.body(force_place.stations[0].body).length_m:
+        return located_force
+    evidence_by_shift: dict[float, ForceEvidence] = {}
 
     def criterion_at(shift_m: float) -> float:
-        if shift_m not in evidence:
-            evidence[shift_m] = evidence_with_force(
-                whitened, response_of(whitened, _shifted(candidate, shift_m)), estimate.with_force
+        if shift_m not in evidence_by_shift:
+            evidence_by_shift[shift_m] = evidence_with_force(
+                whitened, response_of(whitened, _shifted_place(force_place, shift_m)), located_force.with_force
             )
-        return evidence[shift_m].criterion
+        return evidence_by_shift[shift_m].criterion
 
-    low, high = _shift_range_m(whitened.record.rig, candidate)
-    best_m, step_m = 0.0, SPACING_M / 2
+    lowest_shift_m, highest_shift_m = _shift_range_m(whitened.record.rig, force_place)
+    best_shift_m, step_m = 0.0, SPACING_M / 2
     while True:
-        shifts_m = [float(np.clip(best_m + k * step_m, low, high)) for k in (-1, 0, 1)]
-        best_m = min(shifts_m, key=criterion_at)
+        shifts_m = [
+            float(np.clip(best_shift_m + step_number * step_m, lowest_shift_m, highest_shift_m))
+            for step_number in (-1, 0, 1)
+        ]
+        best_shift_m = min(shifts_m, key=criterion_at)
         if step_m <= FINE_M:
             break
-        vertex_m = float(np.clip(_parabola_vertex(shifts_m, [criterion_at(x) for x in shifts_m]), low, high))
-        best_m, step_m = min((best_m, vertex_m), key=criterion_at), step_m / 3.5
-    shifts_m = [float(np.clip(best_m + k * 2 * FINE_M, low, high)) for k in (-2, -1, 0, 1, 2)]
-    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(x) for x in shifts_m], 2)[0])
-    error = float(np.sqrt(2 / curvature)) if curvature > 0 else SPACING_M
-    place = _shifted(candidate, best_m)
+        vertex_m = float(
+            np.clip(
+                _parabola_vertex(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m]),
+                lowest_shift_m,
+                highest_shift_m,
+            )
+        )
+        best_shift_m, step_m = min((best_shift_m, vertex_m), key=criterion_at), step_m / 3.5
+    shifts_m = [
+        float(np.clip(best_shift_m + step_number * 2 * FINE_M, lowest_shift_m, highest_shift_m))
+        for step_number in (-2, -1, 0, 1, 2)
+    ]
+    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m], 2)[0])
+    position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else SPACING_M
+    best_place = _shifted_place(force_place, best_shift_m)
     return replace(
-        _located_force(whitened, place, estimate.without_force, evidence[best_m]), error_m=min(error, SPACING_M)
+        _located_force(whitened, best_place, located_force.without_force, evidence_by_shift[best_shift_m]),
+        position_error_m=min(position_error_m, SPACING_M),
     )
 
 
-def _parabola_vertex(x: list[float], y: list[float]) -> float:
+def _parabola_vertex(positions_m: list[float], ordinates: list[float]) -> float:
     """Minimum of the parabola through three points within their range, or the lowest point if it has none."""
-    if len(set(x)) < 3:
-        return x[int(np.argmin(y))]
-    a, b, _ = np.polyfit(x, y, 2)
-    return float(np.clip(-b / (2 * a), x[0], x[-1])) if a > 0 else x[int(np.argmin(y))]
+    if len(set(positions_m)) < 3:
+        return positions_m[int(np.argmin(ordinates))]
+    quadratic_coefficient, linear_coefficient, _ = np.polyfit(positions_m, ordinates, 2)
+    return (
+        float(np.clip(-linear_coefficient / (2 * quadratic_coefficient), positions_m[0], positions_m[-1]))
+        if quadratic_coefficient > 0
+        else positions_m[int(np.argmin(ordinates))]
+    )
 
 
 def _locate_drift(
-    whitened: WhitenedRecord, without_force: ForceEvidence, expected: ForcePlace | None
+    whitened: WhitenedRecord, without_force: ForceEvidence, expected_place: ForcePlace | None
 ) -> LocatedForce | None:
     """Drift of the modulus of one body, or of all bodies together if that gains 5 % more; None if no body shows any."""
-    names = expected.bodies if expected else tuple(b.name for b in whitened.record.rig.bodies if b.length_m)
-    columns = {name: modulus_drift_column(whitened, name) for name in names}
-    columns = {name: c for name, c in columns.items() if np.any(c)}
-    if not columns:
+    body_names = (
+        expected_place.body_names if expected_place else tuple(b.name for b in whitened.record.rig.bodies if b.length_m)
+    )
+    column_by_body = {body_name: modulus_drift_column(whitened, body_name) for body_name in body_names}
+    column_by_body = {
+        body_name: drift_column for body_name, drift_column in column_by_body.items() if np.any(drift_column)
+    }
+    if not column_by_body:
         return None
-    choices = [tuple(columns)] if expected else [*((name,) for name in columns), tuple(columns)]
-    best: LocatedForce | None = None
-    for bodies in dict.fromkeys(choices):
-        scale = [FLAT_PRIOR / max(float(np.linalg.norm(columns[b])), 1e-300) for b in bodies]
-        drift_columns = np.stack([s * columns[b] for s, b in zip(scale, bodies, strict=True)])
-        extended = with_columns(
-            whitened,
-            (*whitened.parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in bodies)),
-            np.concatenate([whitened.columns, drift_columns]),
-            np.append(whitened.trace_terms, 0.0 * np.array(scale)),
+    body_choices = (
+        [tuple(column_by_body)]
+        if expected_place
+        else [*((body_name,) for body_name in column_by_body), tuple(column_by_body)]
+    )
+    best_drift: LocatedForce | None = None
+    for drifting_bodies in dict.fromkeys(body_choices):
+        column_scales = [FLAT_PRIOR / max(float(np.linalg.norm(column_by_body[b])), 1e-300) for b in drifting_bodies]
+        drift_columns = np.stack(
+            [column_scale * column_by_body[b] for column_scale, b in zip(column_scales, drifting_bodies, strict=True)]
         )
-        with_force = evidence_without_force(extended)
+        with_drift_columns = with_columns(
+            whitened,
+            (*whitened.nuisance_parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in drifting_bodies)),
+            np.concatenate([whitened.nuisance_columns, drift_columns]),
+            np.append(whitened.trace_terms, 0.0 * np.array(column_scales)),
+        )
+        with_force = evidence_without_force(with_drift_columns)
         criterion_decrease = without_force.criterion - with_force.criterion
-        growth = tuple(float(v) for v in with_force.theta[-len(bodies) :] * scale)
-        if best is None or criterion_decrease > max(best.criterion_decrease, 1.05 * best.criterion_decrease):
-            no_response = np.zeros(whitened.residual.shape, dtype=complex)
-            covariance = np.linalg.inv(nuisance_equations(extended, with_force.noise)[0])
-            errors = tuple(float(e) for e in np.sqrt(np.diag(covariance)[-len(bodies) :]) * scale)
-            place = ForcePlace("distributed", bodies=bodies)
-            best = LocatedForce(
-                place, criterion_decrease, 0.0, without_force, with_force, extended, no_response, growth, errors
+        modulus_growth = tuple(
+            float(growth_value) for growth_value in with_force.theta[-len(drifting_bodies) :] * column_scales
+        )
+        if best_drift is None or criterion_decrease > max(
+            best_drift.criterion_decrease, 1.05 * best_drift.criterion_decrease
+        ):
+            no_response = np.zeros(whitened.whitened_residual.shape, dtype=complex)
+            covariance = np.linalg.inv(nuisance_equations(with_drift_columns, with_force.noise_variance)[0])
+            growth_errors = tuple(
+                float(growth_error)
+                for growth_error in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
             )
-    return best
+            drift_place = ForcePlace("distributed", body_names=drifting_bodies)
+            best_drift = LocatedForce(
+                drift_place,
+                criterion_decrease,
+                0.0,
+                without_force,
+                with_force,
+                with_drift_columns,
+                no_response,
+                modulus_growth,
+                growth_errors,
+            )
+    return best_drift

@@ -43,88 +43,97 @@ hand."""
 class WhitenedRecord:
     """Whitened residual r (lines, rows) and nuisance columns D (columns, lines, rows) of a record.
 
-    basis is N^H, from standardised accelerations to rows. residual_squares, cross_products and gram are |r|^2, Re D^H r
-    and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace_terms are the columns'
-    2 Re tr(dD/dA). force_modes are the principal directions of the force channels' noise, force_shares the part of each
-    that whitening takes off.
+    complement_basis is N^H, from standardised accelerations to rows. residual_squares, cross_products and column_gram
+    are |r|^2, Re D^H r and Re D^H D summed over bands of 2 Hz, of which band_starts holds the first lines. trace_terms
+    are the columns' 2 Re tr(dD/dA). force_noise_modes are the principal directions of the force channels' noise,
+    force_noise_shares the part of each that whitening takes off.
     """
 
     record: Record
     model: Linear
-    lines: slice
-    basis: Complex[np.ndarray, "lines rows sensors"]
-    force_modes: Complex[np.ndarray, "lines rows modes"]
-    force_shares: Float[np.ndarray, "lines modes"]
-    residual: Complex[np.ndarray, "lines rows"]
-    parameters: tuple[Nuisance, ...]
-    columns: Complex[np.ndarray, "columns lines rows"]
+    line_slice: slice
+    complement_basis: Complex[np.ndarray, "lines rows sensors"]
+    force_noise_modes: Complex[np.ndarray, "lines rows modes"]
+    force_noise_shares: Float[np.ndarray, "lines modes"]
+    whitened_residual: Complex[np.ndarray, "lines rows"]
+    nuisance_parameters: tuple[Nuisance, ...]
+    nuisance_columns: Complex[np.ndarray, "columns lines rows"]
     modal_accelerations: tuple[Complex[np.ndarray, "_ alllines"], ...]
     band_starts: Int[np.ndarray, " bands"]
     residual_squares: Float[np.ndarray, " bands"]
     cross_products: Float[np.ndarray, "bands columns"]
-    gram: Float[np.ndarray, "bands columns columns"]
+    column_gram: Float[np.ndarray, "bands columns columns"]
     trace_terms: Float[np.ndarray, " columns"]
 
     @property
-    def omega(self) -> Float[np.ndarray, " lines"]:
-        return self.record.omega[self.lines]
+    def line_omegas(self) -> Float[np.ndarray, " lines"]:
+        return self.record.omega[self.line_slice]
 
     @property
-    def rows(self) -> int:
-        return self.residual.shape[1]
+    def row_count(self) -> int:
+        return self.whitened_residual.shape[1]
 
     @property
     def reals_per_line(self) -> float:
         """Count n of independent real values for each complex line, by the gate's share of the transform."""
-        return 2.0 * float(np.sum(self.gate**2)) * self.record.factor / self.record.length
+        return 2.0 * float(np.sum(self.time_gate**2)) * self.record.decimation / self.record.transform_length
 
     @cached_property
-    def gate(self) -> Float[np.ndarray, " alltimes"]:
+    def time_gate(self) -> Float[np.ndarray, " alltimes"]:
         """Window: one where the residual counts, with smooth flanks to zero where the record's ends falsify it."""
-        counted, record = self.record.counted_samples, self.record
-        gate = np.zeros(record.length // record.factor)
-        shape = taper(counted.stop - counted.start, round(GATE_FADE_S * record.rate_hz))
-        gate[counted] = shape if counted.start == 0 else shape * shape[::-1]
-        return gate
+        counted_slice, record = self.record.counted_slice, self.record
+        time_gate = np.zeros(record.transform_length // record.decimation)
+        gate_shape = taper(counted_slice.stop - counted_slice.start, round(GATE_FADE_S * record.rate_hz))
+        time_gate[counted_slice] = gate_shape if counted_slice.start == 0 else gate_shape * gate_shape[::-1]
+        return time_gate
 
     @property
     def band_sizes(self) -> Int[np.ndarray, " bands"]:
         """Count of lines in each band."""
-        return np.diff(np.append(self.band_starts, self.residual.shape[0]))
+        return np.diff(np.append(self.band_starts, self.whitened_residual.shape[0]))
 
-    def on_lines(self, by_band: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
+    def at_each_line(self, band_values: Float[np.ndarray, " bands"]) -> Float[np.ndarray, " lines"]:
         """Value of its band at every line."""
-        return np.repeat(by_band, self.band_sizes)
+        return np.repeat(band_values, self.band_sizes)
 
     def ungated_residual(
         self, accelerations: Complex[np.ndarray, "sensors alllines"]
     ) -> Complex[np.ndarray, "lines rows"]:
         """Whitened residual of accelerations (m/s^2) at the sensors, without the gate."""
-        return self.whiten_force_noise(
-            self.project((self.model.sensor_response * accelerations / self.model.deviation)[:, self.lines])
+        return self.without_force_noise(
+            self.projected_rows(
+                (self.model.sensor_response * accelerations / self.model.error_deviation)[:, self.line_slice]
+            )
         )
 
     def gated_residual(
-        self, standardised: Complex[np.ndarray, "sensors alllines"]
+        self, standardised_signals: Complex[np.ndarray, "sensors alllines"]
     ) -> Complex[np.ndarray, "lines rows"]:
         """Whitened residual of the sensors' standardised signals, gated in time."""
         record = self.record
-        back_projected = np.zeros_like(standardised)
-        back_projected[:, self.lines] = (
-            self.basis.conj().transpose(0, 2, 1) @ self.project(standardised[:, self.lines])[:, :, None]
+        back_projected = np.zeros_like(standardised_signals)
+        back_projected[:, self.line_slice] = (
+            self.complement_basis.conj().transpose(0, 2, 1)
+            @ self.projected_rows(standardised_signals[:, self.line_slice])[:, :, None]
         )[:, :, 0].T
-        length = record.length // record.factor
-        history = np.fft.irfft(back_projected, length) * self.gate
-        return self.whiten_force_noise(self.project(np.fft.rfft(history)[:, self.lines]))
+        padded_samples = record.transform_length // record.decimation
+        gated_signals = np.fft.irfft(back_projected, padded_samples) * self.time_gate
+        return self.without_force_noise(self.projected_rows(np.fft.rfft(gated_signals)[:, self.line_slice]))
 
-    def project(self, standardised: Complex[np.ndarray, "sensors lines"]) -> Complex[np.ndarray, "lines rows"]:
+    def projected_rows(
+        self, standardised_signals: Complex[np.ndarray, "sensors lines"]
+    ) -> Complex[np.ndarray, "lines rows"]:
         """Rows N^H y of standardised signals y, in which contact forces do not show."""
-        return np.asarray((self.basis @ standardised.T[:, :, None])[:, :, 0])
+        return np.asarray((self.complement_basis @ standardised_signals.T[:, :, None])[:, :, 0])
 
-    def whiten_force_noise(self, rows: Complex[np.ndarray, "lines rows"]) -> Complex[np.ndarray, "lines rows"]:
+    def without_force_noise(
+        self, residual_rows: Complex[np.ndarray, "lines rows"]
+    ) -> Complex[np.ndarray, "lines rows"]:
         """Rows with the covariance I + S_F g_F g_F^H of the force channels' noise reduced to I."""
-        mode_amplitudes = np.einsum("lrm,lr->lm", self.force_modes.conj(), rows)
-        return np.asarray(rows - np.einsum("lrm,lm->lr", self.force_modes, self.force_shares * mode_amplitudes))
+        mode_amplitudes = np.einsum("lrm,lr->lm", self.force_noise_modes.conj(), residual_rows)
+        return np.asarray(
+            residual_rows - np.einsum("lrm,lm->lr", self.force_noise_modes, self.force_noise_shares * mode_amplitudes)
+        )
 
     def accelerance(self, station: Station) -> Complex[np.ndarray, "sensors alllines"]:
         """Accelerance from a force at a station to the sensors, m/s^2 per N."""
@@ -136,7 +145,7 @@ class WhitenedRecord:
                 accelerances += (shape_products @ np.ascontiguousarray(response.accelerance).view(float)).view(complex)
         return accelerances
 
-    def motion(self, station: Station) -> Complex[np.ndarray, " alllines"]:
+    def acceleration_at(self, station: Station) -> Complex[np.ndarray, " alllines"]:
         """Acceleration at a station: observed modes as measured, the others as modelled."""
         for response, accelerations in zip(self.model.responses, self.modal_accelerations, strict=True):
             if response.body.name == station.body:
@@ -144,125 +153,158 @@ class WhitenedRecord:
         raise KeyError(station.body)
 
 
-def bare_residual(record: Record, rig: Rig) -> WhitenedRecord:
+def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     """Whitened residual of a record against the linear part of a rig, without nuisance columns.
 
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
     # the force channels' noise is whitened below; unmeasured responses are windowed
-    no_force_noise = np.zeros_like(record.force_noise)
-    record = replace(record, noise=capped_noise(record), force_noise=no_force_noise, windows_responses=False)
+    no_force_noise = np.zeros_like(record.force_noise_variance)
+    record = replace(
+        record,
+        noise_variance=capped_noise_variance(record),
+        force_noise_variance=no_force_noise,
+        responses_windowed=False,
+    )
     model = linear_model(record, rig, record.tolerances.unmodelled)
-    lines = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
-    basis = complement(model.by_input[..., lines])
-    row_count = basis.shape[1]
+    line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
+    complement_basis = complement(model.signal_per_input[..., line_slice])
+    row_count = complement_basis.shape[1]
     if not row_count:
         raise RigError(
             f"{len(record.sensors)} sensors and {len(model.rig.contacts)} contacts leave nothing that could show an "
             "unmeasured force; add a sensor"
         )
-    line_count, band_starts = basis.shape[0], _band_starts(record.omega[lines])
+    line_count, band_starts = complement_basis.shape[0], _band_starts(record.omega[line_slice])
     modal_accelerations = tuple(
-        _measured_accelerations(record, model, response, motion)
-        for response, motion in zip(model.responses, model.modal, strict=True)
+        _measured_accelerations(record, model, response, modelled_acceleration)
+        for response, modelled_acceleration in zip(model.responses, model.modal_accelerations, strict=True)
     )
-    bare = WhitenedRecord(
+    unwhitened_record = WhitenedRecord(
         record=record,
         model=model,
-        lines=lines,
-        basis=basis,
-        force_modes=np.zeros((line_count, row_count, 0), dtype=complex),
-        force_shares=np.zeros((line_count, 0)),
-        residual=np.zeros((line_count, row_count), dtype=complex),
-        parameters=(),
-        columns=np.zeros((0, line_count, row_count), dtype=complex),
+        line_slice=line_slice,
+        complement_basis=complement_basis,
+        force_noise_modes=np.zeros((line_count, row_count, 0), dtype=complex),
+        force_noise_shares=np.zeros((line_count, 0)),
+        whitened_residual=np.zeros((line_count, row_count), dtype=complex),
+        nuisance_parameters=(),
+        nuisance_columns=np.zeros((0, line_count, row_count), dtype=complex),
         modal_accelerations=modal_accelerations,
         band_starts=band_starts,
         residual_squares=np.zeros(band_starts.size),
         cross_products=np.zeros((band_starts.size, 0)),
-        gram=np.zeros((band_starts.size, 0, 0)),
+        column_gram=np.zeros((band_starts.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
     force_responses = np.stack(
-        [bare.ungated_residual(bare.accelerance(station) / rig.force_sensor.gain) for station in rig.forces], axis=2
+        [
+            unwhitened_record.ungated_residual(unwhitened_record.accelerance(station) / rig.force_sensor.gain)
+            for station in rig.forces
+        ],
+        axis=2,
     )
-    modes, singular_values, _ = np.linalg.svd(force_responses * np.sqrt(force_noise(record)), full_matrices=False)
-    whitened = replace(bare, force_modes=modes, force_shares=1 - 1 / np.sqrt(1 + singular_values**2))
-    return replace(whitened, residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
+    noise_modes, singular_values, _ = np.linalg.svd(
+        force_responses * np.sqrt(force_noise_variance(record)), full_matrices=False
+    )
+    whitened = replace(
+        unwhitened_record, force_noise_modes=noise_modes, force_noise_shares=1 - 1 / np.sqrt(1 + singular_values**2)
+    )
+    return replace(whitened, whitened_residual=whitened.gated_residual(model.residual[: len(record.sensors)]))
 
 
 def with_columns(
-    bare: WhitenedRecord,
+    whitened_without: WhitenedRecord,
     parameters: tuple[Nuisance, ...],
-    columns: Complex[np.ndarray, "columns lines rows"],
+    nuisance_columns: Complex[np.ndarray, "columns lines rows"],
     trace_terms: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
     """Record with these columns, kept in single precision, and their sums over bands."""
-    real_residual = np.ascontiguousarray(bare.residual).view(float)
-    edges = np.append(bare.band_starts, real_residual.shape[0])
-    residual_squares, cross_products, gram = [], [], []
-    for first, last in pairwise(edges):
-        band_columns = np.ascontiguousarray(columns[:, first:last], dtype=complex).view(float).reshape(len(columns), -1)
-        band_residual = real_residual[first:last].ravel()
+    real_residual = np.ascontiguousarray(whitened_without.whitened_residual).view(float)
+    band_edges = np.append(whitened_without.band_starts, real_residual.shape[0])
+    residual_squares, cross_products, column_gram = [], [], []
+    for first_line, stop_line in pairwise(band_edges):
+        band_columns = (
+            np.ascontiguousarray(nuisance_columns[:, first_line:stop_line], dtype=complex)
+            .view(float)
+            .reshape(len(nuisance_columns), -1)
+        )
+        band_residual = real_residual[first_line:stop_line].ravel()
         residual_squares.append(band_residual @ band_residual)
         cross_products.append(band_columns @ band_residual)
-        gram.append(band_columns @ band_columns.T)
+        column_gram.append(band_columns @ band_columns.T)
     return replace(
-        bare,
-        parameters=parameters,
-        columns=columns.astype(np.complex64),
+        whitened_without,
+        nuisance_parameters=parameters,
+        nuisance_columns=nuisance_columns.astype(np.complex64),
         residual_squares=np.array(residual_squares),
         cross_products=np.array(cross_products),
-        gram=np.array(gram),
+        column_gram=np.array(column_gram),
         trace_terms=trace_terms,
     )
 
 
-def capped_noise(record: Record) -> Float[np.ndarray, "sensors lines"]:
+def capped_noise_variance(record: Record) -> Float[np.ndarray, "sensors lines"]:
     """Noise power of each sensor at each line, at most that of rig.json: a force that acts before the excitation
     is no noise."""
-    noise = record.noise.copy()
-    for i, sensor in enumerate(record.sensors):
+    noise_variance = record.noise_variance.copy()
+    for sensor_index, sensor in enumerate(record.sensors):
         if sensor.noise_density > 0:
-            density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
-            noise[i] = np.minimum(noise[i], record.samples * density**2 * record.sample_rate_hz / 2)
-    return noise
+            acceleration_density = sensor.noise_density * record.omega ** (2 - sensor.measures.order)
+            noise_variance[sensor_index] = np.minimum(
+                noise_variance[sensor_index], record.sample_count * acceleration_density**2 * record.sample_rate_hz / 2
+            )
+    return noise_variance
 
 
-def force_noise(record: Record) -> Float[np.ndarray, " forces"]:
+def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     """Variance of the noise at a line of each force channel (N^2): the lower of what the quiet start and the lines of
     the upper half of the band show."""
-    high_band_power = np.abs(record.forces[:, record.omega.size // 2 :]) ** 2
-    variance = np.median(high_band_power, axis=1) / np.log(2)
-    quiet = record.time_s < record.excited_s - 0.05
-    if np.count_nonzero(quiet) > 0.2 * record.rate_hz:
-        size_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.forces)[:, quiet]), axis=1)
-        variance = np.minimum(variance, record.samples * size_n**2 * record.sample_rate_hz / record.rate_hz)
-    return np.asarray(variance)
+    high_band_power = np.abs(record.force_spectra[:, record.omega.size // 2 :]) ** 2
+    noise_variance = np.median(high_band_power, axis=1) / np.log(2)
+    is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
+    if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
+        quiet_noise_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
+        noise_variance = np.minimum(
+            noise_variance, record.sample_count * quiet_noise_n**2 * record.sample_rate_hz / record.rate_hz
+        )
+    return np.asarray(noise_variance)
 
 
 def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low sensors"]:
     """Pseudoinverse from accelerations at the sensors to those of the body's lowest modes, one mode a sensor."""
-    body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+    body_sensors = [
+        sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name
+    ]
     mode_count = min(len(body_sensors), response.count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
-        shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :mode_count]
+        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[
+            :, :mode_count
+        ]
         inverse_shapes[:, body_sensors] = np.linalg.pinv(shapes, rcond=OBSERVABILITY_LIMIT)
     return inverse_shapes
 
 
 def _measured_accelerations(
-    record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
+    record: Record, model: Linear, response: Response, modelled_accelerations: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
     mode_count = len(inverse_shapes)
-    misfit = record.delivered / model.sensor_response - response.shapes([s.station for s in record.sensors]) @ modelled
-    return np.concatenate([modelled[:mode_count] + inverse_shapes @ misfit, modelled[mode_count:]])
+    unexplained_accelerations = (
+        record.acceleration_signals / model.sensor_response
+        - response.shapes([s.station for s in record.sensors]) @ modelled_accelerations
+    )
+    return np.concatenate(
+        [
+            modelled_accelerations[:mode_count] + inverse_shapes @ unexplained_accelerations,
+            modelled_accelerations[mode_count:],
+        ]
+    )
 
 
-def _band_starts(omega: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
+def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:
     """First line of each band of `BAND_HZ`."""
-    number = np.floor(omega / (2 * np.pi * BAND_HZ)).astype(int)
-    return np.flatnonzero(np.diff(number, prepend=-1))
+    band_numbers = np.floor(line_omegas / (2 * np.pi * BAND_HZ)).astype(int)
+    return np.flatnonzero(np.diff(band_numbers, prepend=-1))

@@ -112,12 +112,12 @@ def recording(quantity, force_n, moved, seed, rate_hz=RATE_HZ):
 def fitted(record, effect=None):
     """The nominal rig, or an effect from what the modes ask for, fitted to a record."""
     reference = nominal_variances_of(linearized(record, record.rig))
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     context = Search(reference, *fit_nuisance(record, record.rig), tuple(known))
     if effect is None:
         return context.nominal_fit().hypothesis
     asked = mode_screening(record, record.rig, [one for one in known if one.kind.name == effect])
-    briefly = [fit_briefly(context, (one.candidate,), one.values, None) for one in asked]
+    briefly = [fit_briefly(context, (one.candidate,), one.start_values, None) for one in asked]
     return refined(context, min(briefly, key=lambda one: one.cost)).hypothesis
 
 
@@ -125,7 +125,7 @@ def test_of_the_machine_as_it_is_believed_nothing_that_matters_is_left():
     for quantity in NOISE:
         nothing = fitted(record_of(decay(quantity, 3.0)))
         assert not nothing.is_incomplete
-        assert nothing.misfit.share < 5e-3
+        assert nothing.misfit.motion_share < 5e-3
 
 
 @pytest.mark.parametrize(
@@ -135,9 +135,9 @@ def test_a_last_blow_where_the_record_fades_leaves_nothing_that_matters(quantity
     """And a frequency that is off within its tolerance, by a seventh of the resonance's width."""
     record = record_of(hit(quantity, (1.2, 5.0, 9.1, 13.7), 14.0, stiffer=1.003))
     nothing = fitted(record)
-    assert record.forced
+    assert record.has_force
     assert not nothing.is_incomplete
-    assert nothing.misfit.share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
+    assert nothing.misfit.motion_share < 7e-3  # of displacements 0.55 %, where noise begins to hide them
 
 
 @pytest.mark.study
@@ -147,9 +147,9 @@ def test_a_first_frequency_26_per_cent_off_is_found_from_hits():
     context = Search(reference, *fit_nuisance(record, record.rig), ())
     known = candidates(scale_of(record, record.rig), (), record.zero_known)
     modulus = next(one for one in known if one.kind.name == "youngs_modulus")
-    found = fit_effects(context, (modulus,), modulus.default, context.residual).hypothesis
+    found = fit_effects(context, (modulus,), modulus.typical_values, context.residual).hypothesis
     assert abs(found.values[0] - 1.26**2) < 3 * np.sqrt(found.covariance[0, 0])
-    assert context.nominal_fit().hypothesis.misfit.share > 0.3
+    assert context.nominal_fit().hypothesis.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 
@@ -161,7 +161,7 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     errors = np.sqrt(np.diag(found.covariance))
     assert np.all(np.abs(found.values - [0.22, 1.0]) < 3 * errors)
     assert np.all(errors < [0.01, 0.02])
-    assert before.misfit.share > 0.3
+    assert before.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 
@@ -171,15 +171,15 @@ def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_foun
     error = np.sqrt(found.covariance[0, 0])
     assert abs(found.values[0] - 1.26**2) < 3 * error
     assert error == pytest.approx(2 * 1.26**2 * 2e-3 * np.sqrt(1.5), rel=0.2)  # tolerances: of all modes, of two each
-    assert before.misfit.share > 0.3
+    assert before.misfit.motion_share > 0.3
     assert not found.is_incomplete
 
 
 def test_the_record_tells_every_mode_from_its_first_sample_on():
     record = record_of(decay("acceleration", 3.0))
-    assert record.time_s[0] == 0
-    assert [m.frequency_hz for m in record.modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
-    assert [m.damping_ratio for m in record.modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
+    assert record.residual_times_s[0] == 0
+    assert [m.frequency_hz for m in record.measured_modes] == pytest.approx(BEAM.frequencies_hz(3), rel=1e-3)
+    assert [m.damping_ratio for m in record.measured_modes] == pytest.approx([BEAM.damping_ratio] * 3, rel=0.03)
 
 
 @pytest.mark.parametrize("quantity", NOISE)

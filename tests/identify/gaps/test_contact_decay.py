@@ -43,7 +43,7 @@ def recorded(folder, machine, seed, *effects):
 
 def likeliest(record):
     """Likeliest hypothesis of a search among effects of several kinds."""
-    known = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     known = [candidate for candidate in known if candidate.kind.name in TRIED]
     search = Search(
         nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), tuple(known)
@@ -61,7 +61,7 @@ def test_a_damper_is_found_though_the_mass_rests_after_a_quarter_of_a_second(tmp
     """Its look-alike, a larger damping of the mass, is as likely on other machines of this kind."""
     place = {"body": "mass", "position_m": 0.0}
     record = recorded(tmp_path, "mass_decay", 2, ("ground_damper", {"damping_n_s_per_m": 45.0}, place))
-    assert record.time_s[0] == 0
+    assert record.residual_times_s[0] == 0
     assert holds(likeliest(record), "ground_damper", 45.0)
 
 
@@ -79,6 +79,6 @@ def test_nothing_is_found_in_a_mass_as_it_is_believed(tmp_path):
 def test_an_effect_on_a_cantilever_is_found_beside_its_stop(effect, parameter, value, place, tmp_path):
     """By the modes, which ring on when the stop is no longer reached, and by the motion from the release on."""
     record = recorded(tmp_path, "cantilever_decay", 8, (effect, {parameter: value}, place))
-    assert record.modes
-    assert record.time_s[0] == 0
+    assert record.measured_modes
+    assert record.residual_times_s[0] == 0
     assert holds(likeliest(record), effect, value)

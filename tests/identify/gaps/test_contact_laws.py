@@ -36,7 +36,7 @@ def hypothesis_of(recording, *effects):
     for effect in effects:
         place = getattr(effect, "contact", None) or getattr(effect, "body", None) or "barrel"
         parts.append(next(c for c in known if c.kind is type(effect) and place in c.place.values()))
-    values = np.concatenate([part.default for part in parts])
+    values = np.concatenate([part.typical_values for part in parts])
     linearization = linearized(observation.record, recording.rig)
     left = misfit(observation.record, observation.nominal_variances, residual_of(linearization, recording.rig))
     return Hypothesis(tuple(parts), values, np.eye(values.size), left)

@@ -13,7 +13,7 @@ from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.null_reference import null_key, null_reference_of
 from identify.gaps.decision.recordings import fault_of
 from identify.gaps.decision_table import Verdict
-from identify.gaps.residual.record import Counted
+from identify.gaps.residual.record import CountedPart
 from identify.gaps.results import Matters
 from identify.gaps.search import candidates
 from rig.effects import effect_named, effects
@@ -179,7 +179,7 @@ def test_a_null_reference_that_is_damaged_or_of_another_rig_is_made_anew(tmp_pat
 
 def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
     _, validation = records(RIG, RIG)
-    force, counted = replace_force(validation, 1.5 * validation.force_n), Counted(8, 9.0)
+    force, counted = replace_force(validation, 1.5 * validation.force_n), CountedPart(8, 9.0)
     keys = [
         null_key(validation, counted, LABORATORY, "modal"),
         null_key(validation, counted, EXACT, "modal"),
@@ -187,8 +187,8 @@ def test_the_key_of_a_null_reference_tells_all_that_it_depends_on(monkeypatch):
         null_key(validation, counted, LABORATORY, "modal", simulation_count=5),
         null_key(with_fields(validation, rig=replace(RIG, name="other")), counted, LABORATORY, "modal"),
         null_key(force, counted, LABORATORY, "modal"),
-        null_key(validation, Counted(8, 6.0), LABORATORY, "modal"),
-        null_key(validation, Counted(4, 9.0), LABORATORY, "modal"),
+        null_key(validation, CountedPart(8, 6.0), LABORATORY, "modal"),
+        null_key(validation, CountedPart(4, 9.0), LABORATORY, "modal"),
     ]
     monkeypatch.setattr("importlib.metadata.version", lambda _: "another version")
     keys.append(null_key(validation, counted, LABORATORY, "modal"))

@@ -38,7 +38,7 @@ def case(name):
     null = record_of(modal(RIG, RIG, FORCE_N, 1))
     scale = scale_of(null, RIG)
     found = next(c for c in candidates(scale, ["mass"], null.zero_known) if c.name == name)
-    truth = np.array([NEW[name].get(p, v) for p, v in zip(found.parameters.names, found.default, strict=True)])
+    truth = np.array([NEW[name].get(p, v) for p, v in zip(found.parameters.names, found.typical_values, strict=True)])
     low, high = found.parameters.bounds
     assert np.all((low <= truth) & (truth <= high))
     return found, truth, record_of(modal(RIG, found.effect(truth).applied_to(RIG), FORCE_N, 1))
@@ -59,13 +59,13 @@ def test_the_derivative_by_the_strength_foretells_the_residual_on_its_other_side
     linearization = linearized(record, actual)
     at = residual_of(linearization, actual)
     step = np.zeros(truth.size)
-    step[0] = 0.1 * candidate.steps[0]
+    step[0] = 0.1 * candidate.step_sizes[0]
     column = stacked(*derivative(linearization, candidate.applied(RIG, truth + step), at))
     there = residual_of(
-        linearization, candidate.applied(RIG, truth - step), at.nuisance, tuple(c.unknowns for c in at.contacts)
+        linearization, candidate.applied(RIG, truth - step), at.nuisance_pulls, tuple(c.unknowns for c in at.contacts)
     )
-    grown = stacked(there.linear, [c.residual for c in there.contacts]) - stacked(
-        at.linear, [c.residual for c in at.contacts]
+    grown = stacked(there.linear_residual, [c.residual for c in there.contacts]) - stacked(
+        at.linear_residual, [c.residual for c in at.contacts]
     )
     assert np.linalg.norm(column) > 0
     assert np.linalg.norm(grown - column) < 0.05 * np.linalg.norm(column)

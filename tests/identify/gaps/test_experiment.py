@@ -58,23 +58,27 @@ def cause(believed):
 def test_experiments_keep_the_silence_and_the_level_that_they_name(believed):
     record, force_n = believed
     options = list(experiments(record, force_n))
-    start = round(record.excited_s * record.sample_rate_hz)
+    start = round(record.excitation_start_s * record.sample_rate_hz)
     rms_n = np.std(options[0].forces_n[:, start:])
-    assert options[0].words == SAME_EXPERIMENT
-    assert len({option.words for option in options}) == len(options)
+    assert options[0].instruction == SAME_EXPERIMENT
+    assert len({option.instruction for option in options}) == len(options)
     for option in options:
         assert not np.any(option.forces_n[:, : round(0.9 * record.sample_rate_hz)])
-        named = [w for w in option.words.split() if w.replace(".", "").isdigit()] if "times" in option.words else ["1"]
+        named = (
+            [w for w in option.instruction.split() if w.replace(".", "").isdigit()]
+            if "times" in option.instruction
+            else ["1"]
+        )
         assert np.std(option.forces_n[:, start:]) == pytest.approx(float(named[-1]) * rms_n, rel=0.01)
     lengths_s = {round(option.forces_n.shape[1] / record.sample_rate_hz, 2) for option in options}
     assert lengths_s == {15.0, 45.0}
-    assert sum(option.modify_rig(RIG).masses != RIG.masses for option in options) == 1
+    assert sum(option.rig_change(RIG).masses != RIG.masses for option in options) == 1
 
 
 def test_of_beams_the_force_moves_and_displacements_are_measured():
     rig = BarrelCradle(sensors="acceleration", duration_s=12.0).rig()
     force_n = force_history(BarrelCradle().force(), 12.0, 1 / rig.sample_rate_hz)
-    changed = [e.modify_rig(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
+    changed = [e.rig_change(rig) for e in experiments(record_of(modal(rig, rig, force_n, 1)), force_n[None])]
     places = {r.force_at for r in changed}
     assert {(p.body, p.position_m) for p in places} == {
         *((body, x) for body in ("barrel", "cradle") for x in (0.5, 1.0)),

@@ -10,7 +10,7 @@ import identify
 from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
-from identify.gaps.unmeasured_force.whitened_record import bare_residual, force_noise
+from identify.gaps.unmeasured_force.whitened_record import force_noise_variance, record_without_nuisance
 from rig.effects import effect_named
 from rig.model.description import Station
 from rig.recording import Recording, Signals, channel_groups
@@ -50,7 +50,10 @@ def test_forces_at_one_place_are_their_sum():
         values=several.forces_n.sum(axis=0, keepdims=True),
     )
     one = Recording(BEAMS, {**several.signals, "force": forces}, {})
-    records = [with_fields(record, force_noise=0 * record.force_noise) for record in map(record_of, (several, one))]
+    records = [
+        with_fields(record, force_noise_variance=0 * record.force_noise_variance)
+        for record in map(record_of, (several, one))
+    ]
     models = [linear_model(record, record.rig, 5e-4) for record in records]
     lines = slice(models[0].residual.shape[1] // 2)  # where both bands reach
     for quantity in ("residual", "contact_n", "eta_m"):
@@ -60,13 +63,13 @@ def test_forces_at_one_place_are_their_sum():
 
 def test_the_noise_of_every_force_is_whitened():
     record = record_of(noise(replace(BEAMS, force_at=(BEAMS.force_at, Station("cradle", 0.6)))))
-    bare = bare_residual(record, record.rig)
-    standard = bare.model.sensor_response / bare.model.deviation
-    by_force = [bare.project((standard * bare.accelerance(at))[:, bare.lines]) for at in record.rig.forces]
-    pushed = np.stack(by_force, axis=2) * np.sqrt(force_noise(record))
+    bare = record_without_nuisance(record, record.rig)
+    standard = bare.model.sensor_response / bare.model.error_deviation
+    by_force = [bare.projected_rows((standard * bare.accelerance(at))[:, bare.line_slice]) for at in record.rig.forces]
+    pushed = np.stack(by_force, axis=2) * np.sqrt(force_noise_variance(record))
     for line in (50, 500):
-        modes, one = bare.force_modes[line], np.eye(bare.rows)
-        whitening = one - (modes * bare.force_shares[line]) @ modes.conj().T
+        modes, one = bare.force_noise_modes[line], np.eye(bare.row_count)
+        whitening = one - (modes * bare.force_noise_shares[line]) @ modes.conj().T
         covariance = one + pushed[line] @ pushed[line].conj().T
         np.testing.assert_allclose(whitening @ covariance @ whitening, one, atol=1e-9)
 

@@ -57,7 +57,9 @@ def test_a_null_simulation_begins_in_motion_as_the_record_does(name, tmp_path):
             np.std(row(measured)[:scaled_samples]), rel=0.1
         )
         check_decay(simulation)
-        assert record_of(simulation).time_s[0] == pytest.approx(OMITTED_S if name == ACCELEROMETER else 0.0, abs=0.1)
+        assert record_of(simulation).residual_times_s[0] == pytest.approx(
+            OMITTED_S if name == ACCELEROMETER else 0.0, abs=0.1
+        )
     assert np.std(row(first_simulation)[:scaled_samples] - row(second_simulation)[:scaled_samples]) > 0.1 * np.std(
         row(first_simulation)[:scaled_samples]
     )
@@ -67,7 +69,7 @@ def test_null_simulations_of_beams_move_as_far_as_the_record(tmp_path):
     measured = decay("two beams, free decay, displacements", tmp_path)
     record = record_of(measured)
     simulation = null_simulator(measured, record, modal)(measured.rig, measured.rig, measured.forces_n, 1)
-    counted = slice(round(record.time_s[0] * measured.rig.sample_rate_hz), None)
+    counted = slice(round(record.residual_times_s[0] * measured.rig.sample_rate_hz), None)
     largest_m = [np.abs(row(recording)[counted]).max() for recording in (measured, simulation)]
     assert largest_m[1] == pytest.approx(largest_m[0], rel=0.15)
     check_decay(measured)
@@ -76,8 +78,8 @@ def test_null_simulations_of_beams_move_as_far_as_the_record(tmp_path):
 def test_effects_of_the_force_and_its_channel_need_a_force(tmp_path):
     record = record_of(decay(ACCELEROMETER, tmp_path))
     arguments = scale_of(record, record.rig), [s.name for s in record.sensors], record.zero_known
-    names, unforced = ({c.kind.name for c in candidates(*arguments, forced=forced)} for forced in (True, False))
-    assert not record.forced
+    names, unforced = ({c.kind.name for c in candidates(*arguments, has_force=forced)} for forced in (True, False))
+    assert not record.has_force
     channels = {"force_gain", "force_shift", "sensor_gain", "sensor_delay"}
     assert channels <= names
     assert not channels & unforced

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.differences import _trend
+from identify.gaps.decision.differences import _trend_of
 from identify.gaps.decision.modal_changes import have_levels, identifiable_change, level_dependence
 from identify.gaps.results import LevelDependence, ParameterByRecord
 from identify.gaps.search.candidates import Candidate
@@ -136,8 +136,8 @@ def test_forces_within_a_quarter_are_one_level():
 def test_a_trend_is_one_of_the_levels_in_their_order():
     values, covariance = np.array([-20.0, -10.0, -40.0]), 0.01 * np.eye(3)
     order = np.argsort(LEVELS_N)
-    assert _trend(values, covariance) == "differs"
-    assert _trend(values[order], covariance) == "falls"
+    assert _trend_of(values, covariance) == "differs"
+    assert _trend_of(values[order], covariance) == "falls"
 
 
 @pytest.mark.parametrize(

@@ -49,17 +49,17 @@ def model(pair):
 def test_is_the_statistic_where_it_is_expanded(pair, model):
     """Level by level; lines that stand out of a residual count apart there."""
     left = misfit(pair.linearization.record, pair.nominal_variances, pair.residual)
-    cells, contacts = model.levels(np.zeros(len(model.spectra)))
+    cells, contacts = model.levels(np.zeros(len(model.column_spectra)))
     near = np.isclose(cells.reshape(left.levels.shape), left.levels, rtol=1e-3)
     assert near.mean() > 0.9
-    assert contacts == pytest.approx(left.contacts, rel=1e-2)
+    assert contacts == pytest.approx(left.contact_levels, rel=1e-2)
 
 
 def test_majorisation_never_raises_the_statistic(model):
-    solution = model.solved([])
-    assert solution.statistic <= model.statistic(np.zeros(len(model.spectra)))
-    for term in model.terms[::20]:
-        assert model.solved([term], solution.theta).statistic <= solution.statistic + 1e-6
+    solution = model.minimum([])
+    assert solution.statistic <= model.statistic(np.zeros(len(model.column_spectra)))
+    for term in model.candidate_terms[::20]:
+        assert model.minimum([term], solution.theta).statistic <= solution.statistic + 1e-6
 
 
 def test_an_effect_that_dominates_is_selected_alone(pair, model):
@@ -72,11 +72,11 @@ def test_an_effect_that_dominates_is_selected_alone(pair, model):
 def test_finds_both_effects_with_their_numbers(pair):
     best, *others = ranked_hypotheses(pair)
     assert sorted(best.effects) == ["added_mass", "contact_damping"]
-    values = dict(zip(best.effects, best.split(), strict=True))
+    values = dict(zip(best.effects, best.values_by_candidate(), strict=True))
     assert values["added_mass"] == pytest.approx([MASS.mass_kg, MASS.relative_position], rel=0.03)
     assert values["contact_damping"] == pytest.approx([DAMPING.damping_n_s_per_m], rel=0.1)
-    assert () in {one.key for one in others}
-    assert {("added_mass:barrel",), ("contact_damping:contact_1",)} <= {one.key for one in others}
+    assert () in {one.effect_names for one in others}
+    assert {("added_mass:barrel",), ("contact_damping:contact_1",)} <= {one.effect_names for one in others}
     assert all(one.cost > best.cost for one in others)
 
 
@@ -92,7 +92,7 @@ def test_a_strong_base_motion_leads_to_what_stands_beside_it(recorded_machine):
     best, *_ = ranked_hypotheses(
         search_of(recorded_machine(SETTINGS, AddedMass(mass_kg=0.2, relative_position=0.7), shaking))
     )
-    values = dict(zip(best.effects, best.split(), strict=True))
+    values = dict(zip(best.effects, best.values_by_candidate(), strict=True))
     assert sorted(values) == ["added_mass", "base_motion"]
     assert values["added_mass"] == pytest.approx([0.2, 0.7], rel=0.05)
     assert values["base_motion"] == pytest.approx([1.4, 44.0, 66.0], rel=0.1)

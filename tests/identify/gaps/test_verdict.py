@@ -31,16 +31,16 @@ RIG = BarrelCradle(sensors="acceleration", noise_density=1e-3).rig()
         ("linear_spring:relative_position=0.8,body=cradle", ForcePlace("force", (Station("cradle", 0.82),)), True),
         ("linear_spring:relative_position=0.8,body=cradle", ForcePlace("force", (Station("cradle", 0.5),)), False),
         ("linear_spring:relative_position=0.8,body=cradle", ForcePlace("force", (Station("barrel", 0.8),)), False),
-        ("sensor_gain:sensor={sensor},factor=1.1", ForcePlace("sensor", sensor="{sensor}"), True),
-        ("common_gain:factor=1.1", ForcePlace("sensor", sensor="{sensor}"), False),
-        ("youngs_modulus:factor=1.1", ForcePlace("distributed", bodies=("cradle",)), False),
+        ("sensor_gain:sensor={sensor},factor=1.1", ForcePlace("sensor", sensor_name="{sensor}"), True),
+        ("common_gain:factor=1.1", ForcePlace("sensor", sensor_name="{sensor}"), False),
+        ("youngs_modulus:factor=1.1", ForcePlace("distributed", body_names=("cradle",)), False),
     ],
 )
 def test_a_force_at_the_place_of_an_effect_is_its_rival(effect, force, is_rival):
     sensor = RIG.sensors[3].name
     rig = effect_named(effect.format(sensor=sensor)).applied_to(RIG)
     if force.sensor:
-        force = ForcePlace("sensor", sensor=sensor)
+        force = ForcePlace("sensor", sensor_name=sensor)
     assert acts_at_effects(force, RIG, rig) is is_rival
 
 
@@ -57,7 +57,11 @@ ONES = np.ones((40, 6))
 def misfit_of_level(level: float) -> Misfit:
     """A residual of this variance in every band of every sensor."""
     reference = NominalVariances(
-        expected_variance=ONES, noise=0.5 * ONES, power=1e3 * ONES, lines=np.full(40, 50.0), observations=()
+        expected_variance=ONES,
+        noise_variance=0.5 * ONES,
+        acceleration_power=1e3 * ONES,
+        line_counts=np.full(40, 50.0),
+        observations=(),
     )
     none = np.ones((20, 0))
     return Misfit(
@@ -68,10 +72,10 @@ def misfit_of_level(level: float) -> Misfit:
         contact_n2=none,
         force_n2=none,
         pulls=np.zeros(4),
-        drift=0.0,
-        freedom=0.0,
+        drift_cost=0.0,
+        freedom_cost=0.0,
         line_cost=0.0,
-        samples=80.0,
+        independent_samples=80.0,
     )
 
 
@@ -90,8 +94,8 @@ def validated_hypothesis(level: float, effect: str = "", share: float = 1.0) -> 
     place = next(iter(kind.placements(RIG, [])))
     scale = Scale(RIG, 10.0, 30.0).with_place(place)
     candidate = Candidate(kind, place, kind.parameters(scale), kind.typical(scale))
-    values = np.array([share * candidate.default[0], *candidate.default[1:]])
-    covariance = np.diag((0.1 * np.abs(candidate.default)) ** 2)
+    values = np.array([share * candidate.typical_values[0], *candidate.typical_values[1:]])
+    covariance = np.diag((0.1 * np.abs(candidate.typical_values)) ** 2)
     return ValidatedHypothesis(
         Hypothesis((candidate,), values, covariance, misfit_of_level(level)),
         RIG,
@@ -122,13 +126,13 @@ def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
     )
     ranked = [mass, spring, nominal]
     unvetoed = predicted_decision(ranked, decide, ruling_out())
-    assert unvetoed.decision.named is mass
+    assert unvetoed.decision.named_hypothesis is mass
     assert not unvetoed.ruled_out
     without_mass = predicted_decision(ranked, decide, ruling_out(mass))
-    assert without_mass.decision.named is spring
+    assert without_mass.decision.named_hypothesis is spring
     assert without_mass.decision.corrects_rig
     assert without_mass.ruled_out == (mass,)
-    assert not without_mass.vetoed
+    assert not without_mass.is_vetoed
 
 
 def test_a_veto_stays_where_no_other_effect_was_likely():
@@ -144,7 +148,7 @@ def test_a_veto_stays_where_no_other_effect_was_likely():
         ([mass, nothing_told, nominal], (mass,)),
     ):
         outcome = predicted_decision(ranked, decide, ruling_out(*worse))
-        assert outcome.vetoed
-        assert outcome.decision.named is mass
+        assert outcome.is_vetoed
+        assert outcome.decision.named_hypothesis is mass
         assert not outcome.decision.corrects_rig
         assert not outcome.ruled_out

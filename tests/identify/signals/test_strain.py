@@ -37,8 +37,8 @@ def test_the_motion_is_that_of_the_accelerometers():
 def test_the_diagnosis_reads_the_accelerometers():
     mixed, plain = (record_of(recorded(rig)) for rig in (BOTH, only("acceleration")))
     assert mixed.sensors == plain.sensors
-    np.testing.assert_array_equal(mixed.delivered, plain.delivered)
-    np.testing.assert_array_equal(mixed.eta_beyond, plain.eta_beyond)
+    np.testing.assert_array_equal(mixed.acceleration_signals, plain.acceleration_signals)
+    np.testing.assert_array_equal(mixed.eta_above_band, plain.eta_above_band)
 
 
 @pytest.mark.parametrize("read", [kinematics, record_of])

@@ -29,9 +29,9 @@ def record(tmp_path_factory):
 
 def test_each_column_is_the_free_motion_of_a_mode(record):
     model = linearized(record, record.rig).model
-    assert record.time_s[0] == pytest.approx(RELEASE_S, abs=0.01)
-    assert len(model.free) > 5
-    for motion in model.free:
+    assert record.residual_times_s[0] == pytest.approx(RELEASE_S, abs=0.01)
+    assert len(model.free_modes) > 5
+    for motion in model.free_modes:
         dynamics = model.responses[motion.body_index].dynamics
         hz, zeta = dynamics.natural_hz[motion.mode_index], dynamics.damping_ratios[motion.mode_index]
         if not hz:  # rests or drifts
@@ -62,10 +62,10 @@ def test_the_linear_residual_of_a_free_decay_is_noise_for_the_rig_that_made_it_a
 def test_an_effect_is_fitted_beside_the_free_motion(effect, strength, true, tmp_path):
     """Estimate on the decay of a rig that differs within the tolerances."""
     record = decay(tmp_path, f"{effect.split(':')[0]}:{strength}={true}", jitter=1)
-    every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, forced=False)
+    every_candidate = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
     (candidate,) = [c for c in every_candidate if c.name == effect]
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, (candidate,))
-    estimate = fit_effects(search, (candidate,), candidate.default, residual).hypothesis
+    estimate = fit_effects(search, (candidate,), candidate.typical_values, residual).hypothesis
     deviation = np.sqrt(estimate.covariance[0, 0])
     assert abs(estimate.values[0] - true) < 3 * deviation < 0.2 * true

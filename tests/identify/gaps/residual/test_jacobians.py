@@ -48,15 +48,17 @@ def test_effects_by_differences(believed):
     unknowns, errors = unknowns_of(residual), {}
     names = [s.name for s in linearization.record.sensors]
     for candidate in candidates(scale_of(linearization.record, RIG), names, linearization.record.zero_known):
-        if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.default)):
+        if candidate.kind.stochastic or same_but_laws(RIG, candidate.applied(RIG, candidate.typical_values)):
             continue
-        neutral = np.append(candidate.neutral, candidate.default[1:])
-        changed_rig = candidate.applied(RIG, neutral + np.append(1e-3 * candidate.steps[0], np.zeros(neutral.size - 1)))
-        changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns)
+        neutral = np.append(candidate.neutral_strength, candidate.typical_values[1:])
+        changed_rig = candidate.applied(
+            RIG, neutral + np.append(1e-3 * candidate.step_sizes[0], np.zeros(neutral.size - 1))
+        )
+        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns)
         linear, contacts = derivative(linearization, changed_rig, residual)
         expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
         errors[candidate.name] = largest_relative_error(
-            [linear, *contacts], [residual.linear - changed.linear, *expected]
+            [linear, *contacts], [residual.linear_residual - changed.linear_residual, *expected]
         )
     assert len(errors) > 40
     assert {name: error for name, error in errors.items() if error > EXACT} == {}
@@ -77,7 +79,7 @@ def test_contact_unknowns_by_differences(believed, contact):
             unknowns = [u.copy() for u in unknowns_of(residual)]
             unknowns[contact][k] += sign * step
             residuals.append(
-                residual_of(linearization, RIG, residual.nuisance, tuple(unknowns)).contacts[contact].residual
+                residual_of(linearization, RIG, residual.nuisance_pulls, tuple(unknowns)).contacts[contact].residual
             )
         expected.append((residuals[0] - residuals[1]) / (2 * step))
     assert largest_relative_error(columns[:, -3:].T, expected[-3:]) < EXACT
@@ -102,9 +104,9 @@ def test_nuisance_parameters_by_another_rig(believed):
             continue
         values = np.where(np.arange(len(residual.parameters)) == k, 1e-3, 0.0)
         changed_rig = with_nuisance(RIG, residual.parameters, values, linearization.record.tolerances)
-        changed = residual_of(linearization, changed_rig, residual.nuisance, unknowns_of(residual))
+        changed = residual_of(linearization, changed_rig, residual.nuisance_pulls, unknowns_of(residual))
         linear[parameter.name] = largest_relative_error(
-            [linearization.columns.residual_decrease(values)], [residual.linear - changed.linear]
+            [linearization.columns.residual_decrease(values)], [residual.linear_residual - changed.linear_residual]
         )
         if parameter.of not in coarse:
             expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]

@@ -25,8 +25,8 @@ def test_a_spring_under_a_floating_body_makes_no_drift_of_the_noise():
     record = record_of(modal(believed, held, force_n, 1))
     reference = nominal_variances_of(linearized(record, believed))
     floating, springing = (misfit(record, reference, fit_nuisance(record, rig)[1]) for rig in (believed, held))
-    assert max(springing.contacts) < 0.2
-    assert min(floating.contacts) > 1
+    assert max(springing.contact_levels) < 0.2
+    assert min(floating.contact_levels) > 1
 
 
 def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
@@ -40,7 +40,7 @@ def test_a_stop_that_is_not_there_leaves_the_other_one_to_be_judged():
     for actual in (believed, wider):
         record = record_of(modal(believed, actual, force_n, 1))
         reference = nominal_variances_of(linearized(record, believed))
-        misfits.append(max(misfit(record, reference, fit_nuisance(record, believed)[1]).contacts))
+        misfits.append(max(misfit(record, reference, fit_nuisance(record, believed)[1]).contact_levels))
     assert misfits[0] < 10
     assert misfits[1] > 100
     drawn = draw_rig(believed, replace(LABORATORY, clearance=3.0), standard_normals(believed, 8)[0])

@@ -27,7 +27,11 @@ from rig.simulation.replay import modal
 SECONDS, BANDS, SENSORS, CONTACTS = 20, 40, 6, 2
 ONES = np.ones((BANDS, SENSORS))
 REFERENCE = NominalVariances(
-    expected_variance=ONES, noise=0.5 * ONES, power=1e4 * ONES, lines=np.full(BANDS, 50.0), observations=()
+    expected_variance=ONES,
+    noise_variance=0.5 * ONES,
+    acceleration_power=1e4 * ONES,
+    line_counts=np.full(BANDS, 50.0),
+    observations=(),
 )
 
 
@@ -42,16 +46,16 @@ def misfit_of_level(level: float, contact_n: float = 0.0, pulls: float = 0.0) ->
         contact_n2=contacts * contact_n**2,
         force_n2=contacts * 100.0,
         pulls=np.full(4, pulls),
-        drift=0.0,
-        freedom=0.0,
+        drift_cost=0.0,
+        freedom_cost=0.0,
         line_cost=0.0,
-        samples=80.0,
+        independent_samples=80.0,
     )
 
 
 def test_a_residual_of_noise_costs_nothing_and_a_larger_one_its_logarithm():
     assert misfit_of_level(1.0).minus_two_log == pytest.approx(0.0)
-    assert misfit_of_level(199.0).linear == pytest.approx(80.0 * SENSORS * np.log(100.0))
+    assert misfit_of_level(199.0).band_cost == pytest.approx(80.0 * SENSORS * np.log(100.0))
     assert misfit_of_level(1.0, pulls=2.0).minus_two_log == pytest.approx(16.0)
 
 
@@ -61,9 +65,9 @@ def test_an_unknown_scale_makes_a_lasting_error_cost_no_more_than_its_logarithm(
 
 
 def test_shares_are_beyond_noise_and_relative_to_the_motion():
-    assert misfit_of_level(0.5).share == 0.0
-    assert misfit_of_level(1.5).share == pytest.approx(np.sqrt(1.0 / 1e4))
-    np.testing.assert_allclose(misfit_of_level(1.5).shares, 0.01)
+    assert misfit_of_level(0.5).motion_share == 0.0
+    assert misfit_of_level(1.5).motion_share == pytest.approx(np.sqrt(1.0 / 1e4))
+    np.testing.assert_allclose(misfit_of_level(1.5).share_by_band, 0.01)
     np.testing.assert_allclose(misfit_of_level(1.0, contact_n=0.5).contact_shares, 0.05)
 
 
@@ -109,7 +113,7 @@ def test_probabilities_sum_to_one_and_follow_the_odds():
 def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit:
     """-2 ln p of the contacts, of the rest, and the part of the worst band."""
     bare = misfit_of_level(1.0)
-    misfit = replace(bare, freedom=other_costs - (bare.minus_two_log - bare.law))
+    misfit = replace(bare, freedom_cost=other_costs - (bare.minus_two_log - bare.contact_cost))
     vars(misfit).update(law=law, peak=peak)
     return misfit
 
@@ -192,16 +196,17 @@ def test_the_scale_of_what_is_unmodelled_is_told_by_the_residual():
     prior = prior_scales(record)
     true_share = 4e-3
     deviation_ratio = np.sqrt(
-        (record.noise + true_share**2 * record.power) / (record.noise + prior.discrepancy**2 * record.power)
+        (record.noise_variance + true_share**2 * record.smoothed_power)
+        / (record.noise_variance + prior.unmodelled_shares**2 * record.smoothed_power)
     )
-    times = record.counted_samples.stop - record.counted_samples.start
+    times = record.counted_slice.stop - record.counted_slice.start
     rng = np.random.default_rng(5)
     lines = rng.standard_normal((2, *deviation_ratio.shape))
     spectra = deviation_ratio * (lines[0] + 1j * lines[1]) / np.sqrt(2)
-    residual = np.fft.irfft(spectra, record.length // record.factor)[:, :times]
-    residual *= np.sqrt(record.length // record.factor)
+    residual = np.fft.irfft(spectra, record.transform_length // record.decimation)[:, :times]
+    residual *= np.sqrt(record.transform_length // record.decimation)
     scales = estimated_scales(record, prior, residual, (0.2, 3.0))
-    middle = scales.discrepancy[:, record.omega.size // 4 : record.omega.size // 2]
+    middle = scales.unmodelled_shares[:, record.omega.size // 4 : record.omega.size // 2]
     assert np.median(middle) == pytest.approx(true_share, rel=0.2)
-    assert scales.contacts == (float(posterior_level(np.array(0.2))), 2.0)
+    assert scales.variances == (float(posterior_level(np.array(0.2))), 2.0)
     assert band_levels(record, residual).min() > 0

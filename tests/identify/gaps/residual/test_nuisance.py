@@ -77,7 +77,7 @@ def test_a_mode_whose_frequency_is_off_leaves_its_column_exactly_by_the_measured
     names = [p.name for p in linearization.columns.parameters]
     values = np.zeros(len(names))
     values[names.index("frequency of barrel")] = stiffer
-    before, after = (residual_of(linearization, rig, v).linear for v in (np.zeros(len(names)), values))
+    before, after = (residual_of(linearization, rig, v).linear_residual for v in (np.zeros(len(names)), values))
     assert np.linalg.norm(after) < 0.1 * np.linalg.norm(before)
 
 
@@ -92,7 +92,7 @@ def test_the_share_of_a_channel_that_the_one_beside_it_shows_is_found():
         recording, signals=recording.signals | {"acceleration": replace_fields(signals, values=values)}
     )
     linearization, residual = fit_nuisance(record_of(mixed_recording), rig)
-    pulls = dict(zip((p.name for p in linearization.columns.parameters), residual.nuisance.tolist(), strict=True))
+    pulls = dict(zip((p.name for p in linearization.columns.parameters), residual.nuisance_pulls.tolist(), strict=True))
     mixed = f"crosstalk of {rig.sensors[5].name} in {rig.sensors[4].name}"
     estimate = LABORATORY.crosstalk * pulls.pop(mixed)
     assert 0.5 * share < estimate < share  # gain and place of the sensor take the rest, as their priors weigh as much
@@ -112,8 +112,8 @@ def test_the_fitted_rig_leaves_by_itself_what_was_left_beside_the_nuisance_param
     values = np.where(held, 0.3 * np.random.default_rng(1).standard_normal(len(held)), 0.0)
     with_nuisance, nominal = residual_of(linearization, rig, values), residual_of(linearization, rig)
     fitted = residual_of(linearized(record, with_nuisance.corrected_rig), with_nuisance.corrected_rig)
-    assert np.linalg.norm(fitted.linear - with_nuisance.linear) < 0.05 * np.linalg.norm(
-        nominal.linear - with_nuisance.linear
+    assert np.linalg.norm(fitted.linear_residual - with_nuisance.linear_residual) < 0.05 * np.linalg.norm(
+        nominal.linear_residual - with_nuisance.linear_residual
     )
 
 

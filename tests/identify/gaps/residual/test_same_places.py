@@ -74,7 +74,7 @@ def test_unknowns_of_both_laws_by_differences(fitted_record):
             unknowns = contact.unknowns.copy()
             unknowns[k - 6] += step
             residuals.append(
-                residual_of(linearization, residual.rig, residual.nuisance, (unknowns,)).contacts[0].residual
+                residual_of(linearization, residual.rig, residual.nuisance_pulls, (unknowns,)).contacts[0].residual
             )
         expected = (residuals[0] - residuals[1]) / 2e-3
         assert np.linalg.norm(columns[:, k] - expected) < 5e-3 * np.linalg.norm(expected)

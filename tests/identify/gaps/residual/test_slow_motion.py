@@ -63,11 +63,11 @@ def fitted_effects(record, *names):
     effects = tuple(next(c for c in every_candidate if c.kind.name == name) for name in names)
     linearization, residual = fit_nuisance(record, record.rig)
     search = Search(nominal_variances_of(linearized(record, record.rig)), linearization, residual, effects)
-    estimate = fit_effects(search, effects, np.concatenate([p.default for p in effects]), residual).hypothesis
+    estimate = fit_effects(search, effects, np.concatenate([p.typical_values for p in effects]), residual).hypothesis
     return (
         estimate.values,
         np.sqrt(np.diag(estimate.covariance)),
-        (search.nominal_fit().hypothesis.misfit.share, estimate.misfit.share),
+        (search.nominal_fit().hypothesis.misfit.motion_share, estimate.misfit.motion_share),
     )
 
 
@@ -87,12 +87,12 @@ def test_without_friction_none_is_found_and_nothing_is_left():
 
 def test_the_measured_motion_counts_up_to_the_fade():
     free = record_of(simulated(0.0, 0.0))
-    assert free.time_s[0] == pytest.approx(OMITTED_FADES, abs=0.05)
+    assert free.residual_times_s[0] == pytest.approx(OMITTED_FADES, abs=0.05)
     held = recording_of(
         carriage(20.0, 30.0, RATE_HZ, 1.0),
         *(simulated(0.0, 0.0).signals[n].values[0] for n in ("force", "displacement")),
     )
-    assert record_of(held).time_s[0] == pytest.approx(OMITTED_S, abs=0.05)
+    assert record_of(held).residual_times_s[0] == pytest.approx(OMITTED_S, abs=0.05)
 
 
 def test_friction_and_offset_of_a_measured_carriage():

@@ -107,8 +107,8 @@ def paired_errors():
 def test_errors_of_a_right_correction_fall_as_expected():
     first, e, change = paired_errors()
     right = block_ratios(e - change, e, first, 1000.0)
-    assert right.log_ratios.mean() == pytest.approx(right.expected.mean(), rel=0.05)
-    assert right.expected.mean() == pytest.approx(-np.log(2) / 2, rel=0.05)
+    assert right.log_ratios.mean() == pytest.approx(right.expected_log_ratios.mean(), rel=0.05)
+    assert right.expected_log_ratios.mean() == pytest.approx(-np.log(2) / 2, rel=0.05)
     assert veto(right) == "not_vetoed"
     assert not falls_short(right)
     assert veto(block_ratios(e, e - change, first, 1000.0)) == "worse"

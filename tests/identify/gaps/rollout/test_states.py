@@ -45,7 +45,7 @@ def test_displacements_of_bending_modes_are_exact_where_integration_is_not(exact
     now = slice(motion.first_sample, true_m.shape[1] - 100)
     true = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now]  # 24 modes a beam; two of the barrel's are rigid
     estimated, integrated = (
-        modal(rows)[:, now] for rows in (motion.states[0], kinematics(case.recording).displacement_m)
+        modal(rows)[:, now] for rows in (motion.modal_states[0], kinematics(case.recording).displacement_m)
     )
     size = true.std(axis=1)
     assert np.all((estimated - true).std(axis=1)[1:] < 0.05 * size[1:])  # beyond the cradle's first, slow mode
@@ -57,11 +57,11 @@ def test_rates_and_relative_displacements_are_the_true_ones(exact):
     motion = measured_motion(case.recording, BELIEVED, case.fitted())
     now = slice(motion.first_sample, true_m.shape[1] - 100)
     true = np.gradient(true_m, 1 / BELIEVED.sample_rate_hz, axis=1)[:, now]
-    assert np.all((motion.states[1][:, now] - true).std(axis=1) < 0.02 * true.std(axis=1))
+    assert np.all((motion.modal_states[1][:, now] - true).std(axis=1) < 0.02 * true.std(axis=1))
     stations = [s.station for s in BELIEVED.sensors]
     for contact in BELIEVED.contacts:
         ends = stations.index(contact.at), stations.index(contact.against)
-        missed = motion.states[0] - np.pad(true_m, ((0, 0), (0, motion.states.shape[2] - true_m.shape[1])))
+        missed = motion.modal_states[0] - np.pad(true_m, ((0, 0), (0, motion.modal_states.shape[2] - true_m.shape[1])))
         assert np.std((missed[ends[0]] - missed[ends[1]])[now]) < 6e-5  # of a clearance of 5 mm
 
 
@@ -73,7 +73,7 @@ def test_a_wrong_gain_makes_no_wrong_displacement_of_high_modes(exact):
     signals = {**case.recording.signals, "acceleration": type(group)(group.channels, group.start_s, scaled)}
     changed = type(case.recording)(case.recording.rig, signals, case.recording.provenance)
     motion, now = measured_motion(changed, BELIEVED, residual), slice(8000, true_m.shape[1] - 100)
-    true, estimated = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now], modal(motion.states[0])[:, now]
+    true, estimated = coordinates_m[[0, 1, 2, 26, 27, 28]][:, now], modal(motion.modal_states[0])[:, now]
     assert np.all((estimated - true).std(axis=1)[1:] < 0.1 * true.std(axis=1)[1:])
 
 
@@ -81,6 +81,6 @@ def test_the_predictor_takes_the_states(exact):
     case, *_ = exact
     motion = measured_motion(case.recording, BELIEVED, case.fitted())
     first = np.array([motion.first_sample, motion.stop_sample - 100])
-    states = motion.states[:, :, first].transpose(2, 0, 1)
+    states = motion.modal_states[:, :, first].transpose(2, 0, 1)
     moved = prediction.modal(motion.rig, motion.forces_n, first, 50, motion.stations, states)
     np.testing.assert_allclose(moved[:, :, :, 0], states, rtol=1e-9, atol=1e-12)

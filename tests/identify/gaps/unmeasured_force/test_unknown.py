@@ -9,10 +9,10 @@ from msgspec.structs import replace as changed
 
 from identify.gaps.unmeasured_force import described, likeliest_force
 from identify.gaps.unmeasured_force.evidence import evidence_with_force, evidence_without_force
-from identify.gaps.unmeasured_force.location import ForcePlace, candidates, locate_force, response_of
+from identify.gaps.unmeasured_force.location import ForcePlace, force_places, locate_force, response_of
 from identify.gaps.unmeasured_force.nuisance import whitened_record
 from identify.gaps.unmeasured_force.time_history import explained_share
-from identify.gaps.unmeasured_force.whitened_record import force_noise
+from identify.gaps.unmeasured_force.whitened_record import force_noise_variance
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Sensor, Station
@@ -53,7 +53,7 @@ def test_sensors_that_the_diagnosis_does_not_use_are_no_candidates(world):
     laser = Sensor(name="laser", station=Station("beam", 1.0), quantity="displacement")
     rig = changed(world.rig, sensors=(laser, *world.rig.sensors))
     estimate = locate_force(whitened_record(replace(world.record(), rig=rig), rig))
-    assert {c.sensor for c in candidates(rig, estimate.whitened.record.sensors)} == {
+    assert {c.sensor_name for c in force_places(rig, estimate.whitened_record.record.sensors)} == {
         "",
         *(s.name for s in world.rig.sensors),
     }
@@ -128,15 +128,15 @@ def test_a_small_force_is_placed_and_gains_more_than_nothing(world):
     records = [both(world, unknown) for unknown in (None, small)]
     nothing, with_force = (likeliest_force(fit, world.rig, validation) for fit, validation in records)
     assert with_force.same_place
-    assert explained_share(with_force.held) < 0.5
-    assert with_force.held.criterion_decrease > 2 * max(nothing.held.criterion_decrease, 0.0)
+    assert explained_share(with_force.at_fit_place) < 0.5
+    assert with_force.at_fit_place.criterion_decrease > 2 * max(nothing.at_fit_place.criterion_decrease, 0.0)
 
 
 def test_nuisances_do_not_shrink_the_data(world):
     """Scaling down all that was measured, and the force with it, makes every residual smaller, and explains nothing."""
     whitened = whitened_record(world.record(), world.rig)
     fitted = evidence_without_force(whitened)
-    gains = [v for p, v in zip(whitened.parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
+    gains = [v for p, v in zip(whitened.nuisance_parameters, fitted.theta, strict=True) if p.kind.endswith("gain")]
     assert len(gains) == len(world.rig.sensors) + 1
     assert np.max(np.abs(gains)) < 4
     shrinking = evidence_without_force(replace(whitened, trace_terms=np.zeros_like(whitened.trace_terms)))
@@ -164,14 +164,14 @@ def test_the_place_has_an_honest_error(world):
     place_m = 0.5
     whitened = whitened_record(world.record(5.0, ((Station("beam", place_m),), lambda *_: history)), world.rig)
     estimate = locate_force(whitened)
-    assert 0 < estimate.error_m < WITHIN_M
-    assert abs(estimate.candidate.stations[0].position_m - place_m) < max(6 * estimate.error_m, 2e-3)
+    assert 0 < estimate.position_error_m < WITHIN_M
+    assert abs(estimate.force_place.stations[0].position_m - place_m) < max(6 * estimate.position_error_m, 2e-3)
 
 
 def test_the_noise_of_the_force_channel_is_heard(world):
     record = world.record()
-    described = record.samples * 5e-4**2 * record.sample_rate_hz / 2
-    assert force_noise(record) == pytest.approx(described, rel=0.3)
+    described = record.sample_count * 5e-4**2 * record.sample_rate_hz / 2
+    assert force_noise_variance(record) == pytest.approx(described, rel=0.3)
 
 
 def test_too_few_sensors_are_refused(world):
