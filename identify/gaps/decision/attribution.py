@@ -109,11 +109,15 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
     sensor_deviations = np.sqrt(np.mean(residual.model.error_deviation**2, axis=1))
     variance_ratios = {}
     for response in residual.model.responses:
-        body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
+        body_sensors = [
+            sensor_index for sensor_index, s in enumerate(record.sensors) if s.station.body == response.body.name
+        ]
         mode_count = min(len(body_sensors), response.count)
         if not mode_count:
             continue
-        shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :mode_count]
+        shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[
+            :, :mode_count
+        ]
         inverse_shapes = np.linalg.pinv(shapes)
         mean_squares = np.mean(
             (inverse_shapes @ (residual.linear_residual[body_sensors] * sensor_deviations[body_sensors, None])) ** 2,

@@ -75,11 +75,11 @@ class EffectValues:
         return VaryingParameters(self, self.strength_columns(candidate.name))
 
     def with_values(
-        self, record_index: int | slice, columns: Sequence[int], column_values: Float[np.ndarray, "*records own"]
+        self, record_index: int | slice, column_indices: Sequence[int], column_values: Float[np.ndarray, "*records own"]
     ) -> "EffectValues":
         """Effects with these values in some columns of one record, or of all."""
         all_values = self.by_record.copy()
-        all_values[record_index, columns] = column_values
+        all_values[record_index, column_indices] = column_values
         return replace(self, by_record=all_values)
 
 

@@ -119,7 +119,9 @@ def judge(
     ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
     basis = _DecisionBasis(prepared, difference, residual, matters)
     predicted = predicted_decision(
-        ranked, basis.decide, lambda named: attempted("rollout", lambda: predicted_rollout(prepared, residual, named))
+        ranked,
+        basis.decide,
+        lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
     decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
     if decision.verdict in INCOMPLETE_VERDICTS:
@@ -154,7 +156,7 @@ def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
 
 
 def difference_of(
-    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, p_split: float
+    prepared: PreparedRecordings, searched_misfit: Misfit, residual: Residual, matters: Matters, split_bound: float
 ) -> Difference:
     """Difference of the nominal rig and all records; `residual` is that of the validation record, `searched_misfit` the
     nominal rig's on the one that was searched.
@@ -166,12 +168,14 @@ def difference_of(
     def nominal_misfit(observation: PreparedRecording) -> Misfit:
         if observation is prepared.searched_recording and observation is not validation:
             return searched_misfit
-        fit = residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
-        return misfit(observation.record, observation.nominal_variances, fit)
+        fitted_residual = (
+            residual if observation is validation else fit_nuisance(observation.record, observation.record.rig)[1]
+        )
+        return misfit(observation.record, observation.nominal_variances, fitted_residual)
 
     nominal_misfits = [nominal_misfit(observation) for observation in prepared.observations]
     p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
-    p_value = with_bound(combined_p_value(p_value_parts), p_split)
+    p_value = with_bound(combined_p_value(p_value_parts), split_bound)
     rig = validation.record.rig
     force_names = [f"force of {contact.name}" for contact in joined(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
@@ -179,7 +183,7 @@ def difference_of(
         return Difference(p_value, motion_bound, tuple(contact_bounds))
     recordings = [observation.recording for observation in prepared.observations]
     distances = contact_distances(recordings, rig, validation.record.tolerances)
-    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), p_split)
+    p_value = with_bound(combined_p_value(np.append(p_value_parts, distances.p_values)), split_bound)
     return Difference(p_value, motion_bound, tuple(contact_bounds), distances.parameter_bounds, distances.law_estimates)
 
 
@@ -200,9 +204,13 @@ def _refit_contact_laws(
     if refitted is likeliest.hypothesis:
         return ranked
     priors = {refitted.effect_names: likeliest.log_prior}
-    refits = validate_hypotheses(record, prepared.validation_recording.nominal_variances, residual, [refitted], priors)
-    kept = [item for item in refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN]
-    return sorted([*(kept or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
+    validated_refits = validate_hypotheses(
+        record, prepared.validation_recording.nominal_variances, residual, [refitted], priors
+    )
+    kept_refits = [
+        item for item in validated_refits if item.misfit.minus_two_log < likeliest.misfit.minus_two_log + MIN_GAIN
+    ]
+    return sorted([*(kept_refits or [likeliest]), *lower_ranked], key=lambda item: -item.log_posterior)
 
 
 def _decide_with_force(
@@ -222,19 +230,24 @@ def _decide_with_force(
     )
     cost_decrease = None if force_cost is None else nominal_hypothesis.misfit.minus_two_log - force_cost
     decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost))
-    force_attempt, named = force_in_nominal, decision.named_hypothesis
-    if named and explained_share(named.nominal_misfit, named.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE:
-        rig = named.rig
+    force_attempt, named_set = force_in_nominal, decision.named_hypothesis
+    if (
+        named_set
+        and explained_share(named_set.nominal_misfit, named_set.misfit, basis.matters) >= PARTLY_EXPLAINED_SHARE
+    ):
+        named_rig = named_set.rig
         force_beside = attempted(
-            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, rig, record)
+            "unmeasured_force", lambda: likeliest_force(prepared.searched_recording.record, named_rig, record)
         )
         companion = force_beside.result
-        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, rig):
+        if companion and acts_at_effects(companion.on_fit.force_place, record.rig, named_rig):
             companion = None
-        companion_cost = minus_two_log_with_force(validation, rig, companion, named.misfit) if companion else None
-        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named, companion_cost))
+        companion_cost = (
+            minus_two_log_with_force(validation, named_rig, companion, named_set.misfit) if companion else None
+        )
+        decision = basis.decide(ranked, is_vetoed, ForceRivals(force_cost, named_set, companion_cost))
         if decision.verdict == Verdict.PARTLY_EXPLAINED:
-            force_attempt, residual = force_beside, fit_nuisance(record, rig)[1]
+            force_attempt, residual = force_beside, fit_nuisance(record, named_rig)[1]
     swing_attempt = attempted("clearance_modulation", lambda: clearance_modulation(record, residual))
     return decision, UnmeasuredCauses(
         force_attempt.result, swing_attempt.result, cost_decrease, (*force_attempt.notes, *swing_attempt.notes)
@@ -253,21 +266,23 @@ def minus_two_log_with_force(
     if not force_fit.same_place:
         return misfit_without.minus_two_log
     record = validation_recording.record
-    cleared = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
-    misfit_with = misfit(cleared, validation_recording.nominal_variances, fit_nuisance(cleared, rig)[1])
+    cleared_record = replace(record, acceleration_signals=record.acceleration_signals - force_fit.sensor_signals())
+    misfit_with = misfit(cleared_record, validation_recording.nominal_variances, fit_nuisance(cleared_record, rig)[1])
     followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
     )
 
 
-def predicted_rollout(prepared: PreparedRecordings, nominal_residual: Residual, named: ValidatedHypothesis) -> Rollout:
+def predicted_rollout(
+    prepared: PreparedRecordings, nominal_residual: Residual, named_set: ValidatedHypothesis
+) -> Rollout:
     """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
     effects."""
     if prepared.predict is None:
         return Rollout(code="not_simulated")
     validation, predict = prepared.validation_recording, prepared.predict
-    corrected_residual = fit_nuisance(validation.record, named.rig)[1]
+    corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
     nulls = prepared.null_reference.predictions
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
@@ -276,10 +291,10 @@ def predicted_rollout(prepared: PreparedRecordings, nominal_residual: Residual, 
     log_ratios = []
     for seed in range(CONFIRMING_SIMULATIONS):
         simulation = prepared.simulate(
-            validation.recording.rig, named.corrected_rig, validation.recording.forces_n, seed
+            validation.recording.rig, named_set.corrected_rig, validation.recording.forces_n, seed
         )
         record = record_of(simulation, tolerances=validation.record.tolerances)
-        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named.rig))
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
         log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
     return confirm_by_simulations(rollout, log_ratios)
 
@@ -295,20 +310,24 @@ def predicted_decision(
     whose strengths exclude their neutral values, until one is not vetoed. If all are, the first decision stays, with
     its veto. decide takes hypotheses, and whether their named effects are vetoed.
     """
-    first_decision = latest = _decision_with_rollout(ranked, decide, predict)
+    first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
     rivals = [
         item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
     ]
     rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
     ruled_out: list[ValidatedHypothesis] = []
-    while latest.is_vetoed:
-        vetoed_set = latest.decision.named_hypothesis
-        ruled_out += [hypothesis for hypothesis in latest.ranked if hypothesis is vetoed_set]
+    while latest_decision.is_vetoed:
+        vetoed_set = latest_decision.decision.named_hypothesis
+        ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is vetoed_set]
         rivals = [rival for rival in rivals if rival is not vetoed_set]
         if not rivals:
             return first_decision
-        latest = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
-    return replace(latest, ruled_out=tuple(ruled_out)) if latest.decision.corrects_rig else first_decision
+        latest_decision = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
+    return (
+        replace(latest_decision, ruled_out=tuple(ruled_out))
+        if latest_decision.decision.corrects_rig
+        else first_decision
+    )
 
 
 def _decision_with_rollout(
@@ -319,5 +338,7 @@ def _decision_with_rollout(
     decision = decide(ranked, False)
     if not decision.corrects_rig or decision.named_hypothesis is None:
         return PredictedDecision(ranked, decision)
-    outcome = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
-    return PredictedDecision(ranked, decide(ranked, True), outcome.rollout_attempt) if outcome.is_vetoed else outcome
+    predicted = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+    return (
+        PredictedDecision(ranked, decide(ranked, True), predicted.rollout_attempt) if predicted.is_vetoed else predicted
+    )

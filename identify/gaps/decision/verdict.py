@@ -48,7 +48,7 @@ class ForceRivals:
     """-2 ln p of the validation record with an unmeasured force: with the best one in the nominal rig, and with the
     best one beside the hypothesis `accompanied_hypothesis`. None where no force was looked for."""
 
-    nominal_minus_two_log: float | None = None
+    nominal_cost: float | None = None
     accompanied_hypothesis: ValidatedHypothesis | None = None
     accompanied_cost: float | None = None
 
@@ -133,7 +133,7 @@ def decide(
             log_posteriors[hypothesis_index] = float(
                 np.logaddexp(log_posteriors[hypothesis_index], force_log_posterior)
             )
-    log_posteriors.append(_force_log_posterior(0.0, force_rivals.nominal_minus_two_log))
+    log_posteriors.append(_force_log_posterior(0.0, force_rivals.nominal_cost))
     *hypothesis_probabilities, probability_unmeasured = (
         float(probability) for probability in probabilities(np.array(log_posteriors))
     )

@@ -272,13 +272,13 @@ def _draw_surface(figure: Any, residual_map: ResidualMap, contact_name: str) -> 
     axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened_name(contact_name)}")
 
 
-def _shortened_name(name: str) -> str:
-    return name if len(name) <= MAX_NAME_CHARACTERS else f"{name[: MAX_NAME_CHARACTERS - 1]}…"
+def _shortened_name(long_name: str) -> str:
+    return long_name if len(long_name) <= MAX_NAME_CHARACTERS else f"{long_name[: MAX_NAME_CHARACTERS - 1]}…"
 
 
-def _cause_lines(name: str) -> str:
+def _cause_lines(cause_title: str) -> str:
     """Name of a cause with one effect per line."""
-    first_effect, *further_effects = name.split(" + ")
+    first_effect, *further_effects = cause_title.split(" + ")
     return "\n".join([_shortened_name(first_effect), *(_shortened_name(f"+ {effect}") for effect in further_effects)])
 
 

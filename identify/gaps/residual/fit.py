@@ -120,24 +120,30 @@ class ReducedEquations:
         count, parameter_count = len(self.gradient), len(self.gradient) + len(columns)
         matrix, gradient = np.zeros((parameter_count, parameter_count)), np.zeros(parameter_count)
         matrix[:count, :count], gradient[:count] = self.matrix, self.gradient
-        linear = np.array([c[0].ravel() for c in columns]).reshape(len(columns), self.residual.linear_residual.size)
-        matrix[:count, count:] = self.linearization.columns.products(linear)
-        matrix[count:, count:] = linear @ linear.T
-        gradient[count:] = linear @ self.residual.linear_without_lines.ravel()
-        solutions = []
-        for j, (contact, own) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
+        linear_columns = np.array([c[0].ravel() for c in columns]).reshape(
+            len(columns), self.residual.linear_residual.size
+        )
+        matrix[:count, count:] = self.linearization.columns.products(linear_columns)
+        matrix[count:, count:] = linear_columns @ linear_columns.T
+        gradient[count:] = linear_columns @ self.residual.linear_without_lines.ravel()
+        unknown_solutions = []
+        for j, (contact, eliminated) in enumerate(zip(self.residual.contacts, self.eliminated_contacts, strict=True)):
             contact_columns = np.array([c[1][j] for c in columns]).reshape(len(columns), contact.residual.size).T
             unknowns_by_column = contact.columns.T @ contact_columns
-            solved = own.unknowns_solver.solve(unknowns_by_column)
-            matrix[:count, count:] += own.nuisance_columns.T @ contact_columns - own.unknowns_by_nuisance.T @ solved
+            solved = eliminated.unknowns_solver.solve(unknowns_by_column)
+            matrix[:count, count:] += (
+                eliminated.nuisance_columns.T @ contact_columns - eliminated.unknowns_by_nuisance.T @ solved
+            )
             matrix[count:, count:] += contact_columns.T @ contact_columns - unknowns_by_column.T @ solved
-            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ own.unknowns_gradient
-            solutions.append((own.unknowns_step, np.concatenate([own.solved_by_nuisance, solved], axis=1)))
+            gradient[count:] += contact_columns.T @ contact.residual - solved.T @ eliminated.unknowns_gradient
+            unknown_solutions.append(
+                (eliminated.unknowns_step, np.concatenate([eliminated.solved_by_nuisance, solved], axis=1))
+            )
         matrix[count:, :count] = matrix[:count, count:].T
         cost_decrease_by_contacts = float(
             sum(e.unknowns_gradient @ e.unknowns_step + e.straight_cost_fall for e in self.eliminated_contacts)
         )
-        return NormalEquations(matrix, gradient, tuple(solutions), cost_decrease_by_contacts)
+        return NormalEquations(matrix, gradient, tuple(unknown_solutions), cost_decrease_by_contacts)
 
 
 def reduced_equations(
@@ -153,15 +159,17 @@ def reduced_equations(
     gradient = gradient - linearization.record.sample_ratio * residual.nuisance_pulls
     eliminated = []
     for j, contact in enumerate(residual.contacts):
-        side = contact.sides_after() if sides is None else sides[j]
-        columns, straight = (contact.columns_beyond(side), contact.residual_beyond(side))
+        contact_sides = contact.sides_after() if sides is None else sides[j]
+        columns, straight_residual = (contact.columns_beyond(contact_sides), contact.residual_beyond(contact_sides))
         solver, by_nuisance = (splu(csc_matrix(columns.T @ columns)), contact_jacobian(linearization, residual, j))
-        own_gradient, coupling = (columns.T @ straight, columns.T @ by_nuisance)
-        solved = solver.solve(coupling)
-        matrix = matrix + by_nuisance.T @ by_nuisance - coupling.T @ solved
-        gradient = gradient + by_nuisance.T @ contact.residual - solved.T @ own_gradient
-        own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight @ straight))
-        eliminated.append(Eliminated(solver, by_nuisance, coupling, solved, own_gradient, own_step, cost_fall))
+        own_gradient, unknowns_by_nuisance = (columns.T @ straight_residual, columns.T @ by_nuisance)
+        solved_by_nuisance = solver.solve(unknowns_by_nuisance)
+        matrix = matrix + by_nuisance.T @ by_nuisance - unknowns_by_nuisance.T @ solved_by_nuisance
+        gradient = gradient + by_nuisance.T @ contact.residual - solved_by_nuisance.T @ own_gradient
+        own_step, cost_fall = (solver.solve(own_gradient), contact.cost - float(straight_residual @ straight_residual))
+        eliminated.append(
+            Eliminated(solver, by_nuisance, unknowns_by_nuisance, solved_by_nuisance, own_gradient, own_step, cost_fall)
+        )
     return ReducedEquations(linearization, residual, matrix, gradient, tuple(eliminated))
 
 
@@ -228,7 +236,7 @@ def _step(
     linearization: Linearization, build_rig: Build, steps: Values, bounds: tuple[Values, Values], point: _Point
 ) -> _Step:
     """Gauss-Newton step within bounds, and the parameters' covariance by this linearisation."""
-    values, residual, count = point.values, point.residual, len(linearization.columns.parameters)
+    values, residual, nuisance_count = point.values, point.residual, len(linearization.columns.parameters)
     inward_steps = DERIVATIVE_STEP * np.where(values + steps > bounds[1], -steps, steps)
     columns = [_step_column(linearization, build_rig, values, s, residual) for s in np.eye(values.size) * inward_steps]
     scaled_bounds = np.sort((np.stack(bounds) - values) / inward_steps, axis=0)
@@ -237,7 +245,7 @@ def _step(
     sides = [contact.sides_after() for contact in residual.contacts]
     for _ in range(MAX_SIDES):
         equations = reduced_equations(linearization, residual, sides).with_columns(columns)
-        ridge = np.r_[np.zeros(count), 1e-9 * np.diag(equations.matrix)[count:] + 1e-300]
+        ridge = np.r_[np.zeros(nuisance_count), 1e-9 * np.diag(equations.matrix)[nuisance_count:] + 1e-300]
         full_step = bounded_minimum(equations.matrix + np.diag(ridge), equations.gradient, least_step, greatest_step)
         steps_of_contacts = zip(residual.contacts, equations.unknown_steps(full_step), strict=True)
         sides_before, sides = sides, [contact.sides_after(step) for contact, step in steps_of_contacts]
@@ -246,8 +254,8 @@ def _step(
 
     def point_after(share: float) -> _Point | None:
         step = share * full_step
-        stepped_values = np.clip(values + step[count:] * inward_steps, *bounds)
-        step[count:] = (stepped_values - values) / inward_steps
+        stepped_values = np.clip(values + step[nuisance_count:] * inward_steps, *bounds)
+        step[nuisance_count:] = (stepped_values - values) / inward_steps
         unknowns = [
             c.unknowns + share * u
             for c, u in zip(residual.contacts, equations.unknown_steps(step / share), strict=True)
@@ -256,12 +264,14 @@ def _step(
             rig = build_rig(stepped_values)
             return _Point(
                 stepped_values,
-                residual_of(linearization, rig, residual.nuisance_pulls + step[:count], tuple(unknowns), base=residual),
+                residual_of(
+                    linearization, rig, residual.nuisance_pulls + step[:nuisance_count], tuple(unknowns), base=residual
+                ),
             )
         except RigError:  # no such rig
             return None
 
-    scaled_covariance = scaled_inverse(equations.matrix)[count:, count:]
+    scaled_covariance = scaled_inverse(equations.matrix)[nuisance_count:, nuisance_count:]
     covariance = linearization.record.sample_ratio * scaled_covariance * np.outer(inward_steps, inward_steps)
     return _Step(point_after, equations.predicted_decrease(full_step), covariance)
 
@@ -279,7 +289,8 @@ def _step_column(
     linear_decrease, contact_decreases = single_step
     double_linear_decrease, double_decreases = derivative(linearization, build_rig(values + 2 * step), residual)
     contact_decreases = [
-        2 * single - double / 2 for single, double in zip(contact_decreases, double_decreases, strict=True)
+        2 * single_decrease - double_decrease / 2
+        for single_decrease, double_decrease in zip(contact_decreases, double_decreases, strict=True)
     ]
     return 2 * linear_decrease - double_linear_decrease / 2, contact_decreases
 

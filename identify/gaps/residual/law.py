@@ -216,14 +216,14 @@ class ContactResidual:
     def residual_beyond(self, sides: Sides) -> Float[np.ndarray, " rows"]:
         """Residual with the same straight excess."""
         residual = self.residual.copy()
-        excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
-        residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * excess
+        straight_excess = np.where(sides != 0, self.pulls - sides * LIMIT, 0.0)
+        residual[residual.size - sides.size :] = -self.observation.prior_weight * EXCESS_WEIGHT * straight_excess
         return residual
 
     @cached_property
     def _force_columns(self) -> csr_matrix:
         """Rows of `columns` of the force, without those of the priors."""
-        weights, spline = self.observation.weights, self.observation.drift_spline
+        weights, drift_spline = self.observation.weights, self.observation.drift_spline
         clearance_deviation, stiffness_deviation, damping_deviation_s = self.observation.law_prior_deviations
         pull_columns = []
         for law, signed_slope, per_stiffness, per_damping in zip(self.law.laws, *self.slopes[1:], strict=True):
@@ -233,7 +233,9 @@ class ContactResidual:
                 stiffness_deviation * stiffness_n_per_m * per_stiffness,
                 damping_deviation_s * stiffness_n_per_m * per_damping,
             ]
-        drift_columns = self.tangent.spline_columns(spline.value) + self.signals.slow_stiffness_n_per_m * spline.value
+        drift_columns = (
+            self.tangent.spline_columns(drift_spline.value) + self.signals.slow_stiffness_n_per_m * drift_spline.value
+        )
         return diags(weights) @ hstack([drift_columns, np.stack(pull_columns, axis=1)], "csr")
 
     @cached_property
@@ -256,8 +258,8 @@ def contact_residual(
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
 ) -> ContactResidual:
     """Residual at given unknowns; added_force_n and added_eta_m come on top of force and relative displacement."""
-    spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
-    drift_m, drift_m_per_s = spline.value @ knots_m, spline.rate @ knots_m
+    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
     eta_m = signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m
     eta_rate_m_per_s = signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation)
     pulls = unknowns[observation.tolerance_slice]
@@ -297,7 +299,7 @@ def contact_residual(
         eta_m=eta_m,
         eta_rate_m_per_s=eta_rate_m_per_s,
         residual=np.concatenate(
-            [observation.weights * residual_n, spline.target - spline.curvature @ knots_m, prior_rows]
+            [observation.weights * residual_n, drift_spline.target - drift_spline.curvature @ knots_m, prior_rows]
         ),
     )
 

@@ -83,12 +83,12 @@ def columns_of(record: Record, model: Linear) -> Columns:
     contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
     eta_columns_m = np.zeros((nuisance_count, contact_count, record.omega.size), np.complex64)
     projection = model.projection if record.measured_modes else model.projection.single()
-    for i, change in enumerate(changes):
+    for change_index, change in enumerate(changes):
         projected_signals, contact_force_change = _projected_change(record, model, projection, change)
-        residual_columns[i] = residual_in_time(record, projected_signals)
-        contact_columns_n[i] = record.in_time(contact_force_change)
+        residual_columns[change_index] = residual_in_time(record, projected_signals)
+        contact_columns_n[change_index] = record.in_time(contact_force_change)
         if change.displaced is not None:
-            eta_columns_m[i] = relative_displacements(record, model, change.displaced, change.sensors)
+            eta_columns_m[change_index] = relative_displacements(record, model, change.displaced, change.sensors)
     return Columns(tuple(c.parameter for c in changes), residual_columns, contact_columns_n, eta_columns_m)
 
 

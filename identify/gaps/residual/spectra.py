@@ -322,7 +322,7 @@ def _counted_samples(
 
 def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
     """Common period of all forces in samples; None if there is none."""
-    first_period, *further_periods = {period_of(row) for row in forces_n if np.any(row)} or {None}
+    first_period, *further_periods = {period_of(force_n) for force_n in forces_n if np.any(force_n)} or {None}
     return None if further_periods else first_period
 
 

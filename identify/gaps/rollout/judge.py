@@ -61,35 +61,37 @@ def judge_correction(
     Three rigs are predicted: the nominal one, the nominal one fitted within its tolerances, and the corrected one
     fitted likewise, which must not be worse than the second.
     """
-    samples = horizon_of(nulls)
-    if samples is None:
+    horizon_samples = horizon_of(nulls)
+    if horizon_samples is None:
         return Rollout(code="no_horizon")
-    fits = (
+    rigs_and_residuals = (
         (nominal_fit.rig, nominal_fit),
         (nominal_fit.corrected_rig, nominal_fit),
         (corrected_fit.corrected_rig, corrected_fit),
     )
-    motions = [measured_motion(recording, rig, residual) for rig, residual in fits]
-    start, stop = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
+    motions = [measured_motion(recording, rig, residual) for rig, residual in rigs_and_residuals]
+    start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
     rate_hz = recording.rig.sample_rate_hz
-    if stop - start < max(LEAST_BLOCKS * BLOCK_S * rate_hz, samples):
+    if stop_sample - start_sample < max(LEAST_BLOCKS * BLOCK_S * rate_hz, horizon_samples):
         return Rollout(code="too_short")
-    starts = disjoint_starts(start, stop - start, samples, MAX_WINDOWS)
+    starts = disjoint_starts(start_sample, stop_sample - start_sample, horizon_samples, MAX_WINDOWS)
     try:
         nominal_errors, fitted_errors, corrected_errors = (
-            prediction_errors(motion, predict, starts, samples) for motion in motions
+            prediction_errors(motion, predict, starts, horizon_samples) for motion in motions
         )
         record = nominal_fit.model.record
-        decay = () if record.has_force else _decay_modes(motions[0], motions[2], record, predict, start, stop)
+        decay_modes = (
+            () if record.has_force else _decay_modes(motions[0], motions[2], record, predict, start_sample, stop_sample)
+        )
     except RigError:
         return Rollout(code="not_simulated")
     ratios = block_ratios(fitted_errors, corrected_errors, starts, rate_hz)
-    overall, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, samples))
-    window_blocks = np.floor((starts + samples / 2) / rate_hz / BLOCK_S)
+    overall, *by_sensor = _errors_by_sensor(nominal_errors, corrected_errors, null_bounds(nulls, horizon_samples))
+    window_blocks = np.floor((starts + horizon_samples / 2) / rate_hz / BLOCK_S)
     window_rms = rms_by_window(nominal_errors), rms_by_window(corrected_errors)
     return Rollout(
         code=veto(ratios),
-        horizon_s=samples / rate_hz,
+        horizon_s=horizon_samples / rate_hz,
         windows=starts.size,
         whole=overall,
         shrunk_95=None
@@ -101,7 +103,7 @@ def judge_correction(
         expected_log_ratio=float(ratios.expected_log_ratios.mean()),
         falls_short=falls_short(ratios),
         by_sensor=dict(zip(motions[0].sensor_names, by_sensor, strict=True)),
-        decay=decay,
+        decay=decay_modes,
         example=_example(motions[0], motions[2], predict, starts, nominal_errors),
     )
 
@@ -116,15 +118,20 @@ def _example(
     """End of the window in which the nominal rig's error is the median, of the sensor that it predicts worst."""
     rms_errors = rms_by_window(nominal_errors)
     window_index = int(np.argsort(rms_errors)[rms_errors.size // 2])
-    sensor = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
-    start, samples = starts[[window_index]], nominal_errors.shape[2]
-    by_rig = [measured_and_predicted(motion, predict, start, samples) for motion in (nominal_run, corrected_run)]
+    sensor_index = int(np.argmax(np.mean(nominal_errors[window_index] ** 2, axis=1)))
+    window_start, samples = starts[[window_index]], nominal_errors.shape[2]
+    signals_by_rig = [
+        measured_and_predicted(motion, predict, window_start, samples) for motion in (nominal_run, corrected_run)
+    ]
     shown = slice(-min(samples, SHOWN_SAMPLES), None)
-    time_s = (start + np.arange(samples)) / nominal_run.sample_rate_hz
-    measured, *predicted = (signals[0, sensor, shown] for signals in (by_rig[0][0], by_rig[0][1], by_rig[1][1]))
+    time_s = (window_start + np.arange(samples)) / nominal_run.sample_rate_hz
+    measured, *predicted = (
+        signals[0, sensor_index, shown]
+        for signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
+    )
     return PredictionExample(
-        sensor=nominal_run.sensor_names[sensor],
-        unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor], 1)],
+        sensor=nominal_run.sensor_names[sensor_index],
+        unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor_index], 1)],
         time_s=tuple(time_s[shown].tolist()),
         measured=tuple(measured.tolist()),
         nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
@@ -145,11 +152,11 @@ def _decay_modes(
     natural_hz = [modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies]
     mode_limit = 2 + sum(int(np.count_nonzero(body_hz < highest_hz)) for body_hz in natural_hz)
     starts = np.array([start_sample])
-    by_rig = [
+    signals_by_rig = [
         measured_and_predicted(motion, predict, starts, stop_sample - start_sample)
         for motion in (nominal_run, corrected_run)
     ]
-    decay_signals = (by_rig[0][0], by_rig[0][1], by_rig[1][1])
+    decay_signals = (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     return compared_modes(
         *(modes_of_decay(np.nan_to_num(d[0]), rate_hz, highest_hz, mode_limit) for d in decay_signals)
     )
@@ -161,12 +168,12 @@ def compared_modes(
     """Measured modes, each with the nearest mode of both predictions."""
 
     def nearest(mode: RingingMode, predicted_modes: Sequence[RingingMode]) -> tuple[float, float] | None:
-        best = min(
+        nearest_mode = min(
             predicted_modes, key=lambda predicted: abs(np.log(predicted.frequency_hz / mode.frequency_hz)), default=None
         )
-        if best is None or abs(best.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
+        if nearest_mode is None or abs(nearest_mode.frequency_hz / mode.frequency_hz - 1) > FREQUENCY_MATCH:
             return None
-        return best.frequency_hz, best.damping_ratio
+        return nearest_mode.frequency_hz, nearest_mode.damping_ratio
 
     return tuple(
         DecayMode(
@@ -187,15 +194,15 @@ class BlockRatios:
 
 
 def block_ratios(
-    nominal: Windows, corrected: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
+    nominal_errors: Windows, corrected_errors: Windows, starts: Int[np.ndarray, " windows"], rate_hz: float
 ) -> BlockRatios:
     """Log ratios of two rigs' errors by block; windows longer than a block are cut into blocks."""
-    block_samples = min(nominal.shape[2], round(BLOCK_S * rate_hz))
-    block_starts = range(0, nominal.shape[2] - block_samples // 2, block_samples)
+    block_samples = min(nominal_errors.shape[2], round(BLOCK_S * rate_hz))
+    block_starts = range(0, nominal_errors.shape[2] - block_samples // 2, block_samples)
     mean_squares = np.stack(
         [
             [np.mean(e[:, :, start : start + block_samples] ** 2, axis=(1, 2)) for start in block_starts]
-            for e in (nominal, corrected, nominal - corrected)
+            for e in (nominal_errors, corrected_errors, nominal_errors - corrected_errors)
         ]
     )
     middle_s = (starts + np.array(block_starts)[:, None] + block_samples / 2) / rate_hz
@@ -240,8 +247,8 @@ def log_ratio_of(
     ]
     start_sample, stop_sample = (max(m.first_sample for m in motions), min(m.stop_sample for m in motions))
     starts = disjoint_starts(start_sample, stop_sample - start_sample, samples, MAX_WINDOWS)
-    nominal, corrected = (prediction_errors(motion, predict, starts, samples) for motion in motions)
-    return float(block_ratios(nominal, corrected, starts, recording.rig.sample_rate_hz).log_ratios.mean())
+    nominal_errors, corrected_errors = (prediction_errors(motion, predict, starts, samples) for motion in motions)
+    return float(block_ratios(nominal_errors, corrected_errors, starts, recording.rig.sample_rate_hz).log_ratios.mean())
 
 
 def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[float]) -> Rollout:
@@ -252,13 +259,17 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     """
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
-    mean, count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
-    quantile = float(student.ppf(1 - VETO_P_VALUE, count - 1))
+    mean_log_ratio, simulation_count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
+    quantile = float(student.ppf(1 - VETO_P_VALUE, simulation_count - 1))
     margin = quantile * float(
-        np.hypot(np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / count), rollout.log_ratio_error or 0.0)
+        np.hypot(
+            np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count), rollout.log_ratio_error or 0.0
+        )
     )
-    improves = mean + margin < -BETTER / 2
-    return replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean + margin else rollout
+    improves = mean_log_ratio + margin < -BETTER / 2
+    return (
+        replace(rollout, code="no_improvement") if improves and rollout.log_ratio > mean_log_ratio + margin else rollout
+    )
 
 
 def standard_error(blocks: Float[np.ndarray, " blocks"]) -> float:
@@ -274,9 +285,9 @@ def null_bounds(nulls: Sequence[NullErrors], samples: int) -> list[tuple[float, 
     rig (Student, of the logarithm) at a horizon: of all sensors together, then of each."""
     null_rows = [(null, null.samples.index(samples)) for null in nulls if samples in null.samples]
     medians = np.median([null.within[k] for null, k in null_rows], axis=0)
-    logs, count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
-    deviations = student.ppf(0.95, count - 1) * np.sqrt(1 + 1 / count) if count > 1 else 0.0
-    upper_limits = np.exp(logs.mean(axis=0) + deviations * logs.std(axis=0, ddof=min(1, count - 1)))
+    logs, null_count = (np.log(np.maximum([null.nominal[k] for null, k in null_rows], 1e-300)), len(null_rows))
+    limit_deviations = student.ppf(0.95, null_count - 1) * np.sqrt(1 + 1 / null_count) if null_count > 1 else 0.0
+    upper_limits = np.exp(logs.mean(axis=0) + limit_deviations * logs.std(axis=0, ddof=min(1, null_count - 1)))
     return list(zip(medians.tolist(), upper_limits.tolist(), strict=True))
 
 
@@ -286,13 +297,13 @@ def _errors_by_sensor(
     """Median errors of all sensors together, then of each, beside the median and limit of null simulations."""
     return [
         PredictionErrors(
-            nominal=before,
-            corrected=after,
+            nominal=nominal_median,
+            corrected=corrected_median,
             null_median=median,
             null_95=limit,
-            shrunk=None if before <= limit else shrunk_share(before, after, median),
+            shrunk=None if nominal_median <= limit else shrunk_share(nominal_median, corrected_median, median),
         )
-        for before, after, (median, limit) in zip(
+        for nominal_median, corrected_median, (median, limit) in zip(
             median_errors(nominal_errors), median_errors(corrected_errors), null_limits, strict=True
         )
     ]
@@ -310,14 +321,14 @@ def _shrinkage_interval(
     blocks: Float[np.ndarray, " windows"],
 ) -> tuple[float, float]:
     """95 % interval of `shrunk_share` by a bootstrap over blocks."""
-    rng, members = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
+    rng, block_windows = (np.random.default_rng(0), [np.flatnonzero(blocks == b) for b in np.unique(blocks)])
     resamples = [
-        np.concatenate([members[k] for k in rng.integers(0, len(members), len(members))])
+        np.concatenate([block_windows[k] for k in rng.integers(0, len(block_windows), len(block_windows))])
         for _ in range(BOOTSTRAP_DRAWS)
     ]
-    shares = [
+    shrunk_shares = [
         shrunk_share(float(np.median(nominal[windows])), float(np.median(corrected[windows])), null_error)
         for windows in resamples
     ]
-    lower_share, upper_share = np.quantile(shares, [0.025, 0.975])
+    lower_share, upper_share = np.quantile(shrunk_shares, [0.025, 0.975])
     return float(lower_share), float(upper_share)

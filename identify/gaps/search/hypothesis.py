@@ -104,8 +104,8 @@ def with_effects(rig: Rig, candidates: Sequence[Candidate], effect_values: Value
     return rig
 
 
-def _values_by_candidate(candidates: Sequence[Candidate], values: Values) -> list[Float[np.ndarray, " _"]]:
-    return np.split(values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
+def _values_by_candidate(candidates: Sequence[Candidate], joined_values: Values) -> list[Float[np.ndarray, " _"]]:
+    return np.split(joined_values, np.cumsum([len(c.parameters) for c in candidates])[:-1]) if candidates else []
 
 
 @dataclass(frozen=True)
@@ -202,29 +202,31 @@ def relinearised(
     )
     stated_scale_rounds = stated_scale_refits(search.linearization.rig)
 
-    def refit(before: FittedHypothesis) -> FittedHypothesis:
-        return refit_at(before, scales_at(before.linearization, before.residual))
+    def refit(earlier_fit: FittedHypothesis) -> FittedHypothesis:
+        return refit_at(earlier_fit, scales_at(earlier_fit.linearization, earlier_fit.residual))
 
-    def refit_at(before: FittedHypothesis, scales: Scales) -> FittedHypothesis:
-        values = before.hypothesis.values
-        start_residual = reset_mode_nuisance(before.residual) if stated_scale_rounds else before.residual
-        linearization = before.linearization.relinearized(build_rig(values), start_residual, scales)
-        fitted_hypotheses.append(_gauss_newton(search, build_rig, candidates, values, linearization, start_residual))
+    def refit_at(earlier_fit: FittedHypothesis, scales: Scales) -> FittedHypothesis:
+        earlier_values = earlier_fit.hypothesis.values
+        start_residual = reset_mode_nuisance(earlier_fit.residual) if stated_scale_rounds else earlier_fit.residual
+        linearization = earlier_fit.linearization.relinearized(build_rig(earlier_values), start_residual, scales)
+        fitted_hypotheses.append(
+            _gauss_newton(search, build_rig, candidates, earlier_values, linearization, start_residual)
+        )
         return fitted_hypotheses[-1]
 
-    def settled(before: FittedHypothesis, after: FittedHypothesis) -> bool:
-        scale_change = before.linearization.scales.distance(after.linearization.scales)
-        is_settled = scale_change < SCALE_TOLERANCE and abs(before.cost - after.cost) < COST_TOLERANCE
-        return is_settled or after.cost > best_cost + MAX_EXCESS_COST
+    def settled(earlier_fit: FittedHypothesis, later_fit: FittedHypothesis) -> bool:
+        scale_change = earlier_fit.linearization.scales.distance(later_fit.linearization.scales)
+        is_settled = scale_change < SCALE_TOLERANCE and abs(earlier_fit.cost - later_fit.cost) < COST_TOLERANCE
+        return is_settled or later_fit.cost > best_cost + MAX_EXCESS_COST
 
     latest_fit = refit_until_settled(initial_fit, refit, settled, rounds=round_limit)
     if stated_scale_rounds and latest_fit.cost <= best_cost + MAX_EXCESS_COST:
-        best_fit = min(fitted_hypotheses, key=lambda fitted: fitted.cost)
+        best_fit = min(fitted_hypotheses, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
         latest_fit = refit_until_settled(
-            best_fit, lambda before: refit_at(before, prior_scales(record)), rounds=stated_scale_rounds
+            best_fit, lambda earlier_fit: refit_at(earlier_fit, prior_scales(record)), rounds=stated_scale_rounds
         )
         refit_until_settled(latest_fit, refit, settled, rounds=round_limit)
-    return min(fitted_hypotheses, key=lambda fitted: fitted.cost)
+    return min(fitted_hypotheses, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
 
 
 def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:

@@ -276,7 +276,7 @@ def fitted_together(
         return earlier_fit if later_fit.cost > earlier_fit.cost else later_fit
 
     best_fit = refit_until_settled(
-        pooled_about(hypothesis.values), refit, lambda before, after: after is before, rounds=ROUNDS
+        pooled_about(hypothesis.values), refit, lambda earlier, later: later is earlier, rounds=ROUNDS
     )
     return Hypothesis(candidates, best_fit.expansion_values, best_fit.pooled_estimate.covariance, hypothesis.misfit)
 

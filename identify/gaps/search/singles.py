@@ -60,18 +60,18 @@ def single_effects(search: Search, nominal_fit: FittedHypothesis) -> list[Fitted
     time_fitted = [candidate for candidate in search.candidates if not candidate.kind.stochastic]
     law_effects = law_candidates(linearization.rig, time_fitted)
     best_fits = _BestFits()
-    for fit in chain(
+    for single_fit in chain(
         _screened_fits(search, nominal_fit, residual, law_free_residual, time_fitted, law_effects),
         _law_fits(search, law_free_residual, law_effects),
         _spectrum_fits(search, nominal_fit),
     ):
-        best_fits.keep_if_better(fit)
+        best_fits.keep_if_better(single_fit)
     refined_fits = _refined_all(search, _rival_fits(best_fits.by_name.values(), nominal_fit))
     if not min(refined_fits, key=_cost_of_fit, default=nominal_fit).hypothesis.tolerance_at_limit:
         return refined_fits
     best_fits.by_name = {fit.hypothesis.candidates[0].name: fit for fit in refined_fits}
-    for fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
-        best_fits.keep_if_better(fit)
+    for single_fit in _typical_fits(search, law_free_residual, time_fitted, law_effects):
+        best_fits.keep_if_better(single_fit)
     return sorted(best_fits.by_name.values(), key=_cost_of_fit)
 
 
@@ -120,8 +120,8 @@ def _law_fits(
 def _spectrum_fits(search: Search, nominal_fit: FittedHypothesis) -> Iterator[FittedHypothesis]:
     """Fits of effects that are known by their spectrum alone."""
     for candidate in search.candidates:
-        if candidate.kind.stochastic and (fit := fit_spectrum(search, nominal_fit, candidate)):
-            yield fit
+        if candidate.kind.stochastic and (spectrum_fit := fit_spectrum(search, nominal_fit, candidate)):
+            yield spectrum_fit
 
 
 def _typical_fits(
@@ -183,9 +183,9 @@ def _score_screened(
 
 def _rival_fits(fits: Iterable[FittedHypothesis], nominal_fit: FittedHypothesis) -> list[FittedHypothesis]:
     """Fits whose gain is near that of the best one."""
-    gains_and_fits = [(nominal_fit.cost - fit.cost, fit) for fit in fits]
+    gains_and_fits = [(nominal_fit.cost - single_fit.cost, single_fit) for single_fit in fits]
     least_gain = max(MIN_GAIN / 2, RIVAL_GAIN * max((gain for gain, _ in gains_and_fits), default=0.0))
-    return [fit for gain, fit in gains_and_fits if gain > least_gain]
+    return [single_fit for gain, single_fit in gains_and_fits if gain > least_gain]
 
 
 def _refined_all(
@@ -193,7 +193,7 @@ def _refined_all(
 ) -> list[FittedHypothesis]:
     """Refined fits by cost; refinement ends for those that stay far above the best."""
     refined_fits = []
-    for fit in sorted(rivals, key=_cost_of_fit):
-        refined_fits.append(refined(search, fit, best_cost))
+    for rival_fit in sorted(rivals, key=_cost_of_fit):
+        refined_fits.append(refined(search, rival_fit, best_cost))
         best_cost = min(best_cost, refined_fits[-1].cost)
     return sorted(refined_fits, key=_cost_of_fit)

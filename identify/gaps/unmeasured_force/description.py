@@ -48,7 +48,7 @@ def described(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
 def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a force at one station, or of a pair at two."""
     located_force, candidate = force_fit.on_fit, force_fit.on_fit.force_place
-    history, size = force_history(located_force), _force_size(located_force)
+    history, force_size = force_history(located_force), _force_size(located_force)
     force_law = (
         shortest_law(fit_laws(history), LAW_GAIN_SHARE) if explained_share(located_force) > LAW_SEARCH_SHARE else None
     )
@@ -63,7 +63,7 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         )
     tone_law = force_law if force_law is not None and force_law.form.is_tone else None
     return UnmeasuredForce(
-        sentence=_sentence(force_law, size, timing, place_text),
+        sentence=_sentence(force_law, force_size, timing, place_text),
         kind=candidate.kind,
         body=place.body,
         position_m=place.position_m,
@@ -72,8 +72,8 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         against_position_m=against[0].position_m if against else None,
         same_place=force_fit.same_place,
         frequency_hz=tone_law.parameter_value if tone_law else None,
-        band_hz=size.band_hz,
-        rms_n=size.rms_value,
+        band_hz=force_size.band_hz,
+        rms_n=force_size.rms_value,
         amplitude_n=_amplitude_n(tone_law) if tone_law else None,
         when=time_pattern,
         before_excitation=timing.rms_before_excitation,
@@ -84,30 +84,30 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         law_parameters={} if force_law is None else force_law.parameters,
         explained=explained_share(force_fit.at_fit_place),
         over_motion=_mean_force_over_motion(history),
-        spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectral_density,
+        spectrum_hz=force_size.spectrum_hz,
+        spectrum=force_size.spectral_density,
     )
 
 
 def _sensor_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a sensor's signal of its own, with the spectrum in (m/s^2)^2/Hz."""
-    size, sensor_name = _force_size(force_fit.on_fit), force_fit.on_fit.force_place.sensor_name
+    force_size, sensor_name = _force_size(force_fit.on_fit), force_fit.on_fit.force_place.sensor_name
     return UnmeasuredForce(
         sentence=f"a fault of sensor {sensor_name}: its signal does not follow the motion",
         kind="sensor",
         sensor=sensor_name,
         same_place=force_fit.same_place,
-        band_hz=size.band_hz,
-        rms_n=size.rms_value,
+        band_hz=force_size.band_hz,
+        rms_n=force_size.rms_value,
         explained=explained_share(force_fit.at_fit_place),
-        spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectral_density,
+        spectrum_hz=force_size.spectrum_hz,
+        spectrum=force_size.spectral_density,
     )
 
 
 def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
     """Description of a modulus that changes over the record."""
-    size, located_force = _force_size(force_fit.on_fit), force_fit.on_fit
+    force_size, located_force = _force_size(force_fit.on_fit), force_fit.on_fit
     growth_by_body = {
         body_name: Value(change, error, "1")
         for body_name, change, error in zip(
@@ -125,12 +125,12 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         kind="distributed",
         growth=growth_by_body,
         same_place=force_fit.same_place,
-        band_hz=size.band_hz,
-        rms_n=size.rms_value,
+        band_hz=force_size.band_hz,
+        rms_n=force_size.rms_value,
         when="growing with time",
         explained=explained_share(force_fit.at_fit_place),
-        spectrum_hz=size.spectrum_hz,
-        spectrum=size.spectral_density,
+        spectrum_hz=force_size.spectrum_hz,
+        spectrum=force_size.spectral_density,
     )
 
 
