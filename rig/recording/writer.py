@@ -76,17 +76,17 @@ class RecordingWriter:
         self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
         self._written_counts = dict.fromkeys(groups, 0)
 
-    def append(self, group_name: str, values: Float[np.ndarray, "channels samples"]) -> None:
-        earlier_values = self._pending_values[group_name]
+    def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
+        earlier_values = self._pending_values[group]
         pending_values = np.concatenate([earlier_values, values], axis=1) if earlier_values.size else values
         full_count = pending_values.shape[1] // BLOCK_SAMPLES * BLOCK_SAMPLES
         for first_sample in range(0, full_count, SAMPLES_AT_ONCE):  # the previews of so many samples are in one chunk
             self._write(
-                group_name,
+                group,
                 pending_values[:, first_sample : min(first_sample + SAMPLES_AT_ONCE, full_count)],
                 BLOCK_SAMPLES,
             )
-        self._pending_values[group_name] = pending_values[:, full_count:].copy()
+        self._pending_values[group] = pending_values[:, full_count:].copy()
         self._stream.flush()  # a kill loses nothing but the chunk in the making
 
     def append_all(self, values: Mapping[str, Float[np.ndarray, "_ samples"]]) -> None:
