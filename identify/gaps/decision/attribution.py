@@ -148,23 +148,15 @@ def _contact_state_shares(linearization: Linearization, total_squares: Float[np.
     """Shares by the set of closed contacts."""
     squares_by_state: dict[str, float] = {}
     closed_masks = [observation.closed_mask > 0 for observation in linearization.observations]
-    contact_names = [closed_mask.name for closed_mask in linearization.model.rig.contacts]
+    contact_names = [mask.name for mask in linearization.model.rig.contacts]
     for state_code in range(2 ** len(contact_names)):
-        contacts_closed = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
+        state = [bool(state_code >> contact_index & 1) for contact_index in range(len(contact_names))]
         is_in_state = (
-            np.all(
-                [
-                    closed_mask == is_closed
-                    for closed_mask, is_closed in zip(closed_masks, contacts_closed, strict=True)
-                ],
-                axis=0,
-            )
+            np.all([mask == is_closed for mask, is_closed in zip(closed_masks, state, strict=True)], axis=0)
             if contact_names
             else np.ones(total_squares.size, bool)
         )
-        closed_names = " and ".join(
-            name for name, is_closed in zip(contact_names, contacts_closed, strict=True) if is_closed
-        )
+        closed_names = " and ".join(name for name, is_closed in zip(contact_names, state, strict=True) if is_closed)
         squares_by_state[f"{closed_names} closed" if closed_names else "open"] = float(total_squares[is_in_state].sum())
     return _shares_of_sum(squares_by_state)
 

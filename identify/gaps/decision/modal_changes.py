@@ -60,7 +60,7 @@ def identifiable_change(
         return ""
     reason_words = "not told, as no sensor stands there and one mode dominates"
     mode_words = f"the mode at {number(float(modes.frequencies_hz(mode_index + 1)[mode_index]))} Hz"
-    for quantity_index, (quantity_name, unit, shown_per_unit) in enumerate(
+    for quantity_index, (quantity_name, unit, per_unit) in enumerate(
         (("frequency", "Hz", 1.0), ("damping ratio", "%", 100.0))
     ):
 
@@ -69,9 +69,7 @@ def identifiable_change(
 
         if mode_change := shift(effect_values):
             change_words = interval(
-                shown_per_unit * mode_change,
-                shown_per_unit * _standard_error_of(shift, effect_values, covariance),
-                unit,
+                per_unit * mode_change, per_unit * _standard_error_of(shift, effect_values, covariance), unit
             )
             return f"{reason_words}; told: the {quantity_name} of {mode_words} changes by {change_words}"
     return f"{reason_words}: {mode_words}"
@@ -130,23 +128,17 @@ def _dominant_mode(
 
 
 def _standard_error_of(
-    parameter_function: Callable[[Float[np.ndarray, " parameters"]], float],
-    parameter_values: Float[np.ndarray, " parameters"],
+    function: Callable[[Float[np.ndarray, " parameters"]], float],
+    values: Float[np.ndarray, " parameters"],
     covariance: Float[np.ndarray, "parameters parameters"],
 ) -> float:
     """First-order standard error of a function of the parameters; zero at the end of what the rig allows."""
-    parameter_steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+    steps = DERIVATIVE_STEP * np.diag(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
     try:
         slopes = np.array(
             [
-                (
-                    parameter_function(parameter_values + parameter_step)
-                    - parameter_function(parameter_values - parameter_step)
-                )
-                / (2 * parameter_step.sum())
-                if parameter_step.any()
-                else 0.0
-                for parameter_step in parameter_steps
+                (function(values + step) - function(values - step)) / (2 * step.sum()) if step.any() else 0.0
+                for step in steps
             ]
         )
     except RigError:

@@ -72,14 +72,14 @@ class Decision:
     @property
     def nominal_hypothesis(self) -> ValidatedHypothesis:
         """Hypothesis of the nominal rig."""
-        return nominal_of([weighted_hypothesis.validated for weighted_hypothesis in self.weighted_hypotheses])
+        return nominal_of([weighted.validated for weighted in self.weighted_hypotheses])
 
     @property
     def probability_nothing(self) -> float:
         return next(
-            weighted_hypothesis.probability
-            for weighted_hypothesis in self.weighted_hypotheses
-            if weighted_hypothesis.validated is self.nominal_hypothesis
+            weighted.probability
+            for weighted in self.weighted_hypotheses
+            if weighted.validated is self.nominal_hypothesis
         )
 
     @property
@@ -134,15 +134,12 @@ def decide(
                 np.logaddexp(log_posteriors[hypothesis_index], force_log_posterior)
             )
     log_posteriors.append(_force_log_posterior(0.0, force_rivals.nominal_cost))
-    *hypothesis_probabilities, probability_unmeasured = (
+    *posteriors, probability_unmeasured = (
         float(probability) for probability in probabilities(np.array(log_posteriors))
     )
     weighted_hypotheses = tuple(
-        WeightedHypothesis(*hypothesis_and_probability)
-        for hypothesis_and_probability in sorted(
-            zip(ranked_hypotheses, hypothesis_probabilities, strict=True),
-            key=lambda hypothesis_and_probability: -hypothesis_and_probability[1],
-        )
+        WeightedHypothesis(*pair)
+        for pair in sorted(zip(ranked_hypotheses, posteriors, strict=True), key=lambda pair: -pair[1])
     )
     likeliest = next((item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None)
     likeliest_strengths = strengths_of(likeliest.hypothesis, weighted_hypotheses) if likeliest else ()
@@ -169,8 +166,8 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
 
     Of several strengths of an effect, the one that is most standard errors from its neutral value.
     """
-    effect_strengths, first_column = [], 0
-    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
+    strengths, first_column = [], 0
+    errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     for candidate in hypothesis.candidates:
         column_indices = range(first_column, first_column := first_column + len(candidate.parameters))
         look_alikes = _look_alikes(hypothesis, candidate, weighted_hypotheses)
@@ -180,31 +177,22 @@ def strengths_of(hypothesis: Hypothesis, weighted_hypotheses: Sequence[WeightedH
             if parameter.neutral is not None
         }
         deviation_in_errors = {
-            k: abs(hypothesis.values[k] - neutral_value) / max(standard_errors[k], 1e-300)
+            k: abs(hypothesis.values[k] - neutral_value) / max(errors[k], 1e-300)
             for k, neutral_value in neutral_values.items()
         }
         column_index = max(deviation_in_errors, key=lambda column: float(deviation_in_errors[column]))
-        strength_value, half_width = (
-            float(hypothesis.values[column_index]),
-            float(COVERED * standard_errors[column_index]),
-        )
+        strength_value, half_width = (float(hypothesis.values[column_index]), float(COVERED * errors[column_index]))
         interchangeable_names = {candidate.name, *look_alikes}
         inclusion_probability = sum(
-            weighted_hypothesis.probability
-            for weighted_hypothesis in weighted_hypotheses
-            if interchangeable_names & set(weighted_hypothesis.validated.hypothesis.effect_names)
+            weighted.probability
+            for weighted in weighted_hypotheses
+            if interchangeable_names & set(weighted.validated.hypothesis.effect_names)
         )
-        strength_interval = (strength_value - half_width, strength_value + half_width)
-        effect_strengths.append(
-            Strength(
-                candidate.name,
-                inclusion_probability,
-                strength_interval,
-                float(neutral_values[column_index]),
-                look_alikes,
-            )
+        interval = (strength_value - half_width, strength_value + half_width)
+        strengths.append(
+            Strength(candidate.name, inclusion_probability, interval, float(neutral_values[column_index]), look_alikes)
         )
-    return tuple(effect_strengths)
+    return tuple(strengths)
 
 
 def strengths_exclude_neutral(hypothesis: Hypothesis) -> bool:
@@ -221,14 +209,12 @@ def _look_alikes(
     """Names of candidates that replace an effect in other hypotheses above `RIVAL_PROBABILITY`."""
     effect_counts = Counter(hypothesis.effect_names)
     look_alike_names: list[str] = []
-    for rival_hypothesis in (
-        weighted_hypothesis.validated.hypothesis
-        for weighted_hypothesis in weighted_hypotheses
-        if weighted_hypothesis.probability > RIVAL_PROBABILITY
+    for rival in (
+        weighted.validated.hypothesis for weighted in weighted_hypotheses if weighted.probability > RIVAL_PROBABILITY
     ):
         added_effects, removed_effects = (
-            Counter(rival_hypothesis.effect_names) - effect_counts,
-            effect_counts - Counter(rival_hypothesis.effect_names),
+            Counter(rival.effect_names) - effect_counts,
+            effect_counts - Counter(rival.effect_names),
         )
         if removed_effects == Counter([candidate.name]) and added_effects.total() == 1:
             look_alike_names += added_effects
@@ -243,11 +229,7 @@ def _named_hypothesis(
     """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated."""
     named_effects = tuple(sorted(strength.effect for strength in effect_strengths if strength.is_named))
     return next(
-        (
-            validated
-            for validated in ranked_hypotheses
-            if named_effects and validated.hypothesis.effect_names == named_effects
-        ),
+        (item for item in ranked_hypotheses if named_effects and item.hypothesis.effect_names == named_effects),
         likeliest,
     )
 

@@ -78,24 +78,15 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
 def _draw_probabilities(figure: Any, gap: Gap) -> None:
     """Probabilities of the likeliest causes, all others, no cause, and something unmeasured; they sum to one."""
     top_causes, remaining_causes = gap.causes[:MAX_CAUSES], gap.causes[MAX_CAUSES:]
-    labels_and_probabilities = [(_cause_lines(cause_name(cause)), cause.probability) for cause in top_causes]
+    labelled_rows = [(_cause_lines(cause_name(cause)), cause.probability) for cause in top_causes]
     if remaining_causes:
-        labels_and_probabilities.append(
+        labelled_rows.append(
             (f"{len(remaining_causes)} further causes", sum(cause.probability for cause in remaining_causes))
         )
-    labels_and_probabilities += remaining_probabilities(gap)
-    bar_colours = [BLUE] * (len(labels_and_probabilities) - 2) + [GREEN, GREY]
-    bar_names, percentages = (
-        [label_and_probability[0] for label_and_probability in labels_and_probabilities],
-        [100 * label_and_probability[1] for label_and_probability in labels_and_probabilities],
-    )
-    axes = _horizontal_bar_axes(
-        figure,
-        bar_names,
-        percentages,
-        [probability(label_and_probability[1]) for label_and_probability in labels_and_probabilities],
-        bar_colours,
-    )
+    labelled_rows += remaining_probabilities(gap)
+    colours = [BLUE] * (len(labelled_rows) - 2) + [GREEN, GREY]
+    bar_names, percentages = ([r[0] for r in labelled_rows], [100 * r[1] for r in labelled_rows])
+    axes = _bar_axes(figure, bar_names, percentages, [probability(r[1]) for r in labelled_rows], colours)
     axes.set(xlim=(0, 130), xticks=range(0, 101, 25), xlabel="probability, %")
     figure.suptitle("How likely each cause is", fontsize=10)
 
@@ -103,17 +94,15 @@ def _draw_probabilities(figure: Any, gap: Gap) -> None:
 def _draw_closed_shares(figure: Any, gap: Gap) -> None:
     """Share of the mismatch that each of the likeliest causes removes, with its 95 % interval."""
     top_causes = gap.causes[:MAX_CAUSES]
-    closed_percentages = [100 * min(max(top_cause.explained, 0.0), 1.0) for top_cause in top_causes]
+    closed_percent = [100 * min(max(top_cause.explained, 0.0), 1.0) for top_cause in top_causes]
     intervals_percent = 100 * np.clip([top_cause.interval_95 for top_cause in top_causes], 0, 1)
     cause_names = [_cause_lines(cause_name(top_cause)) for top_cause in top_causes]
-    axes = _horizontal_bar_axes(figure, cause_names, closed_percentages, [""] * len(top_causes), BLUE)
-    for bar_index, (cause, (lower_percent, upper_percent)) in enumerate(
-        zip(top_causes, intervals_percent, strict=True)
-    ):
-        axes.plot([lower_percent, upper_percent], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
+    axes = _bar_axes(figure, cause_names, closed_percent, [""] * len(top_causes), BLUE)
+    for bar_index, (cause, (lower, upper)) in enumerate(zip(top_causes, intervals_percent, strict=True)):
+        axes.plot([lower, upper], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
         axes.annotate(
             removed_share_words(cause),
-            (max(upper_percent, closed_percentages[bar_index]), bar_index),
+            (max(upper, closed_percent[bar_index]), bar_index),
             (6, 0),
             textcoords="offset points",
             va="center",
@@ -126,18 +115,12 @@ def _draw_closed_shares(figure: Any, gap: Gap) -> None:
 def _draw_experiments(figure: Any, gap: Gap) -> None:
     """Expected gain of each further recording in the log odds of the true one of two causes."""
     next_experiments = gap.next_experiments
-    log_odds_gains = [experiment.log_odds for experiment in next_experiments]
+    gains = [experiment.log_odds for experiment in next_experiments]
     experiment_words = [
         experiment.words + " (reference)" * (experiment.words == SAME_EXPERIMENT) for experiment in next_experiments
     ]
-    bar_colours = [GREY if experiment.words == SAME_EXPERIMENT else BLUE for experiment in next_experiments]
-    axes = _horizontal_bar_axes(
-        figure,
-        experiment_words,
-        log_odds_gains,
-        [f"{log_odds_gain:.1f}" for log_odds_gain in log_odds_gains],
-        bar_colours,
-    )
+    colours = [GREY if experiment.words == SAME_EXPERIMENT else BLUE for experiment in next_experiments]
+    axes = _bar_axes(figure, experiment_words, gains, [f"{gain:.1f}" for gain in gains], colours)
     axes.axvline(LOG_ODDS_95, color=INK, lw=1.2, ls="--", label="turns even odds into 95 %")
     axes.margins(x=0.12)
     axes.set(xlabel="expected gain of the log odds of the true one (natural logarithm)")
@@ -171,33 +154,33 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
             0.6 + 1.5 * len(attribution.positions_m),
             partial(_draw_positions, shares_by_body=attribution.positions_m),
         )
-    if any(share_item.share for share_item in attribution.band_hz):
+    if any(s.share for s in attribution.band_hz):
         yield (
             "band",
             _HEIGHT_IN,
-            partial(_draw_share_row, interval_shares=attribution.band_hz, title="By frequency", x_label="band, Hz"),
+            partial(_draw_share_row, shares=attribution.band_hz, title="By frequency", x_label="band, Hz"),
         )
-    for picture_name, share_by_part, title in (
+    for picture_name, shares, title in (
         ("channels", attribution.channels, "By channel"),
         ("modal_equations", attribution.modal_equations, "By modal equation"),
         ("parts", attribution.parts, "Linear structure or contact laws"),
         ("contact_state", attribution.contact_state, "By contact state"),
     ):
-        if any(share_by_part.values()):
+        if any(shares.values()):
             yield (
                 picture_name,
-                _FRAME_IN + _ROW_IN * len(share_by_part),
-                partial(_draw_share_bars, share_by_part=share_by_part, title=title),
+                _FRAME_IN + _ROW_IN * len(shares),
+                partial(_draw_share_bars, share_by_part=shares, title=title),
             )
-    if any(share_item.share for share_item in attribution.time_s):
+    if any(s.share for s in attribution.time_s):
         yield (
             "time",
             _HEIGHT_IN,
-            partial(_draw_share_row, interval_shares=attribution.time_s, title="Over time", x_label="time, s"),
+            partial(_draw_share_row, shares=attribution.time_s, title="Over time", x_label="time, s"),
         )
-    for surface_number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
+    for number, (contact_name, residual_map) in enumerate(attribution.surface.items(), 1):
         yield (
-            f"surface_{surface_number}",
+            f"surface_{number}",
             _HEIGHT_IN,
             partial(_draw_surface, residual_map=residual_map, contact_name=contact_name),
         )
@@ -205,9 +188,9 @@ def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float
 
 def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str) -> None:
     percentages = [100 * share for share in share_by_part.values()]
-    axes = _horizontal_bar_axes(
+    axes = _bar_axes(
         figure,
-        [_shortened_name(part_name) for part_name in share_by_part],
+        [_shortened_name(part) for part in share_by_part],
         percentages,
         [f"{share:.1f}" for share in percentages],
         BLUE,
@@ -217,24 +200,13 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
     figure.suptitle(title, fontsize=10)
 
 
-def _draw_share_row(figure: Any, interval_shares: Sequence[Share], title: str, x_label: str) -> None:
+def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: str) -> None:
     axes = figure.subplots()
-    axes.bar(
-        np.arange(len(interval_shares)),
-        [100 * interval_share.share for interval_share in interval_shares],
-        width=0.85,
-        color=BLUE,
-    )
-    labelled_slice = slice(None, None, -(-len(interval_shares) // MAX_LABELS))
-    interval_names = [
-        _shortened_name(f"{interval_share.begin:.3g} to {interval_share.end:.3g}") for interval_share in interval_shares
-    ]
+    axes.bar(np.arange(len(shares)), [100 * s.share for s in shares], width=0.85, color=BLUE)
+    labelled = slice(None, None, -(-len(shares) // MAX_LABELS))
+    interval_names = [_shortened_name(f"{s.begin:.3g} to {s.end:.3g}") for s in shares]
     axes.set_xticks(
-        np.arange(len(interval_shares))[labelled_slice],
-        interval_names[labelled_slice],
-        rotation=40,
-        ha="right",
-        rotation_mode="anchor",
+        np.arange(len(shares))[labelled], interval_names[labelled], rotation=40, ha="right", rotation_mode="anchor"
     )
     axes.grid(axis="x", visible=False)
     axes.set(xlabel=x_label, ylabel="share of the gap, %", title=title)
@@ -282,7 +254,7 @@ def _cause_lines(cause_title: str) -> str:
     return "\n".join([_shortened_name(first_effect), *(_shortened_name(f"+ {effect}") for effect in further_effects)])
 
 
-def _horizontal_bar_axes(
+def _bar_axes(
     figure: Any, bar_names: Sequence[str], bar_lengths: Sequence[float], bar_labels: Sequence[str], colours: Any
 ) -> Any:
     """Axes with horizontal bars, the first on top, and a label at the end of each."""

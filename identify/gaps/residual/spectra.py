@@ -327,18 +327,18 @@ def _period_of(forces_n: Float[np.ndarray, "forces samples"]) -> int | None:
 
 
 def _add_eta_above_band(
-    eta_above_band: Complex[np.ndarray, "contacts lines"],
+    eta_above: Complex[np.ndarray, "contacts lines"],
     rig: Rig,
     sensor: Sensor,
     sensor_spectrum: Complex[np.ndarray, " lines"],
     omega_above_band: Float[np.ndarray, " lines"],
 ) -> None:
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
-    for contact_index, contact in enumerate(rig.contacts):
+    for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
             if sensor.station == station:
                 in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
-                eta_above_band[contact_index] += (
+                eta_above[j] += (
                     sign
                     * in_passband
                     * sensor_spectrum

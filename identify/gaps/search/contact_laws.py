@@ -108,20 +108,16 @@ def _unmodelled_part(rig: Rig) -> str:
 def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
     """Pooled estimate of a contact from those records that determine most of its quantities."""
     largest_quantity_count = max(len(estimate.quantity_values) for estimate in estimates)
-    comparable_estimates = [
-        estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count
-    ]
-    comparable_estimates = [
-        estimate
-        for estimate in comparable_estimates
-        if np.array_equal(estimate.quantity_weights, comparable_estimates[0].quantity_weights)
+    comparable = [estimate for estimate in estimates if len(estimate.quantity_values) == largest_quantity_count]
+    comparable = [
+        estimate for estimate in comparable if np.array_equal(estimate.quantity_weights, comparable[0].quantity_weights)
     ]
     pooled_values, pooled_covariance = _pooled_values(
-        [(item.quantity_values, item.covariance, item.tolerance_covariance) for item in comparable_estimates]
+        [(item.quantity_values, item.covariance, item.tolerance_covariance) for item in comparable]
     )
-    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable_estimates], axis=0)
+    shared_covariance = np.mean([estimate.tolerance_covariance for estimate in comparable], axis=0)
     return replace(
-        comparable_estimates[0],
+        comparable[0],
         quantity_values=pooled_values,
         covariance=pooled_covariance,
         tolerance_covariance=shared_covariance,
@@ -196,17 +192,15 @@ def _law_change(hypothesis: Hypothesis, nominal_rig: Rig) -> LawChange | None:
     dead_zone_numbers = [numbers for numbers in law_numbers_by_step if numbers is not None]
     if len(dead_zone_numbers) < len(law_numbers_by_step) or not step_sizes.size:
         return None
-    number_derivatives = np.array(
+    derivatives = np.array(
         [
-            (numbers - dead_zone_numbers[0]) / derivative_step
-            for numbers, derivative_step in zip(dead_zone_numbers[1:], step_sizes, strict=True)
+            (numbers - dead_zone_numbers[0]) / step
+            for numbers, step in zip(dead_zone_numbers[1:], step_sizes, strict=True)
         ]
     )
-    free_parameters = np.flatnonzero(np.any(number_derivatives, axis=(1, 2)))
+    free_parameters = np.flatnonzero(np.any(derivatives, axis=(1, 2)))
     return (
-        LawChange(dead_zone_numbers[0], number_derivatives[free_parameters], free_parameters)
-        if free_parameters.size
-        else None
+        LawChange(dead_zone_numbers[0], derivatives[free_parameters], free_parameters) if free_parameters.size else None
     )
 
 

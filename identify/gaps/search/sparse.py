@@ -256,7 +256,7 @@ def _promising_terms(
     for term_index in np.argsort(-promised_decreases):
         term = model.candidate_terms[term_index]
         same_effects = [c for c in selected_candidates if c.name == term.candidate.name]
-        largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strengths) else 1
+        largest_equal_count = MAX_EQUAL_EFFECTS if len(term.candidate.parameters) > len(term.strength_indices) else 1
         if len(promising_terms) == SOLVED_CANDIDATES or promised_decreases[term_index] <= 0:
             break
         place_count = sum(promising_term.candidate is term.candidate for promising_term in promising_terms)

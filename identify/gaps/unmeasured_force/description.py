@@ -76,7 +76,7 @@ def _force_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         rms_n=force_size.rms_value,
         amplitude_n=_amplitude_n(tone_law) if tone_law else None,
         when=time_pattern,
-        before_excitation=timing.rms_before_excitation,
+        before_excitation=timing.before_excitation_ratio,
         by_time=timing.rms_by_interval,
         against="none" if force_law is None or tone_law else force_law.form.argument,
         law_name="" if force_law is None else force_law.form.name,
@@ -176,14 +176,14 @@ def _power_band_hz(whitened: WhitenedRecord, band_power: Float[np.ndarray, " ban
 
 @dataclass(frozen=True)
 class _Timing:
-    """Time pattern of a force: rms_by_interval and rms_before_excitation as in `UnmeasuredForce`.
+    """Time pattern of a force: rms_by_interval and before_excitation_ratio go to `UnmeasuredForce`.
 
     in_contact_share is the part of its sum of squares while a contact is closed; zero if one nearly always is.
     """
 
     in_contact_share: float
     rms_by_interval: tuple[float, ...]
-    rms_before_excitation: float
+    before_excitation_ratio: float
 
     @property
     def pattern(self) -> When:
@@ -214,7 +214,7 @@ def _time_pattern(history: ForceHistory) -> _Timing:
             float(np.sqrt(np.mean(interval_squares)))
             for interval_squares in np.array_split(force_squares[is_excited], PARTS)
         ),
-        rms_before_excitation=float(
+        before_excitation_ratio=float(
             np.sqrt(np.mean(force_squares[~is_excited]) / max(float(np.mean(force_squares[is_excited])), 1e-300))
         )
         if starts_quiet
@@ -254,7 +254,9 @@ def _sentence(force_law: ForceLaw | None, size: _Size, timing: _Timing, place_te
             "in contact": ", while contacts are closed",
             "growing with time": ", growing with time",
         }
-        noun = "a random force" if timing.rms_before_excitation > RANDOM_RATIO else "a force by no law that was tried,"
+        noun = (
+            "a random force" if timing.before_excitation_ratio > RANDOM_RATIO else "a force by no law that was tried,"
+        )
         return (
             f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms_value:.2g} N rms, "
             f"{place_text}{timing_text[timing.pattern]}"

@@ -79,18 +79,16 @@ def fit_form(
 ) -> ForceLaw:
     """Law without slow motion: coefficients by least squares, the parameter by bounded minimisation, whose standard
     error follows from the curvature of the gain."""
-    lower_bound, upper_bound = parameter_bounds or law_form.parameter_range
+    lower, upper = parameter_bounds or law_form.parameter_range
     parameter, parameter_error = 0.0, 0.0
-    if law_form.parameter_name and lower_bound == upper_bound:
-        parameter = lower_bound
+    if law_form.parameter_name and lower == upper:
+        parameter = lower
     elif law_form.parameter_name:
         minimum = minimize_scalar(
-            lambda trial_value: -solve_form(history, law_form, trial_value)[1],
-            bounds=(lower_bound, upper_bound),
-            method="bounded",
+            lambda p: -solve_form(history, law_form, p)[1], bounds=(lower, upper), method="bounded"
         )
         parameter = float(minimum.x)
-        parameter_step = 1e-3 * (upper_bound - lower_bound)
+        parameter_step = 1e-3 * (upper - lower)
         gains_around = [
             solve_form(history, law_form, parameter + step_count * parameter_step)[1] for step_count in (-1, 0, 1)
         ]
@@ -144,19 +142,15 @@ def _start_descent(history: ForceHistory, law_form: ForceLawForm) -> "tuple[Desc
     """Descent of a slow form from the best parameter of a grid without slow motion, at the first two `LAW_ERRORS`."""
     soft_history = with_law_error(history, LAW_ERRORS[0])
     largest_displacement_m = float(np.abs(history.displacement_m * (history.oversampled(history.time_gate) > 0)).max())
-    lower_bound, upper_bound = (share * largest_displacement_m for share in law_form.parameter_range)
+    lower, upper = (share * largest_displacement_m for share in law_form.parameter_range)
     parameter = 0.0
     if law_form.parameter_name:
-        parameter_grid = (
-            np.geomspace(lower_bound, upper_bound, GRID)
-            if lower_bound > 0
-            else np.linspace(lower_bound, upper_bound, GRID)
-        )
+        parameter_grid = np.geomspace(lower, upper, GRID) if lower > 0 else np.linspace(lower, upper, GRID)
         parameter = max(
             (float(grid_value) for grid_value in parameter_grid),
             key=lambda grid_value: solve_form(soft_history, law_form, grid_value)[1],
         )
-    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (lower_bound, upper_bound))
+    descent = _descent_of_form(soft_history, law_form, largest_displacement_m, (lower, upper))
     iterate, _ = descent.descend(descent.start_iterate(parameter))
     descent = replace(descent, history=with_law_error(history, LAW_ERRORS[1]))
     return descent, *descent.descend(iterate)

@@ -143,22 +143,16 @@ def offset_m(rig: Rig, from_body_name: str, to_body_name: str) -> float:
     return float(np.median(offsets_m)) if offsets_m else 0.0
 
 
-def _shifted_place(force_place: ForcePlace, shift_m: float) -> ForcePlace:
-    return replace(
-        force_place,
-        stations=tuple(Station(station.body, station.position_m + shift_m) for station in force_place.stations),
-    )
+def _shifted_place(place: ForcePlace, shift_m: float) -> ForcePlace:
+    return replace(place, stations=tuple(Station(s.body, s.position_m + shift_m) for s in place.stations))
 
 
-def _shift_range_m(rig: Rig, force_place: ForcePlace) -> tuple[float, float]:
+def _shift_range_m(rig: Rig, place: ForcePlace) -> tuple[float, float]:
     """Lowest and highest shift (m) with which every station stays on its body."""
-    body_lengths_m = [rig.body(station.body).length_m for station in force_place.stations]
+    lengths_m = [rig.body(s.body).length_m for s in place.stations]
     return (
-        max(-station.position_m for station in force_place.stations),
-        min(
-            body_length_m - station.position_m
-            for station, body_length_m in zip(force_place.stations, body_lengths_m, strict=True)
-        ),
+        max(-s.position_m for s in place.stations),
+        min(length_m - s.position_m for s, length_m in zip(place.stations, lengths_m, strict=True)),
     )
 
 
@@ -202,29 +196,17 @@ def _refine_position(located_force: LocatedForce) -> LocatedForce:
             )
         return evidence_by_shift[shift_m].criterion
 
-    lowest_shift_m, highest_shift_m = _shift_range_m(whitened.record.rig, force_place)
+    lowest_m, highest_m = _shift_range_m(whitened.record.rig, force_place)
     best_shift_m, step_m = 0.0, SPACING_M / 2
     while True:
-        shifts_m = [
-            float(np.clip(best_shift_m + step_number * step_m, lowest_shift_m, highest_shift_m))
-            for step_number in (-1, 0, 1)
-        ]
+        shifts_m = [float(np.clip(best_shift_m + k * step_m, lowest_m, highest_m)) for k in (-1, 0, 1)]
         best_shift_m = min(shifts_m, key=criterion_at)
         if step_m <= FINE_M:
             break
-        vertex_m = float(
-            np.clip(
-                _parabola_vertex(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m]),
-                lowest_shift_m,
-                highest_shift_m,
-            )
-        )
+        vertex_m = float(np.clip(_parabola_vertex(shifts_m, [criterion_at(x) for x in shifts_m]), lowest_m, highest_m))
         best_shift_m, step_m = min((best_shift_m, vertex_m), key=criterion_at), step_m / 3.5
-    shifts_m = [
-        float(np.clip(best_shift_m + step_number * 2 * FINE_M, lowest_shift_m, highest_shift_m))
-        for step_number in (-2, -1, 0, 1, 2)
-    ]
-    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(trial_shift_m) for trial_shift_m in shifts_m], 2)[0])
+    shifts_m = [float(np.clip(best_shift_m + k * 2 * FINE_M, lowest_m, highest_m)) for k in (-2, -1, 0, 1, 2)]
+    curvature = 2 * float(np.polyfit(shifts_m, [criterion_at(x) for x in shifts_m], 2)[0])
     position_error_m = float(np.sqrt(2 / curvature)) if curvature > 0 else SPACING_M
     best_place = _shifted_place(force_place, best_shift_m)
     return replace(
@@ -237,10 +219,10 @@ def _parabola_vertex(positions_m: list[float], ordinates: list[float]) -> float:
     """Minimum of the parabola through three points within their range, or the lowest point if it has none."""
     if len(set(positions_m)) < 3:
         return positions_m[int(np.argmin(ordinates))]
-    quadratic_coefficient, linear_coefficient, _ = np.polyfit(positions_m, ordinates, 2)
+    quadratic, linear, _ = np.polyfit(positions_m, ordinates, 2)
     return (
-        float(np.clip(-linear_coefficient / (2 * quadratic_coefficient), positions_m[0], positions_m[-1]))
-        if quadratic_coefficient > 0
+        float(np.clip(-linear / (2 * quadratic), positions_m[0], positions_m[-1]))
+        if quadratic > 0
         else positions_m[int(np.argmin(ordinates))]
     )
 
@@ -286,8 +268,7 @@ def _locate_drift(
             no_response = np.zeros(whitened.whitened_residual.shape, dtype=complex)
             covariance = np.linalg.inv(nuisance_equations(with_drift_columns, with_force.noise_variance)[0])
             growth_errors = tuple(
-                float(growth_error)
-                for growth_error in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
+                float(e) for e in np.sqrt(np.diag(covariance)[-len(drifting_bodies) :]) * column_scales
             )
             drift_place = ForcePlace("distributed", body_names=drifting_bodies)
             best_drift = LocatedForce(

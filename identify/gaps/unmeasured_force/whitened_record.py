@@ -287,21 +287,16 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
 
 
 def _measured_accelerations(
-    record: Record, model: Linear, response: Response, modelled_accelerations: Complex[np.ndarray, "modes lines"]
+    record: Record, model: Linear, response: Response, modelled: Complex[np.ndarray, "modes lines"]
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations: the lowest as the sensors show them, the others, and what is badly observed, as modelled."""
     inverse_shapes = modal_inverse(record, response)
     mode_count = len(inverse_shapes)
     unexplained_accelerations = (
         record.acceleration_signals / model.sensor_response
-        - response.shapes([s.station for s in record.sensors]) @ modelled_accelerations
+        - response.shapes([s.station for s in record.sensors]) @ modelled
     )
-    return np.concatenate(
-        [
-            modelled_accelerations[:mode_count] + inverse_shapes @ unexplained_accelerations,
-            modelled_accelerations[mode_count:],
-        ]
-    )
+    return np.concatenate([modelled[:mode_count] + inverse_shapes @ unexplained_accelerations, modelled[mode_count:]])
 
 
 def _band_starts(line_omegas: Float[np.ndarray, " lines"]) -> Int[np.ndarray, " bands"]:

@@ -114,7 +114,7 @@ def misfit_of_costs(other_costs: float, law: float, peak: float = 1.0) -> Misfit
     """-2 ln p of the contacts, of the rest, and the part of the worst band."""
     bare = misfit_of_level(1.0)
     misfit = replace(bare, freedom_cost=other_costs - (bare.minus_two_log - bare.contact_cost))
-    vars(misfit).update(law=law, peak=peak)
+    vars(misfit).update(contact_cost=law, peak_band_cost=peak)
     return misfit
 
 
