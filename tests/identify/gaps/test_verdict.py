@@ -39,7 +39,7 @@ RIG = BarrelCradle(sensors="acceleration", noise_density=1e-3).rig()
 def test_a_force_at_the_place_of_an_effect_is_its_rival(effect, force, is_rival):
     sensor = RIG.sensors[3].name
     rig = effect_named(effect.format(sensor=sensor)).applied_to(RIG)
-    if force.sensor:
+    if force.sensor_name:
         force = ForcePlace("sensor", sensor_name=sensor)
     assert acts_at_effects(force, RIG, rig) is is_rival
 
