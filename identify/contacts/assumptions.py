@@ -58,15 +58,15 @@ def assumptions(result: Identification) -> Iterator[str]:
         yield "rig.json is believed exactly: no tolerances."
     places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
-    if idle := [s.name for s in rig.sensors if s.name not in report.channels_used]:
-        yield f"Channels not used: {', '.join(idle)}."
+    if unused_channels := [s.name for s in rig.sensors if s.name not in report.channels_used]:
+        yield f"Channels not used: {', '.join(unused_channels)}."
     low, high = report.trusted_hz
     yield (
         f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
         f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
-    if motion.carried:
+    if motion.slow_by_gauges:
         yield (
             "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
             "slow displacements of the linear bodies."

@@ -105,12 +105,12 @@ def separated_forces(
     record = SeparationInput(rig, motion, factor, noise, tolerances, gauges, from_rest)
     if gauges.sensors and not motion.zero_known:
         try:
-            forces = _separated(record, carried=True)
+            forces = _separated(record, slow_by_gauges=True)
         except RigError:
             forces = None
         if forces and forces.slow and forces.slow.is_quiet(rig, forces.force_n):
             return forces
-    return _separated(record, carried=False)
+    return _separated(record, slow_by_gauges=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,16 +134,16 @@ class _Weighted:
     noise_m: Float[np.ndarray, " contacts"]
 
 
-def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
+def _weighted(record: SeparationInput, slow_by_gauges: bool) -> _Weighted:
     """Weights of the contact forces, again with the hidden and the slow modes where the first forces move some.
 
     Raises RigError as `separated_forces`, and if a body is not held whose slow motion shall be carried.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
     force_count, padding = len(rig.inputs), lines.length / motion.samples
-    responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or carried)
+    responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
     floats = {r.body.name: not is_held(r) for r in responses}
-    if carried and any(floats.values()):
+    if slow_by_gauges and any(floats.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
     in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
     by_input = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
@@ -167,7 +167,7 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
         if not record.from_rest:
             initial = initial_states(responses, motion, in_metres, lines, sensor_response * by_input, errors)
             unexplained = unexplained - initial.delivered
-        if carried:
+        if slow_by_gauges:
             by_contacts = by_input[force_count:]
             corner_hz, noise_m = quietest_corner(record.signs, by_contacts, to_force, noise_power * padding, lines)
         if modes_hidden:
@@ -190,15 +190,15 @@ def _weighted(record: SeparationInput, carried: bool) -> _Weighted:
     )
 
 
-def _separated(record: SeparationInput, carried: bool) -> ContactForces:
+def _separated(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
     """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as `_weighted`."""
     rig, motion, factor, lines = record.rig, record.motion, record.factor, record.lines
-    weighted, rate = _weighted(record, carried), motion.sample_rate_hz
+    weighted, rate = _weighted(record, slow_by_gauges), motion.sample_rate_hz
     to_force, initial = weighted.to_force, weighted.initial
     contact_spectra = weighted_stations(to_force, weighted.unexplained)
     end_left_out_s = END_LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     model, slow = None, None
-    if carried:
+    if slow_by_gauges:
         observed, corner_hz = weighted.observed, weighted.corner_hz
         model = slow_model(rig, motion, lines, corner_hz, weighted.by_input, observed)
         end_left_out_s = max(end_left_out_s, TAPER_S + 2 / corner_hz)

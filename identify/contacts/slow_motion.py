@@ -127,7 +127,7 @@ class SlowMotion:
             lost_m_per_s2=np.zeros_like(motion.lost_m_per_s2),
             zero_known=True,
             trusted_hz=(0.0, motion.trusted_hz[1]),
-            carried=True,
+            slow_by_gauges=True,
         )
 
     def is_quiet(self, rig: Rig, force_n: Float[np.ndarray, "contacts samples"]) -> bool:

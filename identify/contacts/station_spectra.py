@@ -212,7 +212,7 @@ def initial_states(
     start_spectra, end_spectra = spectra_of(untapered, samples), spectra_of(untapered, silent_samples)
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
     measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
-    is_held = np.array([m.is_held for m in motions])
+    is_spring_held = np.array([m.is_held for m in motions])
     states = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
         np.concatenate([at_start[0], at_end[0]]),
@@ -222,4 +222,4 @@ def initial_states(
         errors.chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         correlated_line_count=lines.correlated_line_count,
     )
-    return states.initial_states(spectra_of(lines, samples), np.flatnonzero(is_held))
+    return states.initial_states(spectra_of(lines, samples), np.flatnonzero(is_spring_held))

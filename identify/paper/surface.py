@@ -79,10 +79,10 @@ def fit_surface(
     errors are sandwich estimates, which allow for residuals correlated within a sixteenth of the record. Both sides are
     low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
-    fitted_contacts = [
+    contacts_to_fit = [
         (j, s) for j, (s, is_visible) in enumerate(zip(start_stops, equation.visible, strict=True)) if is_visible and s
     ]
-    contact_indices = [j for j, _ in fitted_contacts]
+    contact_indices = [j for j, _ in contacts_to_fit]
     measured_force = decimated(restoring_force(equation, force_n), decimation)
     linear_columns = decimated(np.stack([equation.velocity, equation.displacement]), decimation)
 
@@ -99,7 +99,7 @@ def fit_surface(
 
     largest_m = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in contact_indices]).ravel()
     scale_m = np.maximum(largest_m, 1e-12)
-    start_m = np.array([x for _, s in fitted_contacts for x in (s.lower_m, s.upper_m)])
+    start_m = np.array([x for _, s in contacts_to_fit for x in (s.lower_m, s.upper_m)])
     solution = least_squares(
         lambda s: residual_force(s * scale_m),
         np.clip(start_m / scale_m, 0.0, 0.98),
@@ -126,7 +126,7 @@ def fit_surface(
             variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
             lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
             lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
-            is_touched = fitted_contacts[i][1].touched
+            is_touched = contacts_to_fit[i][1].touched
             fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, is_touched)
     return Surface(
         equation, decimation, measured_force, fitted_force, contact_forces, tuple(fitted_stops), stiffness_n_per_m

@@ -39,8 +39,8 @@ class Kinematics:
     sensors are those of each station's acceleration, displaced_by those of its displacement. Every row is right within
     trusted_hz. zero_known is False if a constant displacement cannot be seen. lost_m_per_s2 is the slow part of the
     acceleration that an integrated displacement at a contact lacks, zero elsewhere. excited_from is the first sample
-    with a force, 0 without a quiet start. start_s is the time of the first sample in the record. carried is True if
-    strain gauges gave the slow displacements.
+    with a force, 0 without a quiet start. start_s is the time of the first sample in the record. slow_by_gauges is True
+    if strain gauges gave the slow displacements.
 
     Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
     inertial force on each kilogram, minus the base's acceleration (N/kg).
@@ -60,7 +60,7 @@ class Kinematics:
     lost_m_per_s2: Float[np.ndarray, "stations samples"]
     excited_from: int
     start_s: float = 0.0
-    carried: bool = False
+    slow_by_gauges: bool = False
     base: MeasuredBase | None = None
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:

@@ -169,7 +169,7 @@ def _modal_accelerations(record: Record, model: Linear) -> list[Complex[np.ndarr
 
 def apply_nuisance(
     rig: Rig,
-    parameters: tuple[Nuisance, ...],
+    nuisance_parameters: tuple[Nuisance, ...],
     pulls: Float[np.ndarray, " nuisances"],
     tolerances: Tolerances,
 ) -> tuple[Rig, Float[np.ndarray, " nuisances"]]:
@@ -185,13 +185,13 @@ def apply_nuisance(
         Nuisance(kind, name) for name in tuned_names for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
     }
     applied_kinds |= {Nuisance(NuisanceKind.GAIN, s.name) for s in rig.sensors if s.station.body in mass_names}
-    applied_pulls = np.where([parameter in applied_kinds for parameter in parameters], pulls, 0.0)
-    return with_nuisance(rig, parameters, applied_pulls, tolerances), applied_pulls
+    applied_pulls = np.where([parameter in applied_kinds for parameter in nuisance_parameters], pulls, 0.0)
+    return with_nuisance(rig, nuisance_parameters, applied_pulls, tolerances), applied_pulls
 
 
 def with_nuisance(
     rig: Rig,
-    parameters: tuple[Nuisance, ...],
+    nuisance_parameters: tuple[Nuisance, ...],
     pulls: Float[np.ndarray, " nuisances"],
     tolerances: Tolerances,
 ) -> Rig:
@@ -200,7 +200,7 @@ def with_nuisance(
     Stations are kept, as they link a contact to its sensors; so are single modes, high-passes and single gains of
     several forces.
     """
-    pull_by_parameter = dict(zip(parameters, pulls.tolist(), strict=True))
+    pull_by_parameter = dict(zip(nuisance_parameters, pulls.tolist(), strict=True))
 
     def factor(kind: NuisanceKind, owner: str, tolerance: float) -> float:
         return float(max(0.1, 1 + tolerance * pull_by_parameter.get(Nuisance(kind, owner), 0.0)))

@@ -41,8 +41,8 @@ class UffFile:
     path: Path
     sets: Mapping[int, list[dict[str, Any]]]
     nodes_m: Mapping[int, Float[np.ndarray, " 3"]]
-    length: float
-    force: float
+    length_factor: float
+    force_factor: float
 
     def wrong(self, sentence: str) -> RigError:
         return RigError(f"{self.path}: {sentence}")
@@ -212,7 +212,7 @@ def _mode(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
             "scale the shapes to unit modal mass and export them again"
         )
     # x = phi q: of length and force units in which the energies m q'^2 / 2 are, phi / sqrt(m) in 1/sqrt(kg)
-    si = np.sqrt(file.force / file.length) / np.sqrt(mass)
+    si = np.sqrt(file.force_factor / file.length_factor) / np.sqrt(mass)
     vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * si
     if not np.isfinite(vectors).all():
         raise file.wrong(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
@@ -332,8 +332,8 @@ def _unit_factors(file: UffFile, frf: Mapping[str, Any], quantity: str) -> tuple
     response = response.split("/N")[0].strip("() ") if not force or force == "NONE" else response
     try:
         return (
-            si_factor(quantity, response) if response not in ("", "NONE") else 1 / file.length,
-            si_factor("force", force) if force not in ("", "NONE") else 1 / file.force,
+            si_factor(quantity, response) if response not in ("", "NONE") else 1 / file.length_factor,
+            si_factor("force", force) if force not in ("", "NONE") else 1 / file.force_factor,
         )
     except RigError as error:
         raise file.wrong(str(error)) from error

@@ -14,7 +14,7 @@ from identify.contacts.acceptance import find_contacts
 from identify.contacts.refusals import RefusalCode, RemedyCode
 from rig.errors import RigError
 from rig.model.contact_laws import DeadZone
-from rig.model.description import PointMass, Station
+from rig.model.description import PointDamper, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, read, truth_path
 from rig.simulation.plants import modal
@@ -125,11 +125,11 @@ def test_progress_only_grows(identification, progress):
 
 
 def test_what_the_linear_model_leaves_out_is_refused(without_truth):
-    heavier = msgspec.structs.replace(
-        without_truth.rig, masses=(PointMass(station=Station("barrel", 0.5), mass_kg=0.5),)
+    damped = msgspec.structs.replace(
+        without_truth.rig, dampers=(PointDamper(station=Station("barrel", 0.5), damping_n_s_per_m=5.0),)
     )
-    with pytest.raises(RigError, match="'barrel_cradle' has masses, which the identification does not know"):
-        identify_contact(replace(without_truth, rig=heavier))
+    with pytest.raises(RigError, match="'barrel_cradle' has dampers, which the identification does not know"):
+        identify_contact(replace(without_truth, rig=damped))
 
 
 def test_accelerometers_alone_tell_the_play_but_not_its_sides(without_truth):
@@ -174,7 +174,7 @@ def test_a_contact_that_is_never_reached_is_not_answered(tmp_path):
     assert result.report.contacts == ()
     (silent,) = result.report.unanswered
     assert silent.name == "stop"
-    assert (silent.code, silent.remedy) == (RefusalCode.HARDLY_CLOSES, RemedyCode.EXCITE_MORE)
+    assert (silent.code, silent.remedy) == (RefusalCode.HARDLY_CLOSES, RemedyCode.EXCITE_MORE_OR_QUIETER)
     assert result.outcomes.refusals["stop"].sentence == silent.reason
     assert result.stops == (None,)
     assert result.report.surface.histogram == ()
