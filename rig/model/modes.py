@@ -1,5 +1,6 @@
 """Modes of a body with its attachments: point masses, springs, supports, a compliant clamp."""
 
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -144,7 +145,12 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     condensed_body = structure_of(
         body.name, body.length_m, modes.frequencies_hz(count), modes.damping_ratios(count), positions_m, shapes
     )
-    return msgspec.structs.replace(condensed_body, has_axis=getattr(body, "has_axis", True))
+    participations: tuple[float, ...] = ()
+    with suppress(RigError):  # a modal basis of a held body may not say
+        participations = tuple(participation(rig, body, modes, count).tolist())
+    return msgspec.structs.replace(
+        condensed_body, has_axis=getattr(body, "has_axis", True), participations=participations
+    )
 
 
 def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:

@@ -32,7 +32,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     A mode of frequency 0 is a rigid-body motion. Places are metres from the left end, of a body `length_m` long. Only
     at the given places is a shape exact: a cubic spline (scipy.interpolate.CubicSpline) stands for it between them,
     a straight line beyond the first and the last. Where the places have no common axis (has_axis is false), positions
-    only number them: between them the nearest one's shapes hold, and slopes are zero.
+    only number them: between them the nearest one's shapes hold, and slopes are zero. The participations of the modes
+    in a motion of the base, the integrals of their shapes over the mass (sqrt(kg)), are known for a free body, and have
+    to be given for one that is held, if its base moves.
     """
 
     is_mass: ClassVar[bool] = False
@@ -44,6 +46,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     ratios: tuple[float, ...] = msgspec.field(name="damping_ratios")
     rows: tuple[ShapeRow, ...] = msgspec.field(name="shapes")
     has_axis: bool = True
+    participations: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.length_m) and self.length_m > 0):
@@ -62,6 +65,13 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         for ratio in self.ratios:
             if not (np.isfinite(ratio) and ratio >= 0):
                 raise self._wrong(f"a damping ratio is {ratio}; give finite values, zero or above")
+        if self.participations and len(self.participations) != len(self.natural_hz):
+            raise self._wrong(
+                f"there are {len(self.participations)} participations for {len(self.natural_hz)} frequencies_hz; give "
+                "one each, or none"
+            )
+        if any(not abs(value) <= LARGEST for value in self.participations):
+            raise self._wrong(f"participations are {self.participations}; give finite values in sqrt(kg)")
         self._check_rows()
 
     def _check_rows(self) -> None:
@@ -96,6 +106,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     @property
     def kind(self) -> str:
         modes_text = f"modal basis, {self.max_modes} modes"
+        if self.participations:
+            return modes_text
         try:
             return f"{modes_text}, {np.sum(self.translation() ** 2):.4g} kg"
         except RigError:
@@ -136,7 +148,9 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
         root = float(np.sqrt(factor))
         rows = (msgspec.structs.replace(r, values=tuple(v / root for v in r.values)) for r in self.rows)
-        return msgspec.structs.replace(self, rows=tuple(rows))
+        return msgspec.structs.replace(
+            self, rows=tuple(rows), participations=tuple(root * p for p in self.participations)
+        )
 
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
@@ -157,10 +171,13 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         return next((row.node for row in self.rows if abs(row.position_m - position_m) <= SAME_PLACE_M), None)
 
     def translation(self) -> Float[np.ndarray, " modes"]:
-        """Modal coordinates g of a unit translation, in sqrt(kg): sum_i phi_i(x) g_i = 1; g.g is the mass.
+        """Participations g of the modes in a translation of the base, in sqrt(kg).
 
-        They follow from the rigid-body modes. Raises RigError if there are none, or they do not contain a translation.
+        Of a free body they are the modal coordinates of a unit translation, sum_i phi_i(x) g_i = 1; g.g is its mass.
+        Raises RigError where none are given and the rigid-body modes do not contain a translation.
         """
+        if self.participations:
+            return np.array(self.participations)
         rigid = self.rigid_modes
         coordinates = np.zeros(self.max_modes)
         shapes = np.array([row.values for row in self.rows])[:, :rigid]
@@ -169,8 +186,8 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             coordinates[:rigid] = np.linalg.lstsq(shapes, unit, rcond=None)[0]
         if np.max(np.abs(shapes @ coordinates[:rigid] - unit)) > MAX_TRANSLATION_ERROR:
             raise self._wrong(
-                "its modal basis does not say how its mass follows a moving base; only that of a free body does, "
-                "whose rigid-body modes (0 Hz) are given"
+                "its modal basis does not say how its mass follows a moving base; give participations, in sqrt(kg), or "
+                "the rigid-body modes (0 Hz) of a free body"
             )
         return coordinates
 

@@ -185,6 +185,9 @@ def test_the_base_carries_a_free_structure_and_no_other():
     assert machine.base_motion == moving
     with pytest.raises(RigError, match="structure 'cradle': its modal basis does not say how its mass follows"):
         as_data(machine)
+    data = as_data(MACHINE)
+    with pytest.raises(RigError, match="there are 1 participations for 24 frequencies_hz; give one each, or none"):
+        msgspec.structs.replace(data.body("cradle"), participations=(1.0,))
 
 
 @pytest.mark.parametrize("name", ["youngs_modulus", "clamp_compliance", "contact_position"])

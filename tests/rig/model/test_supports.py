@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import PointSpring, Rig, Sensor, Station, Support, from_json, to_json
-from rig.model.modes import condensed, modes_of
+from rig.model.modes import condensed, modes_of, participation
 from rig.model.oscillator import Oscillator
 from rig.model.schema import rig_schema
 from rig.viewer.schematic import draw
@@ -54,6 +54,15 @@ def test_a_support_that_gives_is_a_spring():
     sprung = replace(held(), springs=(PointSpring(station=Station("beam", 0.7), stiffness_n_per_m=3e4),))
     given = held(BEAM, at(0.7, stiffness_n_per_m=3e4))
     np.testing.assert_array_equal(modes_of(given, BEAM).frequencies_hz(5), modes_of(sprung, BEAM).frequencies_hz(5))
+
+
+def test_a_condensed_body_follows_its_base_as_beam_theory_says():
+    """The first modes of a cantilever carry 61.31, 18.83 and 6.47 % of its mass (Blevins, Formulas for Natural
+    Frequency and Mode Shape, 1979); a spring of nothing makes it a body with an attachment."""
+    (body,) = condensed(held(BEAM, at(0.7, stiffness_n_per_m=1e-3))).bodies
+    shares = np.square(participation(held(body), body, body, 3)) / BEAM.mass_kg
+    np.testing.assert_allclose(shares, [0.6131, 0.1883, 0.0647], atol=2e-4)
+    assert from_json(to_json(held(body)), "rig.json").bodies == (body,)
 
 
 def test_a_condensed_body_has_the_modes_of_the_supported_one():
