@@ -261,7 +261,7 @@ def _version_4_blocks(content: bytes, least_values: int) -> Iterator[ColumnBlock
     if matfile_version(BytesIO(content))[0] != 0:  # scipy would read what was not taken for version 5 to 7
         raise UnreadableError("its header is damaged")
     for array_name, array in loadmat(BytesIO(content)).items():
-        if isinstance(array, np.ndarray) and array.dtype.array_class in "iuf":
+        if isinstance(array, np.ndarray) and array.dtype.kind in "iuf":
             yield from _matrix_block(array_name, array.shape, partial(np.asarray, array), least_values)
 
 
