@@ -127,6 +127,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         *(part for body in rig.bodies for part in _support(layout, body)),
         *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
         *(part for body in rig.bodies for part in _body(layout, body)),
+        *_supports(layout),
         *_sensors(layout),
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
@@ -235,6 +236,14 @@ def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
     for line_index, text_line in enumerate(text.lines):
         y_px = bottom_px + 30 + LINE_HEIGHT * (text.first_line + line_index)
         yield _text_element(text.x_px, y_px, text.anchor, text_line, "value" if line_index else "name")
+
+
+def _supports(layout: _Layout) -> Iterator[str]:
+    """Triangle below a body at every support, on hatched ground."""
+    for support in layout.rig.supports:
+        x_px, y_px = layout.x_px(support.station), layout.bottom_px(layout.rig.body(support.station.body))
+        yield _path_element("support", f"M{x_px:g},{y_px:g}l-7,14h14z", f"support at {support.station.position_m:g} m")
+        yield _path_element("thin", "".join(f"M{x_px - 8 + 6 * k:g},{y_px + 14:g}l-5,6" for k in range(4)))
 
 
 def _sensors(layout: _Layout) -> Iterator[str]:

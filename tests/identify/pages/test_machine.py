@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from identify.pages.machine import LETTER_WIDTH, WIDTH, DrawnMark, rig_drawing
-from rig.model.description import Station
+from rig.model.description import Station, Support
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
 
@@ -50,6 +50,14 @@ def test_stops_stand_at_the_places_of_the_contacts():
     assert barrel[0] - cradle[0] == pytest.approx(0.45 * cradle[1], abs=0.1)
     forks = [float(re.match(r"M([-0-9.]+)", p.get("d"))[1]) for p in svg.iter("path") if p.get("class") == "found"]
     assert max(forks) - min(forks) == pytest.approx(0.55 * cradle[1], abs=0.1)
+
+
+def test_a_support_stands_at_its_place_and_is_named_under_the_pointer():
+    svg = drawing(replace(BarrelCradle().rig(), supports=(Support(station=Station("cradle", 0.25)),)))
+    cradle, _ = ((float(b.get("x")), float(b.get("width"))) for b in svg.iter("rect"))
+    (triangle,) = (p for p in svg.iter("path") if p.get("class") == "support")
+    assert float(re.match(r"M([-0-9.]+)", triangle.get("d"))[1]) == pytest.approx(cradle[0] + cradle[1] / 4, abs=0.1)
+    assert triangle.findtext("title") == "support at 0.25 m"
 
 
 def test_every_sensor_is_named_under_the_pointer():
