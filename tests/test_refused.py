@@ -180,6 +180,7 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
 STUDIES = (
     "two beams, a blow that is not recorded",
     "two beams, base excitation",
+    "two stops on one mass that are believed alike",
 )
 """Cases of a quarter of a minute, whose codes other cases have too."""
 

@@ -184,11 +184,15 @@ def calibrated_temperature(cases: Sequence[Hypotheses]) -> Tempered:
     if not known:
         return Tempered(TEMPERATURE, TEMPERATURES, np.nan, np.nan, 0, len(cases))
     bounds = tuple(np.log(TEMPERATURES))
-    found = minimize_scalar(lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded")
+    found = minimize_scalar(
+        lambda t: -mean_log(float(np.exp(t))), bounds=bounds, method="bounded", options={"xatol": 1e-3}
+    )
     best = float(np.exp(found.x))
     least = mean_log(best) - float(chi2.ppf(0.95, 1)) / (2 * len(known))
     low, high = (
-        float(brentq(lambda t: mean_log(t) - least, *sorted((best, end)))) if mean_log(end) < least else end
-        for end in TEMPERATURES
+        float(np.exp(brentq(lambda log_t: mean_log(np.exp(log_t)) - least, end, np.log(best), xtol=1e-3)))
+        if mean_log(np.exp(end)) < least
+        else float(np.exp(end))
+        for end in bounds
     )
     return Tempered(best, (low, high), mean_log(best), mean_log(TEMPERATURE), len(known), len(cases) - len(known))

@@ -69,11 +69,12 @@ def test_nothing_is_found_in_a_mass_as_it_is_believed(tmp_path):
     assert not likeliest(recorded(tmp_path, "mass_decay", 2)).candidates
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("effect", "parameter", "value", "place"),
     [
         ("clamp_compliance", "compliance", 0.02, {"beam": "beam"}),
-        pytest.param("youngs_modulus", "factor", 0.8, {"beam": "beam"}, marks=pytest.mark.study),
+        ("youngs_modulus", "factor", 0.8, {"beam": "beam"}),
     ],
 )
 def test_an_effect_on_a_cantilever_is_found_beside_its_stop(effect, parameter, value, place, tmp_path):
