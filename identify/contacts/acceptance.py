@@ -16,13 +16,12 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS, FormName
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
-from identify.contacts.separation import Separation, check_described, is_unforced, separate
+from identify.contacts.separation import Separation, is_unforced, separate_described
 from identify.linear.modal import NEARLY_INVISIBLE
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
 from identify.signals.kinematics import Use
-from rig.model.modes import condensed
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -82,13 +81,11 @@ def checked_contacts(
 
 def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
-    zone, or the one of `forms` that the record supports. Masses, linear springs, supports and clamps are part of the
-    bodies of the separation's rig (`rig.model.modes.condensed`).
+    zone, or the one of `forms` that the record supports.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
-    check_described(recording.rig)
-    separation = separate(replace(recording, rig=condensed(recording.rig)), use, tolerances)
+    separation = separate_described(recording, use, tolerances)
     return accept(separation, determine(separation, forms))
 
 

@@ -137,7 +137,7 @@ class _Weighted:
 def _weighted(record: SeparationInput, slow_by_gauges: bool) -> _Weighted:
     """Weights of the contact forces, again with the hidden and the slow modes where the first forces move some.
 
-    Raises RigError as `separated_forces`, and if a body is not held whose slow motion shall be carried.
+    Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that floats.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
     force_count, padding = len(rig.inputs), lines.length / motion.samples

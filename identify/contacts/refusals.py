@@ -15,7 +15,7 @@ class RemedyCode(StrEnum):
 
     DESCRIBE_CONTACTS = "describe_contacts"
     LEAVE_OUT_ATTACHMENTS = "leave_out_attachments"
-    MOTION_AGAINST_BASE = "motion_against_base"
+    MEASURE_BASE = "measure_base"
     ADD_SENSOR = "add_sensor"
     ADD_ACCELEROMETER = "add_accelerometer"
     RECORD_LONGER_OR_FROM_REST = "record_longer_or_from_rest"
@@ -65,7 +65,7 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.DESCRIBE_CONTACTS: "describe them in rig.json",
     RemedyCode.LEAVE_OUT_ATTACHMENTS: "leave it out: it takes beams, structures and masses "
     "with point masses, linear springs, supports and clamps; identify gap takes the others",
-    RemedyCode.MOTION_AGAINST_BASE: "measure how the base shakes by a sensor on the ground, or hold it still and "
+    RemedyCode.MEASURE_BASE: "measure how the base shakes by a sensor on the ground, or hold it still and "
     "measure an exciting force",
     RemedyCode.ADD_SENSOR: "put a sensor there",
     RemedyCode.ADD_ACCELEROMETER: "put an accelerometer there",
@@ -100,7 +100,7 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
     ),
     RefusalCode.BASE_MOTION: (
         "rig.json of {rig!r} has base_motion, and no sensor on the ground measures it",
-        RemedyCode.MOTION_AGAINST_BASE,
+        RemedyCode.MEASURE_BASE,
     ),
     RefusalCode.NO_SENSOR: (
         "contact {contact!r} has no sensor at {position_m} m of {body!r}, and the body has more modes than stations "

@@ -22,6 +22,7 @@ from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
+from rig.model.modes import condensed
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
@@ -86,6 +87,16 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
         motion, forces = _without_start(recording, joined_rig, motion, forces, from_rest)
     records = _records(joined_rig, motion, noise, forces, tolerances)
     return Separation(rig, motion, forces, joined_contacts(rig), records, pull)
+
+
+def separate_described(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
+    """Contact forces of a recording of which rig.json has no more than the linear model knows. Masses, linear springs,
+    supports and clamps are part of the bodies of the separation's rig (`rig.model.modes.condensed`).
+
+    Raises RigError as `separate`, and if rig.json has more.
+    """
+    check_described(recording.rig)
+    return separate(replace(recording, rig=condensed(recording.rig)), use, tolerances)
 
 
 def is_unforced(motion: Kinematics) -> bool:

@@ -53,7 +53,7 @@ class SlowModel:
     def correction(
         self, inputs: Complex[np.ndarray, "inputs lines"], displaced: Complex[np.ndarray, "stations lines"]
     ) -> Complex[np.ndarray, "stations slow"]:
-        """What the slow displacement by exciting forces and contact forces adds to the integrated one."""
+        """Slow displacement by exciting and contact forces, less the integrated one."""
         lines = slice(self.share.shape[1])
         return np.asarray(np.einsum("isl,il->sl", self.by_input, inputs[:, lines]) - self.share * displaced[:, lines])
 
@@ -63,8 +63,8 @@ class SlowModel:
         contact_forces: Complex[np.ndarray, "contacts lines"],
         displaced: Complex[np.ndarray, "stations lines"],
     ) -> Complex[np.ndarray, "stations lines"]:
-        """What a parameter adds to the displacement of the stations, given what it adds to the contact forces and to
-        the integrated displacement."""
+        """Change of the stations' displacement by a parameter, given its changes of the contact forces and of the
+        integrated displacement."""
         count = self.share.shape[1]
         lines = slice(count)
         by_contacts = self.by_input[-len(contact_forces) :]
@@ -166,8 +166,8 @@ def quietest_corner(
     """
     stations = signs.shape[1]
     integrated_power = np.einsum("cs,sl->cl", signs**2, power[:stations]) / lines.omega**4
-    moved = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
-    modelled_power = np.einsum("crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", moved, to_force)) ** 2, power)
+    by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
+    modelled_power = np.einsum("crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", by_contacts_m, to_force)) ** 2, power)
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
     steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
     corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)

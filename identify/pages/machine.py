@@ -124,7 +124,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
         y_px += _height_px(body) + LINE_HEIGHT * len(spans_below[body.name].spans_by_line)
     svg_parts = [
-        *(part for body in rig.bodies for part in _support(layout, body)),
+        *(part for body in rig.bodies for part in _clamp_or_spring(layout, body)),
         *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
         *(part for body in rig.bodies for part in _body(layout, body)),
         *_supports(layout),
@@ -174,7 +174,7 @@ def _mark_text(x_px: float, text_lines: Sequence[str], text_spans: _TextSpans) -
     )
 
 
-def _support(layout: _Layout, body: Body) -> Iterator[str]:
+def _clamp_or_spring(layout: _Layout, body: Body) -> Iterator[str]:
     """Wall of a clamped beam; spring of a mass."""
     x_px, middle_px = layout.x_px(Station(body.name)), layout.tops_px[body.name] + _height_px(body) / 2
     if body.clamped:

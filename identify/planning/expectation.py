@@ -24,7 +24,7 @@ from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
 from identify.contacts.law_form import DAMPING, STIFFNESS, law_numbers
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
-from identify.contacts.separation import check_described, separate
+from identify.contacts.separation import separate_described
 from identify.planning.planned_test import PlannedTest, drawn_forces_n
 from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
@@ -143,8 +143,7 @@ def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, longest_s: 
     with threadpool_limits(1):  # the matrices are small
         recording = simulate(rig, rig, drawn_forces_n(short_test, seed), seed)
         try:
-            check_described(rig)
-            separation = separate(recording, "auto", test.tolerances)
+            separation = separate_described(recording, "auto", test.tolerances)
             determined = determine(separation, FORMS)
             stated = accept(separation, determined).outcomes
         except ContactRefusedError as error:

@@ -124,7 +124,7 @@ CASES = {
     ),
     "a base that shakes": Case(
         RefusalCode.BASE_MOTION,
-        RemedyCode.MOTION_AGAINST_BASE,
+        RemedyCode.MEASURE_BASE,
         made(replace(A, base_motion=SHAKEN)),
         {"motion against the base": laboratory(SHAKEN_MASS)},
     ),
