@@ -215,7 +215,7 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     for label, law in (("walls", motion.contact.law), *motion.overlaid_laws.items()):
         colour = SOURCES[motion.wall_source if label == "walls" else label]
         walls_mm = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
-        wall_names = [f"{motion.wall_source if label == 'walls' else label} {wall_mm:+.5g} mm" for wall_mm in walls_mm]
+        wall_names = [f"{motion.wall_source if label == 'walls' else label} {wall_mm:+.4g} mm" for wall_mm in walls_mm]
         send_lines(stream, f"{entity_path}/{label}", end_times_s, np.tile(walls_mm[:, None], 2), wall_names, (colour,))
         legend += [(label, colour) for label in wall_names]
     displacement_mm = 1e3 * motion.eta_m[None, motion.plotted_samples]

@@ -66,7 +66,12 @@ def _closed_frames(scene: Stage, contact_motions: Sequence[ContactMotion]) -> Bo
 def _strengths(
     mark: Mark, gap: ShownGap, time_s: Float[np.ndarray, " frames"], is_closed: Bool[np.ndarray, " frames"]
 ) -> Float[np.ndarray, " frames"]:
-    """Strength of a mark at every frame, 0.3 to 1; zero outside the diagnosed time and, if in contact, when open."""
+    """Strength of a mark at every frame: 1 if constant, else 0.3 to 1, zero outside the diagnosed time.
+
+    Of what acts in contact it is zero where every contact is open.
+    """
+    if len(mark.strengths) == 1:
+        return is_closed.astype(float) if mark.in_contact else np.ones(time_s.size)
     start_s, end_s = (gap.share_spans[0][0], gap.share_spans[-1][1]) if gap.share_spans else (0.0, np.inf)
     edges_s = np.linspace(start_s, end_s if np.isfinite(end_s) else time_s[-1], len(mark.strengths) + 1)
     interval_index = np.clip(np.searchsorted(edges_s, time_s, side="right") - 1, 0, len(mark.strengths) - 1)

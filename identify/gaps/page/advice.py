@@ -228,7 +228,8 @@ def _discriminating_steps(gap: Gap) -> list[str]:
         f"Before anything is changed, find out whether it is {joined([effect_words, *look_alikes], 'or')}."
         for effect_words, look_alikes in look_alikes_of(gap)
     ]
-    return steps + _experiment_steps(gap) + [f"To test {experiment}." for experiment in gap.separate_by]
+    tests = (test.partition(": ") for test in gap.separate_by)
+    return steps + _experiment_steps(gap) + [f"To test {name.replace('_', ' ')}: {test}." for name, _, test in tests]
 
 
 def _experiment_steps(gap: Gap) -> list[str]:

@@ -28,7 +28,10 @@ def _channel_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
 
 
 def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
-    """Marks of the named effects of the likeliest cause; an effect of the whole rig has none."""
+    """Marks of the named effects of the likeliest cause, the first of several contacts with words.
+
+    An effect of the whole rig has none.
+    """
     for cause in gap.causes[:1]:
         for label, words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
             position_share = cause.parameters.get(f"{label}.relative_position")
@@ -38,8 +41,10 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
                 if place_label.partition(".")[0] == label
             )
             station = next(filter(None, effect_stations), None)
-            if strength.is_named and station is not None:
-                yield DrawnMark(station, words)
+            stations = [contact.at for contact in rig.contacts] if cause.places.get(f"{label}.contact") == "all" else []
+            if strength.is_named:
+                for index, marked_station in enumerate([station] if station is not None else stations):
+                    yield DrawnMark(marked_station, "likewise" if index else words)
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:

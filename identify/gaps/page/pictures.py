@@ -19,6 +19,8 @@ MAX_CAUSES = 6
 """Causes of a figure at most. Display."""
 MAX_LABELS = 12
 """Labels of an axis at most. Display."""
+MIN_RATIO = 0.01
+"""Ratio to its threshold at which a smaller value is drawn. Display."""
 MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
@@ -42,6 +44,8 @@ def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
         yield "next_experiments", (_WIDE_IN, height_in), partial(_draw_experiments, gap=gap)
     if any(band.before or band.after or band.usual for band in gap.bands):
         yield "large_bands", (_WIDE_IN, 3.6), partial(_draw_bands, gap=gap)
+    if quantity_count := len(gap.evidence.quantities):
+        yield "decided_quantities", (_WIDE_IN, 1.6 + 0.5 * quantity_count), partial(_draw_quantities, gap=gap)
     if gap.causes:
         row_count = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
         yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_probabilities, gap=gap)
@@ -73,6 +77,31 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
     axes.set_xlim(band_edges_hz[0], band_edges_hz[-1])
     axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
     figure.legend(loc="outside upper center", ncols=2)
+
+
+def _draw_quantities(figure: Any, gap: Gap) -> None:
+    """Each deciding quantity over its threshold, with the upper end of its interval, for the rigs without and with the
+    first cause.
+    """
+    quantities = gap.evidence.quantities
+    axes = figure.subplots()
+    drawn_rigs = [("the model as it is", quantities, RED, "s", -0.14)]
+    if gap.causes and is_effective(gap.causes[0]):
+        drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.14))
+    for label, rig_quantities, colour, marker, offset in drawn_rigs:
+        rows = offset + np.arange(len(rig_quantities))
+        ends = [[np.nan if end is None else end / q.threshold for end in (q.value, q.upper)] for q in rig_quantities]
+        values, upper_ends = np.maximum(np.array(ends), MIN_RATIO).T  # what is not known is not drawn
+        axes.plot(values, rows, marker, color=colour, label=label)
+        for row, value, upper_end in zip(rows, values, upper_ends, strict=True):
+            axes.plot([value, upper_end], [row, row], color=colour, lw=2.0)
+    axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="matters from here")
+    axes.set_xscale("log")
+    axes.set_xlim(left=0.7 * MIN_RATIO)
+    axes.set_yticks(np.arange(len(quantities)), [_shortened_name(quantity.name) for quantity in quantities])
+    axes.set_ylim(len(quantities) - 0.5, -0.5)
+    axes.set(xlabel="difference over the least that matters")
+    figure.legend(loc="outside upper center", ncols=3)
 
 
 def _draw_probabilities(figure: Any, gap: Gap) -> None:

@@ -36,6 +36,8 @@ CAPTIONS = {
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Nineteen of twenty null simulations (rig.json within its tolerances) stay below the green line; a share "
     "below the dashed line is too small to matter.",
+    "decided_quantities": "The motion, the contact forces and the contact parameters that decide: each difference, and "
+    "the upper end of its 95 % interval as a line, over the least that matters.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
 }
@@ -74,9 +76,7 @@ def write_page(
     The first word of a figure's name is its section, as named in `identify.gaps.page.pictures`.
     """
     figure_by_name = dict(figure_by_name)
-    decisive_figure = next(
-        (figure_name for figure_name in DECISIVE_FIGURES[gap.verdict] if figure_name in figure_by_name), None
-    )
+    decisive_figure = next((name for name in _decisive_figures(gap) if name in figure_by_name), None)
     first_column = page.list_html(findings) if findings else ""
     if drawing:
         first_column += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
@@ -115,6 +115,15 @@ def write_page(
         foot_text="Every number of this page stands in gap.json, unrounded.",
         sources=sources,
     )
+
+
+def _decisive_figures(gap: Gap) -> tuple[str, ...]:
+    """Names of the figures that may stand beside the drawing; of quantities if another than the motion decides."""
+    seen_quantities = [quantity for quantity in gap.evidence.quantities if quantity.value is not None]
+    largest = max(seen_quantities, key=lambda q: q.value / q.threshold, default=None)
+    if largest is not None and largest.name != "motion" and not largest.holds:
+        return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
+    return DECISIVE_FIGURES[gap.verdict]
 
 
 def _figures_html(figure_by_name: Mapping[str, Picture], section_key: str) -> str:

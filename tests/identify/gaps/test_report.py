@@ -14,10 +14,11 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from identify.gaps.decision.sentence import sentences
+from identify.gaps.decision_table import Bounded
 from identify.gaps.page.advice import next_steps
 from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
-from identify.gaps.page.report import curves, write_all, write_page
+from identify.gaps.page.report import CAPTIONS, curves, write_all, write_page
 from identify.gaps.page.screen import screen_view
 from identify.gaps.results import Attribution, Gap, Note
 from identify.gaps.wording import (
@@ -194,7 +195,7 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
         attribution=replace(gap.attribution, channels=channels),
         causes=(cause,),
         channel_faults={bold: "dead"},
-        separate_by=("<script>alert(1)</script>",),
+        separate_by=("added_mass: <script>alert(1)</script>",),
     )
     path = tmp_path / "gap.html"
     write_page(odd, {}, "</title>", path)
@@ -204,7 +205,7 @@ def test_names_cannot_break_the_page(gaps, tmp_path):
         "</table>",
         "</title>",
         "Channel <b> is dead and was left out.",
-        "To test <script>alert(1)</script>.",
+        "To test added mass: <script>alert(1)</script>.",
     }
     assert said <= set(page.texts)
     assert page.tags.count("b") == 1  # the verdict
@@ -226,6 +227,30 @@ def test_what_the_verdict_names_is_marked_at_its_place(gaps, rig_of):
     assert (mark.station.body, mark.station.position_m) == ("barrel", pytest.approx(position_m))
     assert mark.words == gap.causes[0].words[0]
     assert marks(gaps["consistent"], rig_of(gaps["consistent"])) == ()
+
+
+def test_an_effect_of_all_contacts_is_marked_at_each(gaps, rig_of):
+    gap = gaps["explained"]
+    (cause, *others) = gap.causes
+    cause = replace(cause, places={"added_mass.contact": "all"})
+    drawn = marks(replace(gap, causes=(cause, *others)), rig_of(gap))
+    assert [mark.station for mark in drawn] == [contact.at for contact in rig_of(gap).contacts]
+    assert [mark.words for mark in drawn] == [cause.words[0], "likewise"]
+
+
+def test_what_decides_stands_beside_the_drawing(gaps, tmp_path):
+    gap = gaps["explained"]
+    motion = Bounded("motion", "1", 0.004, 0.006, 5e-3)
+    force = Bounded("force of contact_1", "1", 0.3, 0.4, 3e-2)
+    for quantities, first, folded in (
+        ((motion, force), "decided_quantities", "large_bands"),
+        ((replace(motion, value=0.1), force), "large_bands", "decided_quantities"),
+        ((motion, replace(force, value=None, upper=None)), "large_bands", "decided_quantities"),
+    ):
+        decided = replace(gap, evidence=replace(gap.evidence, quantities=quantities, quantities_after=quantities))
+        write_page(decided, pictures(decided), "title", tmp_path / "gap.html")
+        html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+        assert 0 < html.index(CAPTIONS[first]) < html.index(CAPTIONS[folded])
 
 
 @pytest.mark.parametrize(

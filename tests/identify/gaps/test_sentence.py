@@ -72,7 +72,7 @@ def test_what_to_do_depends_on_the_verdict(gaps):
     steps = {name: " ".join(next_steps(gap)) for name, gap in gaps.items()}
     assert "Nothing needs to be done" in steps["consistent"]
     assert "corrected rig.json" in steps["explained"]
-    assert "To test clamp_compliance: measure close to the clamp." in steps["explained"]
+    assert "To test clamp compliance: measure close to the clamp." in steps["explained"]
     for word in ("better rig, not as the right one", "the cradle near 0.80 m", "50.0 Hz", "weigh the part"):
         assert word in steps["partly_explained"]
     for word in ("Keep rig.json as it is", "the barrel near 0.89 m", "grows with the displacement"):
