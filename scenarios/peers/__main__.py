@@ -18,6 +18,7 @@ from threadpoolctl import threadpool_limits
 from rig.commands.command_line import run
 from rig.errors import RigError
 from rig.files import write_bytes
+from rig.model.description import Rig
 from rig.recording import Recording, read
 from rig.simulation.reference import BarrelCradle, Sdof
 from scenarios.compare import recorded
@@ -25,12 +26,24 @@ from scenarios.peers.methods import METHODS
 from scenarios.peers.table import HEADINGS, PeerOutcome, PeerTrial, row
 
 SENSORS = "displacement+velocity+acceleration"
+SDOF = Sdof(noise_density=1e-3, sensors=SENSORS, duration_s=40.0)
+BARREL_CRADLE = BarrelCradle(noise_density=1e-3, sensors=SENSORS, duration_s=20.0, step_s=2.0**-16)
 RIGS: dict[str, Sdof | BarrelCradle] = {
-    "sdof": Sdof(noise_density=1e-3, sensors=SENSORS, duration_s=40.0),
-    "barrel_cradle": BarrelCradle(noise_density=1e-3, sensors=SENSORS, duration_s=20.0, step_s=2.0**-16),
+    "sdof": SDOF,
+    "sdof_noise": SDOF,
+    "barrel_cradle": BARREL_CRADLE,
+    "barrel_cradle_noise": BARREL_CRADLE,
 }
-"""Accelerometers of a good laboratory, and beside them displacements and velocities without noise, which peers need."""
-TITLES = {"sdof": "one mass", "barrel_cradle": "two beams"}
+"""Accelerometers of a good laboratory, and beside them displacements and velocities, which peers need: without noise,
+and in the rigs called noise with that of `SENSOR_NOISE`."""
+SENSOR_NOISE = {"displacement": 5e-8, "velocity": 5e-7}
+"""Noise densities of a good laser, m/sqrt(Hz) and m/s/sqrt(Hz)."""
+TITLES = {
+    "sdof": "one mass",
+    "sdof_noise": "one mass, noise in all sensors",
+    "barrel_cradle": "two beams",
+    "barrel_cradle_noise": "two beams, noise in all sensors",
+}
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
@@ -79,12 +92,24 @@ def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
         return msgspec.json.decode(path.read_bytes(), type=PeerOutcome)
     recording_path = folder / f"{trial.rig}_{trial.seed}.mcap"
     if not recording_path.exists():
-        recorded(msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed), "modal", recording_path)
+        settings = msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed)
+        rig = _with_noise(settings.rig()) if trial.rig.endswith("_noise") else settings.rig()
+        recorded(settings, "modal", recording_path, rig)
     for module in chosen.modules:
         import_module(module)  # not among the seconds that are measured
     outcome = tried(trial, read(recording_path))
     write_bytes(msgspec.json.encode(outcome), path)
     return outcome
+
+
+def _with_noise(rig: Rig) -> Rig:
+    """The rig with noise in the sensors that have none."""
+    return msgspec.structs.replace(
+        rig,
+        sensors=tuple(
+            msgspec.structs.replace(s, noise_density=SENSOR_NOISE.get(s.quantity, s.noise_density)) for s in rig.sensors
+        ),
+    )
 
 
 def tried(trial: PeerTrial, recording: Recording) -> PeerOutcome:

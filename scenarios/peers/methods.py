@@ -27,7 +27,7 @@ class Method:
     packages: tuple[str, ...]
     prior_knowledge: str
     answers: Callable[[Recording], tuple[ContactAnswer, ...]]
-    rigs: tuple[str, ...] = ("sdof", "barrel_cradle")
+    rigs: tuple[str, ...] = ("sdof", "sdof_noise", "barrel_cradle", "barrel_cradle_noise")
 
     @property
     def versions(self) -> str:
@@ -62,29 +62,29 @@ METHODS = {
         "output error, multiple shooting",
         (),
         ("scipy",),
-        "linear model; start values off by 20 and 50 %; displacement and velocity without noise",
+        "linear model; start values off by 20 and 50 %; displacement and velocity",
         lambda recording: output_error(given(recording)),
     ),
     "sparse_regression": Method(
         "sparse regression",
         ("pysindy",),
         ("pysindy",),
-        "mode shapes; form of the law; displacement and velocity without noise; accelerometers",
+        "mode shapes; form of the law; displacement and velocity; accelerometers",
         lambda recording: sparse_regression(given(recording)),
     ),
     "subspace": Method(
         "nonlinear subspace (as FNSI)",
         ("nfoursid",),
         ("nfoursid",),
-        "true clearance; order of the system; displacement without noise; accelerometers",
+        "true clearance; order of the system; displacement; accelerometers",
         lambda recording: subspace(given(recording)),
     ),
     "mujoco_sysid": Method(
         "MuJoCo sysid",
         ("mujoco.sysid", "absl", "tabulate"),
         ("mujoco",),
-        "linear model; start values off by 20 and 50 %; displacement and velocity without noise",
+        "linear model; start values off by 20 and 50 %; displacement and velocity",
         lambda recording: mujoco_sysid(given(recording)),
-        ("sdof",),
+        ("sdof", "sdof_noise"),
     ),
 }
