@@ -13,7 +13,6 @@ from identify.pages.wording import COVERED
 from identify.signals.kinematics import Use
 from rig.commands.command_line import progress_bar
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Rig
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.plants import plant_named
 from rig.simulation.record import record
@@ -37,12 +36,11 @@ class Comparison:
         )
 
 
-def recorded(settings: Sdof | BarrelCradle, plant: str, path: Path, rig: Rig | None = None) -> Path:
-    """Path of a new recording of a reference rig, or of `rig` by its settings."""
+def recorded(settings: Sdof | BarrelCradle, plant: str, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(f"recording {path.name} ({plant})") as progress:
         record(
-            rig or settings.rig(),
+            settings.rig(),
             settings.force(),
             plant=plant_named(plant),
             duration_s=settings.duration_s,

@@ -6,6 +6,7 @@ python -m scenarios.peers --out out/peers
 import csv
 import io
 import time
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
@@ -15,13 +16,14 @@ import typer
 from rich.console import Console
 from threadpoolctl import threadpool_limits
 
-from rig.commands.command_line import run
+from rig.commands.command_line import progress_bar, run
 from rig.errors import RigError
 from rig.files import write_bytes
-from rig.model.description import Rig
 from rig.recording import Recording, read
+from rig.simulation.plants.modal import simulate
+from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
-from scenarios.compare import recorded
+from scenarios.peers.given import MODES_PER_BEAM
 from scenarios.peers.methods import METHODS
 from scenarios.peers.table import HEADINGS, PeerOutcome, PeerTrial, row
 
@@ -92,9 +94,7 @@ def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
         return msgspec.json.decode(path.read_bytes(), type=PeerOutcome)
     recording_path = folder / f"{trial.rig}_{trial.seed}.mcap"
     if not recording_path.exists():
-        settings = msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed)
-        rig = _with_noise(settings.rig()) if trial.rig.endswith("_noise") else settings.rig()
-        recorded(settings, "modal", recording_path, rig)
+        _record(trial, recording_path)
     for module in chosen.modules:
         import_module(module)  # not among the seconds that are measured
     outcome = tried(trial, read(recording_path))
@@ -102,14 +102,25 @@ def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
     return outcome
 
 
-def _with_noise(rig: Rig) -> Rig:
-    """The rig with noise in the sensors that have none."""
-    return msgspec.structs.replace(
-        rig,
-        sensors=tuple(
+def _record(trial: PeerTrial, path: Path) -> None:
+    """Record the trial's rig by the plant `modal`, with as many modes a beam as leave stiffnesses true to 0.01 %."""
+    settings = msgspec.structs.replace(RIGS[trial.rig], seed=trial.seed)
+    rig = settings.rig()
+    if trial.rig.endswith("_noise"):
+        sensors = (
             msgspec.structs.replace(s, noise_density=SENSOR_NOISE.get(s.quantity, s.noise_density)) for s in rig.sensors
-        ),
-    )
+        )
+        rig = msgspec.structs.replace(rig, sensors=tuple(sensors))
+    with progress_bar(f"recording {path.name}") as progress:
+        record(
+            rig,
+            settings.force(),
+            plant=partial(simulate, modes_per_beam=MODES_PER_BEAM),
+            duration_s=settings.duration_s,
+            step_s=settings.step_s,
+            path=path,
+            progress=progress,
+        )
 
 
 def tried(trial: PeerTrial, recording: Recording) -> PeerOutcome:

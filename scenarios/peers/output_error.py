@@ -18,7 +18,7 @@ STEPS_HZ = {1: 4096, 2: 8192}
 """Steps a second of the rollouts, by the number of contacts."""
 OUTPUTS_HZ = {1: 512, 2: 1024}
 MODES_A_BEAM = 8
-"""Modes whose motion is rolled out; those above, to 16 a beam, follow statically."""
+"""Modes whose motion is rolled out; those above follow statically."""
 DAMPING_S = 1e-4
 """Unit of the damping's parameter: the damping over the stiffness that the search starts from."""
 DIFFERENCE = 1e-6

@@ -119,9 +119,8 @@ def write_page(
 
 def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     """Names of the figures that may stand beside the drawing; of quantities if another than the motion decides."""
-    seen_quantities = [quantity for quantity in gap.evidence.quantities if quantity.value is not None]
-    largest = max(seen_quantities, key=lambda q: q.value / q.threshold, default=None)
-    if largest is not None and largest.name != "motion" and not largest.holds:
+    ratios = {q.name: q.value / q.threshold for q in gap.evidence.quantities if q.value is not None and not q.holds}
+    if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])
     return DECISIVE_FIGURES[gap.verdict]
 
