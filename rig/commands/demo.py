@@ -46,7 +46,7 @@ def demo(
     show: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in a browser at the end.")] = True,
     force: Force = False,
 ) -> None:
-    """Record, identify, change and diagnose the barrel-cradle rig in a minute and a half, each answer beside the truth.
+    """Record, identify, change and diagnose the barrel-cradle rig in about a minute, each answer beside the truth.
 
     Example: rig demo --out demo
     """
