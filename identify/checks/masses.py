@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from identify.checks.findings import Finding
 from identify.checks.relations import unit_mistake
-from identify.linear.joined import joined_contacts
+from identify.linear.joined import contact_groups
 from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
@@ -164,7 +164,7 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
-    for pair in joined_contacts(rig):
+    for pair in contact_groups(rig):
         contact = pair.contact
         if motion.stations[station_index].body not in (
             contact.at.body,

@@ -13,7 +13,7 @@ from identify.checks import check_recording, naming
 from identify.checks.findings import Cause, Finding
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS, FormName
+from identify.contacts.law_form import STIFFNESS_GRADIENT, FormName
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, is_unforced, separate_described
@@ -112,8 +112,8 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
-        if estimate.unexplained > FREE_DECAY_UNEXPLAINED_LIMIT:
-            percent = 100 * estimate.unexplained
+        if estimate.unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
+            percent = 100 * estimate.unexplained_share
             raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=percent)
 
 
@@ -176,10 +176,10 @@ def _estimate_findings(name: str, estimate: JointEstimate) -> Iterator[Finding]:
     damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
     if damping < -NEGATIVE_DAMPING_ERRORS * error:
         yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-    if max(np.abs(estimate.halves)) > HALVES_LIMIT:
+    if max(np.abs(estimate.half_differences)) > HALVES_LIMIT:
         yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
-    if estimate.unexplained > UNEXPLAINED_LIMIT:
-        unexplained = f"{100 * estimate.unexplained:.2g} %"
+    if estimate.unexplained_share > UNEXPLAINED_LIMIT:
+        unexplained = f"{100 * estimate.unexplained_share:.2g} %"
         yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 
@@ -194,7 +194,7 @@ def equation_findings(
             name, visible = names[j], result.equation.visibility[j] >= NEARLY_INVISIBLE
             if name not in estimates or not visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
-            stiffness_n_per_m, standard_error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS)
+            stiffness_n_per_m, standard_error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS_GRADIENT)
             if abs(mean_n_per_m - stiffness_n_per_m) > max(
                 DIFFERENT_SHARE * stiffness_n_per_m,
                 DIFFERENT_ERRORS * float(np.hypot(mean_error_n_per_m, standard_error)),

@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.contacts.identification import Identification
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS
+from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from identify.signals.measured_base import count_on_bodies
@@ -128,7 +128,7 @@ def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
     """Shares of the variance of clearance and stiffness by source, which sum to one."""
     covariances = {"tolerances": estimate.of_tolerances, "drift": estimate.of_drift, "law": estimate.of_misfit}
     shares_by_quantity = {}
-    for quantity, gradient in (("clearance", estimate.clearance), ("stiffness", STIFFNESS)):
+    for quantity, gradient in (("clearance", estimate.clearance_gradient), ("stiffness", STIFFNESS_GRADIENT)):
         variance = float(gradient @ estimate.covariance @ gradient)
         shares = (
             {source: float(gradient @ covariance @ gradient) / variance for source, covariance in covariances.items()}

@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float
 from identify.contacts.contact_record import ContactRecord, touched_stops
 from identify.contacts.initial_guess import initial_pulls, reach_m, spring_guess, without_nuisances, without_spring
 from identify.contacts.joint_fit import JointEstimate, fit_joint
-from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS, FormName, NominalLaws, law_numbers
+from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS_GRADIENT, FormName, NominalLaws, parameters_of_law
 from identify.contacts.outcomes import NO_OUTCOMES, Outcomes, check_certain
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation
-from identify.linear.joined import Joined
+from identify.linear.joined import ContactGroup
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
@@ -39,7 +39,7 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     """Outcomes of all contacts. Each force is fitted by itself; where springs couple the slow motions of contacts,
     again without the forces of that coupling. The forms of a law are tried against the dead zone.
     """
-    rig, records, places = separation.rig, separation.records, separation.same_place
+    rig, records, places = separation.rig, separation.records, separation.contact_groups
     slow_n_per_m = separation.forces.slow_n_per_m
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
@@ -67,18 +67,18 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     return refit(settled, forms) if forms else settled
 
 
-def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
+def _slow_m(rig: Rig, place: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
     slow_m = np.zeros(len(record.force_n))
     for j, sign in zip(place.members, place.signs, strict=True):
         estimate = outcomes.estimates.get(rig.contacts[j].name)
         if estimate is not None:
-            drift_m = sign * estimate.drift_m + estimate.pulls[record.moving] @ record.nuisance_m
-            slow_m[:] = drift_m[:: record.factor][: slow_m.size]
+            drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
+            slow_m[:] = drift_m[:: record.decimation][: slow_m.size]
     return slow_m
 
 
-def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
+def determine_place(rig: Rig, place: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
     names, nominal = [rig.contacts[j].name for j in place.members], _nominal_laws(rig, place)
     springs = [not rig.contacts[j].law.has_stops for j in place.members]
@@ -110,9 +110,9 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
     }
 
 
-def _nominal_laws(rig: Rig, place: Joined) -> NominalLaws:
+def _nominal_laws(rig: Rig, place: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    values = [law_numbers(rig.contacts[j].law) for j in place.members]
+    values = [parameters_of_law(rig.contacts[j].law) for j in place.members]
     return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, place.signs, strict=True)])
 
 
@@ -206,7 +206,7 @@ def _spring_without_stops(
     except ContactRefusedError:
         return None
     spring = outcomes.estimates[names[number]]
-    if spring.unexplained > SPRING_UNEXPLAINED_SHARE:
+    if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
     eta_m = record.eta_m + spring.drift_m
     reach = np.array([-eta_m.min(), eta_m.max()])
@@ -308,7 +308,7 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLa
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
         pairs = np.array(
-            [(estimate.clearance_m, estimate.clearance @ law), (estimate.stiffness_n_per_m, STIFFNESS @ law)]
+            [(estimate.clearance_m, estimate.clearance_gradient @ law), (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law)]
         )
         shares = np.log(np.maximum(pairs, SMALLEST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
         return float(shares @ shares)

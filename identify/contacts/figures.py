@@ -10,7 +10,7 @@ from scipy.signal import welch
 from identify.contacts.identification import Identification
 from identify.contacts.paper_methods import attempted
 from identify.contacts.results import ContactReport, Segment
-from identify.linear.joined import Joined
+from identify.linear.joined import ContactGroup
 from identify.linear.modal import pushing_force, receptance
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
@@ -257,7 +257,7 @@ def _legend_outside(figure: Any, axes: Any, edge: str, **style: Any) -> None:
 def _mark_stops(
     axes: Any,
     result: Identification,
-    place: Joined,
+    place: ContactGroup,
     marks: Marks,
     marks_name: str,
     *,

@@ -23,7 +23,7 @@ from identify.contacts.paper_methods import (
 )
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
-from identify.linear.joined import Joined
+from identify.linear.joined import ContactGroup
 from identify.linear.modal import NEARLY_INVISIBLE, Transformation
 from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
@@ -53,7 +53,7 @@ class Identification:
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    same_place: tuple[Joined, ...]
+    same_place: tuple[ContactGroup, ...]
     separated_n: Float[np.ndarray, "places fewer"]
     factor: int
     outcomes: Outcomes
@@ -97,7 +97,7 @@ class _SeparatedContacts:
 
     rig: Rig
     motion: Kinematics
-    same_place: tuple[Joined, ...]
+    same_place: tuple[ContactGroup, ...]
     separated_n: Float[np.ndarray, "places fewer"]
     factor: int
     outcomes: Outcomes
@@ -165,9 +165,9 @@ def _separated_contacts(recording: Recording, use: Use, tolerances: Tolerances |
     return _SeparatedContacts(
         rig=separation.rig,
         motion=separation.motion,
-        same_place=separation.same_place,
+        same_place=separation.contact_groups,
         separated_n=separation.forces.force_n,
-        factor=separation.forces.factor,
+        factor=separation.forces.decimation,
         outcomes=contacts.outcomes,
         findings=contacts.findings,
         signals=signals_by_law(separation, contacts.outcomes),
@@ -218,7 +218,7 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
 def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
-        for gradient in (*np.eye(len(estimate.values)), estimate.clearance)
+        for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
     )
     return results.ContactEstimate(
         name=name,
@@ -229,8 +229,8 @@ def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samp
         upper_clearance_m=upper if estimate.sides_known and estimate.touched[1] else None,
         closed_share=closed_share(estimate, eta_m),
         law=estimate.form.name,
-        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.shapes else None,
-        reference_depth_m=estimate.form.reference_depth_m if estimate.form.shapes else None,
+        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.exponent_count else None,
+        reference_depth_m=estimate.form.reference_depth_m if estimate.form.exponent_count else None,
     )
 
 

@@ -14,14 +14,14 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, clearly_closed, touched_stops
+from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord, clearly_closed, touched_stops
 from identify.contacts.law_form import (
     LAW,
     LawForm,
     LawParameters,
     NominalLaws,
-    Touched,
-    by_stiffness_and_damping,
+    TouchedStops,
+    unit_forces,
     linear_form,
 )
 from identify.contacts.linearization import Guess, ground_force_n
@@ -75,19 +75,19 @@ def closed_fit(
     record: ContactRecord,
     curve: Spline,
     with_drift: bool,
-    clear_share: float = CLEAR_SHARE,
+    clear_share: float = CLOSED_FORCE_SHARE,
     beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
     sides: Sides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
     """Regression on closed samples: drift's knots, clearance, 1 / stiffness, and the decrease of it beyond each
     knee."""
     magnitude_n = np.abs(record.force_n)
-    drift_at_force = curve.value[:: record.factor][: magnitude_n.size]
+    drift_at_force = curve.value[:: record.decimation][: magnitude_n.size]
     force = record.force_n
     closed = clearly_closed(record, clear_share) & np.where(force < 0, *sides)
     if not with_drift:
         drift_at_force = csr_matrix(drift_at_force.shape)
-    eta = record.eta_m[:: record.factor][: magnitude_n.size][closed]
+    eta = record.eta_m[:: record.decimation][: magnitude_n.size][closed]
     side = np.sign(force)
     law_columns = np.stack([side, force, *(-side * beyond for beyond in beyond_n)], axis=1)[closed]
     columns = hstack([-drift_at_force[closed], law_columns]).tocsr()
@@ -114,7 +114,7 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
     return np.array([-eta.min(), eta.max()])
 
 
-def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> list[Guess]:
+def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: TouchedStops) -> list[Guess]:
     """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
     beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
@@ -126,7 +126,7 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
     sides, form = np.any(touched, axis=0), linear_form(touched)
     if not sides.any():
         return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots), form)[1]]
-    if form.springs:
+    if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring,) = nominal[~are_stops]
         of_stops = guesses(without_spring(record, spring), curve, nominal[are_stops], touched[are_stops])
@@ -150,7 +150,7 @@ def _with_spring(
     candidates: list[Guess] = []
     for law, knots in of_stops:
         laws = nominal.copy()
-        laws[np.isin(np.arange(len(laws)), form.springs, invert=True)] = law.reshape(-1, len(LAW))
+        laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = law.reshape(-1, len(LAW))
         candidates.append((laws.ravel(), knots))
     return _best_guesses(record, curve, candidates, form)
 
@@ -165,7 +165,7 @@ def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecor
     """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
     remains, as of a spring to the ground."""
     *_, stiffness, damping = spring.tolist()
-    eta, velocity = (row[:: record.factor][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s))
+    eta, velocity = (row[:: record.decimation][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s))
     drift = record.drift and replace(
         record.drift,
         spring_n_per_m=record.drift.spring_n_per_m + stiffness,
@@ -181,7 +181,7 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
     curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    form = LawForm(springs=(1,))
+    form = LawForm(spring_indices=(1,))
     force_n, eta_m = (float(np.quantile(np.abs(row), 0.995)) for row in (record.force_n, record.eta_m))
     tried_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_SHARES
     springs = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in tried_n_per_m]
@@ -214,12 +214,12 @@ def _refined_guess(
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
     at_force, laws = (
-        slice(None, record.force_n.size * record.factor, record.factor),
+        slice(None, record.force_n.size * record.decimation, record.decimation),
         law_parameters.reshape(-1, len(LAW)).copy(),
     )
     eta = (record.eta_m + curve.value @ knots)[at_force]
     rate = (record.velocity_m_per_s + curve.rate @ knots)[at_force]
-    columns = np.stack(by_stiffness_and_damping(form, laws.ravel(), eta, rate), axis=1)
+    columns = np.stack(unit_forces(form, laws.ravel(), eta, rate), axis=1)
     force = record.force_n - ground_force_n(record, curve) @ knots
     coefficients, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
@@ -227,7 +227,7 @@ def _refined_guess(
     return float(np.sum((force - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
 
 
-def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> Iterator[Guess]:
+def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
     magnitude_n = np.abs(record.force_n)
     sides, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
@@ -266,9 +266,9 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     squares.
     """
     pulls = np.zeros(len(record.nuisance_n))
-    if not np.any(record.initial):
+    if not np.any(record.is_initial_state):
         return pulls
-    columns = record.nuisance_n[record.initial].astype(float)
+    columns = record.nuisance_n[record.is_initial_state].astype(float)
 
     def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
         deviation_n = np.abs(record.force_n - theta @ columns)
@@ -277,7 +277,7 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
         prior = np.eye(len(columns)) / median_n
         return np.linalg.solve(weighted @ columns.T + prior, weighted @ record.force_n)
 
-    pulls[record.initial] = refit_until_settled(pulls[record.initial], reweighted, rounds=REWEIGHTING_ROUNDS)
+    pulls[record.is_initial_state] = refit_until_settled(pulls[record.is_initial_state], reweighted, rounds=REWEIGHTING_ROUNDS)
     return pulls
 
 

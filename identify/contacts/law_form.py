@@ -27,17 +27,17 @@ LAW = ParameterSet(
     )
 )
 """Estimated parameters of a `DeadZone`; its damping may have either sign."""
-STIFFNESS = LAW.vector({"stiffness_n_per_m": 1.0})
+STIFFNESS_GRADIENT = LAW.vector({"stiffness_n_per_m": 1.0})
 """Stiffness as a linear function of the parameters."""
-DAMPING = LAW.vector({"damping_n_s_per_m": 1.0})
-OFFSET = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
+DAMPING_GRADIENT = LAW.vector({"damping_n_s_per_m": 1.0})
+OFFSET_GRADIENT = LAW.vector({"lower_clearance_m": -0.5, "upper_clearance_m": 0.5})
 """Distance of the middle of the play from zero, m."""
 
 ABSENT_STOP_M = 1e6
 """Clearance that stands for a stop that is not there, out of every motion's reach: sums over the parameters are
 finite."""
 
-Touched = Bool[np.ndarray, "contacts 2"]
+TouchedStops = Bool[np.ndarray, "contacts 2"]
 """Contacts x (lower, upper): True where the record determines that stop."""
 LawParameters = Float[np.ndarray, " laws"]
 """Values of the parameters of `LAW`, contact by contact."""
@@ -45,13 +45,13 @@ NominalLaws = Float[np.ndarray, "contacts 4"]
 """Values of the parameters of `LAW` in rig.json."""
 
 FormName = Literal["dead zone", "power law", "cannot pull", "spring"]
-EXPONENTS = (1.0, 3.0)
+EXPONENT_RANGE = (1.0, 3.0)
 """Range of the exponent of a `DeadZone`."""
 
 Signal = Float[np.ndarray, "*samples"]
 
 
-def law_numbers(law: ContactLaw) -> Float[np.ndarray, " 4"]:
+def parameters_of_law(law: ContactLaw) -> Float[np.ndarray, " 4"]:
     """Parameters of `LAW` of a law, with `ABSENT_STOP_M` for the clearance where there is no stop."""
     return np.minimum([getattr(law, name) for name in LAW.names], [ABSENT_STOP_M, ABSENT_STOP_M, np.inf, np.inf])
 
@@ -65,23 +65,23 @@ class LawForm:
 
     name: FormName = "dead zone"
     reference_depth_m: float = 1e-4
-    springs: tuple[int, ...] = ()
+    spring_indices: tuple[int, ...] = ()
 
     @property
-    def shapes(self) -> int:
+    def exponent_count(self) -> int:
         """Number of further parameters behind those of `LAW`: 1 for a power law, else 0."""
         return int(self.name == "power law")
 
-    def contacts(self, law_parameters: LawParameters) -> Float[np.ndarray, "contacts 4"]:
+    def contact_parameters(self, law_parameters: LawParameters) -> Float[np.ndarray, "contacts 4"]:
         """Parameters of `LAW` by contact."""
-        return law_parameters[: law_parameters.size - self.shapes].reshape(-1, len(LAW))
+        return law_parameters[: law_parameters.size - self.exponent_count].reshape(-1, len(LAW))
 
     def exponent(self, law_parameters: LawParameters) -> float:
-        return float(law_parameters[-1]) if self.shapes else 1.0
+        return float(law_parameters[-1]) if self.exponent_count else 1.0
 
-    def is_possible(self, law_parameters: LawParameters) -> bool:
+    def is_within_bounds(self, law_parameters: LawParameters) -> bool:
         """True if every parameter lies in its range and each stiffness is positive."""
-        contacts, (lowest, highest) = self.contacts(law_parameters), EXPONENTS
+        contacts, (lowest, highest) = self.contact_parameters(law_parameters), EXPONENT_RANGE
         within_bounds = np.all(contacts >= LAW.bounds[0]) and np.all(contacts[:, 2] > 0)
         return bool(within_bounds and lowest <= self.exponent(law_parameters) <= highest)
 
@@ -98,7 +98,7 @@ class LawForm:
         by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
         for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
             by_stiffness += contribution.slope_n_per_m
-            by_damping += contribution.damping_n_s_per_m * contribution.closed
+            by_damping += contribution.damping_n_s_per_m * contribution.is_closed
         return by_stiffness, by_damping
 
     def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
@@ -109,21 +109,21 @@ class LawForm:
             rows += [
                 lower,
                 lower - contribution.slope_n_per_m,
-                contribution.spring_m * contribution.closed,
-                contribution.damper * contribution.closed,
+                contribution.spring_m * contribution.is_closed,
+                contribution.damper_m_per_s * contribution.is_closed,
             ]
-            if self.shapes:
+            if self.exponent_count:
                 share = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
                 by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(share)
-        return [*rows, by_exponent] if self.shapes else rows
+        return [*rows, by_exponent] if self.exponent_count else rows
 
     def _contributions(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
     ) -> "list[_Contribution]":
         exponent = self.exponent(law_parameters)
         return [
-            self._contribution(row, exponent, eta_m, rate_m_per_s, number in self.springs)
-            for number, row in enumerate(self.contacts(law_parameters))
+            self._contribution(row, exponent, eta_m, rate_m_per_s, number in self.spring_indices)
+            for number, row in enumerate(self.contact_parameters(law_parameters))
         ]
 
     def _contribution(
@@ -157,30 +157,30 @@ class _Contribution:
 
     depth_m: Signal
     spring_m: Signal
-    damper: Signal
+    damper_m_per_s: Signal
     stiffness_n_per_m: float
     damping_n_s_per_m: float
     slope_n_per_m: Signal
-    closed: Bool[np.ndarray, "*samples"]
+    is_closed: Bool[np.ndarray, "*samples"]
 
     @property
     def force_n(self) -> Signal:
-        force = self.stiffness_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper
-        return np.asarray(force * self.closed)
+        force = self.stiffness_n_per_m * self.spring_m + self.damping_n_s_per_m * self.damper_m_per_s
+        return np.asarray(force * self.is_closed)
 
 
-DEAD_ZONE, SPRING = LawForm(), LawForm("spring", springs=(0,))
+DEAD_ZONE, SPRING = LawForm(), LawForm("spring", spring_indices=(0,))
 
 
-def linear_form(touched: Touched) -> LawForm:
+def linear_form(touched: TouchedStops) -> LawForm:
     """Dead zones, and a spring where neither side is touched."""
-    springs = tuple(np.flatnonzero(~touched.any(axis=1)).tolist())
-    return LawForm("spring" if len(springs) == len(touched) else "dead zone", springs=springs)
+    spring_indices = tuple(np.flatnonzero(~touched.any(axis=1)).tolist())
+    return LawForm("spring" if len(spring_indices) == len(touched) else "dead zone", spring_indices=spring_indices)
 
 
-def by_stiffness_and_damping(
+def unit_forces(
     form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
 ) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form._contributions(law_parameters, eta_m, rate_m_per_s)
-    return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper)]
+    return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper_m_per_s)]

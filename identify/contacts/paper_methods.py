@@ -113,7 +113,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
     force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for place, record in zip(separation.same_place, separation.records, strict=True):
+    for place, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
         signs = dict(zip((names[j] for j in place.members), place.signs, strict=True))
         determined = [name for name in signs if name in outcomes.estimates]

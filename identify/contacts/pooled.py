@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from identify.contacts.identification import identify_contact
-from identify.contacts.observation import RING_S
+from identify.contacts.observation import RINGING_S
 from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -49,13 +49,13 @@ def identify_long(
     identified: list[Segment] = []
     reason = ""
     size = path.stat().st_size if path.exists() else 0
-    for recording in segments(path, segment_s + RING_S, RING_S):
+    for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         try:
             report = identify_contact(
                 recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances
             ).report
             identified.append(
-                Segment(recording.start_s + (RING_S if recording.start_s else 0.0), recording.end_s, report)
+                Segment(recording.start_s + (RINGING_S if recording.start_s else 0.0), recording.end_s, report)
             )
         except RigError as error:
             reason = str(error)
@@ -72,10 +72,10 @@ def longest_segment_s(path: Path) -> float:
     Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
     """
     per_s, bound = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
-    memory_limit_s = bound / (MEMORY_COPIES * LAST_SEGMENT_RATIO * per_s) - RING_S
+    memory_limit_s = bound / (MEMORY_COPIES * LAST_SEGMENT_RATIO * per_s) - RINGING_S
     if memory_limit_s < SHORTEST_S:
         raise RigError(
-            f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RING_S:g} s at once take "
+            f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at once take "
             f"more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
             "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
         )

@@ -27,7 +27,7 @@ from identify.gaps.residual.windowed import (
     response_to_force,
 )
 from identify.linear.free_motion import FreeMode
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from identify.linear.model import (
     Response,
     ResponseCache,
@@ -171,7 +171,7 @@ def linear_model(
     is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is
     shared by rigs that are compared with one record; `mode_factors` are those on frequencies and damping of modes.
     """
-    rig = joined(rig)
+    rig = group_rig_of(rig)
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:

@@ -31,7 +31,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.tuning import TunedModes, tuned_modes
 from identify.gaps.residual.windowed import has_ground_forces
-from identify.linear.joined import joined_contacts, joined_laws
+from identify.linear.joined import contact_groups, group_laws
 from identify.linear.model import Recent, ResponseCache
 from identify.linear.nuisance import Nuisance
 from rig.model.description import Rig
@@ -143,7 +143,7 @@ class Residual:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for joined_contact, contact_fit in zip(joined_contacts(rig), self.contacts, strict=True):
+        for joined_contact, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
             for contact_index, law in zip(joined_contact.members, contact_fit.fitted_laws, strict=True):
                 contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
@@ -189,7 +189,7 @@ def linearized(
         record, expansion_rig, residual.parameters if residual else None, residual.nuisance_pulls if residual else None
     )
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
-    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.variances)
+    observations = observations or contact_observations(record, model, group_laws(expansion_rig), scales.variances)
     return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
 
 
@@ -228,7 +228,7 @@ def residual_of(
     Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
     linearisation whose unchanged parts are reused.
     """
-    record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
+    record, parameters, laws = linearization.record, linearization.columns.parameters, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
     if base is not None and same_but_laws(base.rig, rig):
         model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)

@@ -30,8 +30,8 @@ def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.0
         drift_m=np.zeros(4),
         drift_m_per_s=np.zeros(4),
         pulls=np.array(pulls),
-        unexplained=unexplained,
-        halves=halves,
+        unexplained_share=unexplained,
+        half_differences=halves,
     )
 
 

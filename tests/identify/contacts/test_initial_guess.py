@@ -40,17 +40,17 @@ def record(nuisance_n, force_n) -> ContactRecord:
         velocity_m_per_s=still,
         sample_rate_hz=1000.0,
         force_n=force_n,
-        factor=1,
+        decimation=1,
         quiet_n=0.0,
         noise_n=0.0,
-        unmodelled=0.0,
+        unmodelled_share=0.0,
         drift=None,
         nuisance_n=nuisance_n.astype(np.float32),
-        noise_in_n=none,
-        moving=none > 0,
-        noise_in_m=np.zeros(0),
+        force_noise_multiple=none,
+        shifts_eta=none > 0,
+        eta_noise_multiple=np.zeros(0),
         nuisance_m=np.zeros((0, force_n.size)),
-        initial=np.array([True, True, False])[-len(nuisance_n) :],
+        is_initial_state=np.array([True, True, False])[-len(nuisance_n) :],
     )
 
 

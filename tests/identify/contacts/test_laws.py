@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from identify.contacts import identify_contact
 from identify.contacts.acceptance import find_contacts
-from identify.contacts.law_form import STIFFNESS
+from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.results import identified_rig
 from rig.model.contact_laws import DeadZone
 from rig.model.tolerances import LABORATORY
@@ -67,10 +67,10 @@ def test_what_the_law_leaves_enters_the_intervals(case):
     estimate = find_contacts(recording, "auto", LABORATORY, by_others).outcomes.estimates["stop_1"]
     assert estimate.form.name == "dead zone"
     without_misfit = replace_case(estimate, covariance=estimate.covariance - estimate.of_misfit)
-    widened = estimate.error(STIFFNESS) / without_misfit.error(STIFFNESS)
+    widened = estimate.error(STIFFNESS_GRADIENT) / without_misfit.error(STIFFNESS_GRADIENT)
     assert widened < 1.05 if name == "dead zone" else widened > 1.5
     if name == "cannot pull":
-        assert abs(estimate.stiffness_n_per_m - law.stiffness_n_per_m) < 3 * estimate.error(STIFFNESS)
+        assert abs(estimate.stiffness_n_per_m - law.stiffness_n_per_m) < 3 * estimate.error(STIFFNESS_GRADIENT)
 
 
 def test_a_stop_that_is_described_far_away_is_not_there(tmp_path):
