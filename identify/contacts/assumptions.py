@@ -63,7 +63,7 @@ def assumptions(result: Identification) -> Iterator[str]:
     low, high = report.trusted_hz
     yield (
         f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
-        f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
+        f"{motion.sample_rate_hz / 2 / result.decimation:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
     if motion.slow_by_gauges:
@@ -71,7 +71,7 @@ def assumptions(result: Identification) -> Iterator[str]:
             "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
             "slow displacements of the linear bodies."
         )
-    for place in result.same_place:
+    for place in result.contact_groups:
         if len(place.members) > 1:
             stops = sum(rig.contacts[j].law.has_stops for j in place.members)
             told = [

@@ -76,7 +76,9 @@ def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHAR
     magnitude_n = np.abs(record.force_n)
     noise_n = min(record.noise_n, float(quiet_deviation(record.force_n)))
     return magnitude_n > max(
-        force_share * float(np.quantile(magnitude_n, 0.995)), QUIET_DEVIATIONS * record.quiet_deviation_n, NOISE_DEVIATIONS * noise_n
+        force_share * float(np.quantile(magnitude_n, 0.995)),
+        QUIET_DEVIATIONS * record.quiet_deviation_n,
+        NOISE_DEVIATIONS * noise_n,
     )
 
 
@@ -88,7 +90,8 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     """
     is_closed = clearly_closed(record)
     lower, upper = (
-        bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE) for is_on_side in (record.force_n < 0, record.force_n > 0)
+        bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
+        for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)

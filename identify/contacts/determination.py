@@ -28,7 +28,7 @@ GAPLESS_CODES = (RefusalCode.NO_STIFFNESS, RefusalCode.NO_LAW, RefusalCode.UNCER
 """Refusals that a spring which is described as a stop without clearance leads to."""
 SPRING_UNEXPLAINED_SHARE = 0.05
 """Share of the force that a spring may leave where the stops beside it are taken not to be reached."""
-NOMINAL_SPREAD, EXCHANGE_DISTANCE, SMALLEST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
+NOMINAL_SPREAD, EXCHANGE_DISTANCE, LEAST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
 """Standard deviations of clearance and stiffness in rig.json, as shares; the distance in them that rules out that two
 contacts are exchanged."""
 COUPLING_ROUNDS = 3
@@ -39,13 +39,13 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     """Outcomes of all contacts. Each force is fitted by itself; where springs couple the slow motions of contacts,
     again without the forces of that coupling. The forms of a law are tried against the dead zone.
     """
-    rig, records, places = separation.rig, separation.records, separation.contact_groups
+    rig, records, groups = separation.rig, separation.records, separation.contact_groups
     slow_n_per_m = separation.forces.slow_n_per_m
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
         slow_m = np.array(
-            [_slow_m(rig, place, record, outcomes) for place, record in zip(places, records, strict=True)]
+            [_slow_m(rig, place, record, outcomes) for place, record in zip(groups, records, strict=True)]
         )
         return determine_all(
             [
@@ -57,8 +57,8 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         outcomes = NO_OUTCOMES
-        for place, record in zip(places, records, strict=True):
-            outcomes = outcomes.joined(determine_place(rig, place, record, forms))
+        for place, record in zip(groups, records, strict=True):
+            outcomes = outcomes.joined(determine_group(rig, place, record, forms))
         return outcomes
 
     if not np.any(coupling_n_per_m):
@@ -67,10 +67,10 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     return refit(settled, forms) if forms else settled
 
 
-def _slow_m(rig: Rig, place: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
+def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
     slow_m = np.zeros(len(record.force_n))
-    for j, sign in zip(place.members, place.signs, strict=True):
+    for j, sign in zip(group.members, group.signs, strict=True):
         estimate = outcomes.estimates.get(rig.contacts[j].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
@@ -78,13 +78,13 @@ def _slow_m(rig: Rig, place: ContactGroup, record: ContactRecord, outcomes: Outc
     return slow_m
 
 
-def determine_place(rig: Rig, place: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
+def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal = [rig.contacts[j].name for j in place.members], _nominal_laws(rig, place)
-    springs = [not rig.contacts[j].law.has_stops for j in place.members]
+    names, nominal = [rig.contacts[j].name for j in group.members], _nominal_laws(rig, group)
+    springs = [not rig.contacts[j].law.has_stops for j in group.members]
     try:
         if not any(springs):
-            outcomes = _place_outcomes(names, nominal, record, forms)
+            outcomes = _stop_outcomes(names, nominal, record, forms)
         elif len(names) == 1:
             outcomes = _spring_outcome(names[0], nominal, record)
         else:
@@ -92,7 +92,7 @@ def determine_place(rig: Rig, place: ContactGroup, record: ContactRecord, forms:
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     outcomes = replace(outcomes, refusals=_without_gaps(rig, outcomes.refusals))
-    signs = dict(zip(names, place.signs, strict=True))
+    signs = dict(zip(names, group.signs, strict=True))
     estimates = {
         name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
@@ -110,31 +110,31 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
     }
 
 
-def _nominal_laws(rig: Rig, place: ContactGroup) -> NominalLaws:
+def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    values = [parameters_of_law(rig.contacts[j].law) for j in place.members]
-    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, place.signs, strict=True)])
+    values = [parameters_of_law(rig.contacts[j].law) for j in group.members]
+    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, group.signs, strict=True)])
 
 
-def _place_outcomes(
+def _stop_outcomes(
     names: Sequence[str], nominal: NominalLaws, record: ContactRecord, forms: Sequence[FormName]
 ) -> Outcomes:
     """Outcomes of one contact, or of several that share a relative displacement, in the direction of the first.
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
-    sides = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
+    is_touched = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
-        (estimate,) = fit_joint(record, nominal, _present_sides(nominal[0], record, sides)[None], forms)
+        (estimate,) = fit_joint(record, nominal, _present_stops(nominal[0], record, is_touched)[None], forms)
         check_certain(estimate)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
-    nearest = nominal[:, :2].min(axis=0)
-    reach = np.maximum(
-        reach_m(record), np.where(nearest < ABSENT_STOP_M, nearest, 0.0)
+    nearest_stops_m = nominal[:, :2].min(axis=0)
+    eta_reach_m = np.maximum(
+        reach_m(record), np.where(nearest_stops_m < ABSENT_STOP_M, nearest_stops_m, 0.0)
     )  # the nearest is always touched
-    return _outcomes_in_reach(names, nominal, record, sides, reach, np.zeros(len(names), dtype=bool))
+    return _outcomes_in_reach(names, nominal, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
 
 
 def _outcomes_beside_spring(
@@ -174,12 +174,12 @@ def _stops_beside_spring(
 ) -> Outcomes:
     """Outcomes of stops with a spring of that law beside them; eta_m is the relative displacement with its drift."""
     (spring,) = laws[are_springs]
-    of_stops = without_spring(without_nuisances(record, initial_pulls(record)), spring)
-    sides = np.array(touched_stops(of_stops))
+    stop_record = without_spring(without_nuisances(record, initial_pulls(record)), spring)
+    is_touched = np.array(touched_stops(stop_record))
     if len(names) > 2:
-        return _outcomes_in_reach(names, laws, record, sides, np.array([-eta_m.min(), eta_m.max()]), are_springs)
+        return _outcomes_in_reach(names, laws, record, is_touched, np.array([-eta_m.min(), eta_m.max()]), are_springs)
     touched = np.zeros((len(names), 2), dtype=bool)
-    touched[~are_springs] = _present_sides(laws[~are_springs][0], of_stops, sides)
+    touched[~are_springs] = _present_stops(laws[~are_springs][0], stop_record, is_touched)
     return _certain_outcomes(names, fit_joint(record, laws, touched))
 
 
@@ -200,18 +200,20 @@ def _spring_without_stops(
     names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes | None:
     """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
-    number = int(np.argmax(are_springs))
+    spring_index = int(np.argmax(are_springs))
     try:
-        outcomes = _spring_outcome(names[number], nominal[are_springs], record)
+        outcomes = _spring_outcome(names[spring_index], nominal[are_springs], record)
     except ContactRefusedError:
         return None
-    spring = outcomes.estimates[names[number]]
+    spring = outcomes.estimates[names[spring_index]]
     if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
     eta_m = record.eta_m + spring.drift_m
-    reach = np.array([-eta_m.min(), eta_m.max()])
+    eta_reach_m = np.array([-eta_m.min(), eta_m.max()])
     unreached = {
-        name: _not_reached(law, reach) if np.all(law[:2] > reach) else refused(RefusalCode.HARDLY_CLOSES).refusal
+        name: _not_reached(law, eta_reach_m)
+        if np.all(law[:2] > eta_reach_m)
+        else refused(RefusalCode.HARDLY_CLOSES).refusal
         for name, law, is_spring in zip(names, nominal, are_springs, strict=True)
         if not is_spring
     }
@@ -230,8 +232,8 @@ def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> O
     return Outcomes({name: estimate}, {})
 
 
-def _present_sides(
-    nominal: Float[np.ndarray, "4"], record: ContactRecord, sides: Bool[np.ndarray, "2"]
+def _present_stops(
+    nominal: Float[np.ndarray, "4"], record: ContactRecord, is_touched: Bool[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "2"]:
     """Sides with a stop. A nominal clearance far beyond the motion says that there is none, and that the force there is
     ringing.
@@ -241,35 +243,35 @@ def _present_sides(
     """
     if not record.sides_known and np.any(nominal[:2] >= ABSENT_STOP_M):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    present = sides & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
-    return present if present.any() and (present.all() or record.sides_known) else sides
+    is_present = is_touched & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
+    return is_present if is_present.any() and (is_present.all() or record.sides_known) else is_touched
 
 
 def _outcomes_in_reach(
     names: Sequence[str],
     nominal: NominalLaws,
     record: ContactRecord,
-    sides: Bool[np.ndarray, "2"],
-    reach: Float[np.ndarray, "2"],
+    is_touched: Bool[np.ndarray, "2"],
+    eta_reach_m: Float[np.ndarray, "2"],
     are_springs: Bool[np.ndarray, " contacts"],
 ) -> Outcomes:
     """Outcomes of several contacts by one fit, or one refusal for all. A contact with a nominal clearance beyond the
     reach of the motion is left out as not reached if the record does not determine it."""
-    presumed_touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides & ~are_springs[:, None]
+    may_touch = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * eta_reach_m) & is_touched & ~are_springs[:, None]
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
-        in_reach = np.any((nominal[:, :2] <= reach_ratio * reach) & sides, axis=1) | are_springs
-        reached = [name for name, is_in_reach in zip(names, in_reach, strict=True) if is_in_reach]
+        is_in_reach = np.any((nominal[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
+        reached = [name for name, is_in_reach in zip(names, is_in_reach, strict=True) if is_in_reach]
         unreached = Outcomes(
             {},
             {
-                name: _not_reached(law, reach)
-                for name, is_in_reach, law in zip(names, in_reach, nominal, strict=True)
+                name: _not_reached(law, eta_reach_m)
+                for name, is_in_reach, law in zip(names, is_in_reach, nominal, strict=True)
                 if not is_in_reach
             },
         )
         try:
-            estimates = _certain_estimates(nominal[in_reach], presumed_touched[in_reach], record)
+            estimates = _certain_estimates(nominal[is_in_reach], may_touch[is_in_reach], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
             refusals = unreached.joined(Outcomes.refused(reached, first_refusal))
@@ -308,22 +310,25 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLa
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
         pairs = np.array(
-            [(estimate.clearance_m, estimate.clearance_gradient @ law), (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law)]
+            [
+                (estimate.clearance_m, estimate.clearance_gradient @ law),
+                (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law),
+            ]
         )
-        shares = np.log(np.maximum(pairs, SMALLEST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
-        return float(shares @ shares)
+        deviations = np.log(np.maximum(pairs, LEAST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
+        return float(deviations @ deviations)
 
     assignments = [
         (sum(square_distance(estimate, law) for estimate, law in zip(assignment, nominal, strict=True)), assignment)
         for assignment in permutations(estimates)
         if [e.touched for e in assignment] == [e.touched for e in estimates]
     ]
-    (least_square, best), *alternatives = sorted(assignments, key=lambda pair: pair[0])
+    (least_square, nearest_estimates), *alternatives = sorted(assignments, key=lambda pair: pair[0])
     if alternatives and alternatives[0][0] - least_square < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
-    return best
+    return nearest_estimates
 
 
-def _not_reached(law: Float[np.ndarray, "4"], reach: Float[np.ndarray, "2"]) -> Refusal:
-    stop_mm, reach_mm = 1e3 * float(min(law[:2])), 1e3 * float(reach.max())
+def _not_reached(law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
+    stop_mm, reach_mm = 1e3 * float(min(law[:2])), 1e3 * float(eta_reach_m.max())
     return refused(RefusalCode.NOT_REACHED, stop_mm=stop_mm, reach_mm=reach_mm).refusal

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.signal import welch
 
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import attempted
+from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactReport, Segment
 from identify.linear.joined import ContactGroup
-from identify.linear.modal import pushing_force, receptance
+from identify.linear.modal import equivalent_force_n, receptance
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
 from identify.pages.wording import COVERED, number
@@ -35,11 +35,11 @@ def contact_figures(
         return picture(lambda figure: draw(figure, result, marks, marks_name))
 
     missing = {
-        *(() if result.methods.forms else _NIFO_FIGURES),
+        *(() if result.methods.main_spectra else _NIFO_FIGURES),
         *(() if result.methods.main_surfaces else _SURFACE_FIGURES),
     }
     figures = {name: draw for name, draw in _FIGURES.items() if name not in missing}
-    return attempted([] if notes is None else notes, "the figure", figures, drawn_picture)
+    return results_by_name([] if notes is None else notes, "the figure", figures, drawn_picture)
 
 
 def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Picture:
@@ -73,8 +73,8 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
     equation, rate = result.surface.equation, result.motion.sample_rate_hz
     measured = equation.displacement[:OUTPUT_SAMPLES]
-    low_hz = max(result.weak.frequency_hz[0], result.motion.trusted_hz[0])
-    exciting_force_n = pushing_force(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
+    low_hz = max(result.weak_nifo.frequency_hz[0], result.motion.trusted_hz[0])
+    exciting_force_n = equivalent_force_n(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
     spectrum = np.fft.rfft(equation.shape_at_force * exciting_force_n, 2 * measured.size)
     line_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0)
@@ -89,7 +89,7 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
     ):
         upper.plot(time[excerpt], 1e3 * signal[excerpt], color=colour, lw=1.1, label=label)
         frequency, density = welch(signal, rate, nperseg=min(signal.size, int(4 * rate)))
-        band = (frequency >= low_hz) & (frequency <= 2 * result.weak.frequency_hz[-1])
+        band = (frequency >= low_hz) & (frequency <= 2 * result.weak_nifo.frequency_hz[-1])
         lower.semilogy(frequency[band], density[band], color=colour, lw=1.1)
     upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
     upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -102,7 +102,7 @@ def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str)
     """Figures 5 and 13: restoring force over two coordinates, averaged in cells."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
-    first_place, *other_places = result.same_place
+    first_place, *other_places = result.contact_groups
     first = result.eta_m[first_place.members[0]][every_nth]
     if other_places:
         second = 1e3 * result.eta_m[other_places[0].members[0]][every_nth]
@@ -116,7 +116,7 @@ def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str)
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
     axes.set(xlabel=f"η of {first_place.contact.name}, mm", ylabel=label)
-    for k, place in enumerate(result.same_place[:2]):
+    for k, place in enumerate(result.contact_groups[:2]):
         _mark_stops(axes, result, place, marks, marks_name, horizontal=k > 0, labelled=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
@@ -127,9 +127,9 @@ def _section(figure: Any, result: Identification, marks: Marks, marks_name: str)
     place."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
-    axes_row = figure.subplots(1, len(result.same_place), squeeze=False, sharey=True)[0]
+    axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     unexplained = surface.measured_force - surface.fitted_force
-    for axes, place in zip(axes_row, result.same_place, strict=True):
+    for axes, place in zip(axes_row, result.contact_groups, strict=True):
         first, members = place.members[0], list(place.members)
         scale = surface.equation.shape_at_contacts[first] or 1.0
         eta = result.eta_m[first][every_nth]
@@ -149,9 +149,9 @@ def _section(figure: Any, result: Identification, marks: Marks, marks_name: str)
 
 def _separated(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
-    axes_row = figure.subplots(1, len(result.same_place), squeeze=False, sharey=True)[0]
-    every_nth = slice(None, None, result.factor)
-    for axes, place, separated in zip(axes_row, result.same_place, result.separated_n, strict=True):
+    axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
+    every_nth = slice(None, None, result.decimation)
+    for axes, place, separated in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
         eta = result.eta_m[place.members[0]][every_nth]
         force = separated[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
@@ -173,8 +173,8 @@ def _separated(figure: Any, result: Identification, marks: Marks, marks_name: st
 def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
     rate = result.motion.sample_rate_hz
-    axes = figure.subplots(len(result.same_place), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, place in enumerate(result.same_place):
+    axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
+    for j, place in enumerate(result.contact_groups):
         eta = result.eta_m[place.members[0]]
         start = int(0.4 * eta.size)
         excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
@@ -197,18 +197,20 @@ def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: st
 
 def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
-    count = len(result.weak.contacts)
+    count = len(result.weak_nifo.contacts)
     if not count:
-        figure.text(0.5, 0.5, f"modal equation {result.weak.equation.name} tells no contact's stiffness", ha="center")
+        figure.text(
+            0.5, 0.5, f"modal equation {result.weak_nifo.equation.name} tells no contact's stiffness", ha="center"
+        )
         return
     axes = figure.subplots(2, count, squeeze=False, sharex=True)
-    for i, j in enumerate(result.weak.contacts):
+    for i, j in enumerate(result.weak_nifo.contacts):
         contact = result.rig.contacts[j]
-        mean_n_per_m = result.weak.mean_n_per_m[i]
+        mean_n_per_m = result.weak_nifo.mean_n_per_m[i]
         reference_n_per_m = marks.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
-            (result.paper, GREY, "the paper's form"),
-            (result.weak, BLUE, "weak form"),
+            (result.paper_nifo, GREY, "the paper's form"),
+            (result.weak_nifo, BLUE, "weak form"),
         ):
             values = nifo.stiffness_n_per_m[i].real
             axes[0][i].plot(nifo.frequency_hz, values, color=colour, lw=1.0, label=label)
@@ -217,20 +219,20 @@ def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: st
         axes[0][i].axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
         if contact.name in marks:
             axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=marks_name)
-        limits = np.quantile(result.weak.stiffness_n_per_m[i].real, [0.02, 0.98])
+        limits = np.quantile(result.weak_nifo.stiffness_n_per_m[i].real, [0.02, 0.98])
         margin = max(np.ptp(limits), 0.02 * abs(mean_n_per_m))
         axes[0][i].set(ylim=(limits[0] - margin, limits[1] + margin), title=contact.name)
         axes[1][i].set(xlabel="frequency, Hz")
         axes[0][i].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     axes[0][0].set_ylabel("Re k, N/m")
     axes[1][0].set_ylabel("|k / reference - 1|, %")
-    figure.suptitle(f"Contact stiffness, modal equation {result.weak.equation.name}")
+    figure.suptitle(f"Contact stiffness, modal equation {result.weak_nifo.equation.name}")
 
 
 def _frf(figure: Any, result: Identification, _marks: Marks, _marks_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
-    weak, paper = result.weak, result.paper
+    weak, paper = result.weak_nifo, result.paper_nifo
     per_kg = weak.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
         (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
@@ -299,17 +301,17 @@ def curves(result: Identification) -> dict[str, Table]:
     tables = {"motion": _motion_table(result)}
     if result.methods.main_surfaces:
         tables["surface"] = _surface_table(result, names)
-    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.forms else {})
+    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.main_spectra else {})
 
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    factor = result.factor
+    factor = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[place.members[0] for place in result.same_place], ::factor]
+    eta = result.eta_m[[place.members[0] for place in result.contact_groups], ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(rows, factor)}
-    for place, displacement, contact_n in zip(result.same_place, eta, force, strict=True):
+    for place, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
         name = place.contact.name
         table[f"{name} relative displacement m"] = displacement[:rows]
         table[f"{name} contact force N"] = contact_n[:rows]
@@ -332,11 +334,11 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
 
 def _nifo_table(result: Identification, names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
-    table: Table = {"frequency_Hz": result.weak.frequency_hz}
-    for form, nifo in (("weak form", result.weak), ("paper's form", result.paper)):
+    table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
+    for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
         rows = {"FRF s^2": nifo.frf}
         rows |= {f"{names[j]} stiffness N/m": row for j, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)}
         for name, row in rows.items():
-            if nifo.frequency_hz.size == result.weak.frequency_hz.size:
+            if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
                 table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag
     return table

@@ -47,7 +47,7 @@ from identify.linear.model import (
     slow_damping,
     slow_stiffness,
 )
-from identify.linear.nuisance import Nuisance, NuisanceKind, Observed, changes_of
+from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from rig.errors import RigError
@@ -124,8 +124,8 @@ class _WeightedRows:
     responses: tuple[Response, ...]
     input_accelerances: Complex[np.ndarray, "inputs rows lines"]
     noise_power: Float[np.ndarray, "rows lines"]
-    observed: Observed
-    noise_alone: Observed
+    observed: ObservedSignals
+    noise_alone: ObservedSignals
     force_weights: ForceWeights
     unexplained: Complex[np.ndarray, "rows lines"]
     initial_states: InitialStates | None
@@ -150,7 +150,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     force_spectra = lines.spectra(motion.forces_n)
     input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
     observed, gauge_errors, noise_power = observation_of(record, lines, responses, in_metres, input_accelerations)
-    signals, sensor_response = observed.explained, observed.sensor_response
+    signals, sensor_response = observed.signals, observed.sensor_response
     least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
     corner_hz = LOWEST_CORNER_HZ if gauges.sensors and not motion.zero_known else 0.0
@@ -160,20 +160,22 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     has_driven_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
     for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        weighed_changes = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # those are at 0 Hz alone
+        weighed_changes = tuple(
+            c for c in changes if c.parameter.kind is not NuisanceKind.ZERO
+        )  # those are at 0 Hz alone
         errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
         weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
         unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
             states = initial_states(responses, motion, in_metres, lines, sensor_response * input_accelerances, errors)
-            unexplained = unexplained - states.delivered
+            unexplained = unexplained - states.signals
         if slow_by_gauges:
             by_contacts = input_accelerances[force_count:]
             corner_hz, noise_m = quietest_corner(record.signs, by_contacts, weights, noise_power * padding, lines)
         if is_first_pass:
             inputs = np.concatenate([force_spectra, contact_spectra(weights, unexplained)])
             observed = with_driven_modes(record, observed, inputs, corner_hz, gauge_errors)
-            inputs = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.explained)])
+            inputs = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.signals)])
             noise_alone = with_driven_modes(record, noise_alone, inputs, corner_hz, gauge_errors)
     return _WeightedRows(
         responses,
@@ -195,7 +197,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     rig, motion, factor, lines = record.rig, record.motion, record.decimation, record.lines
     rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
     weights, states = rows.force_weights, rows.initial_states
-    force_spectra = force_spectra(weights, rows.unexplained)
+    force_spectra = contact_spectra(weights, rows.unexplained)
     end_transient_s = END_TRANSIENT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     model, slow_signals = None, None
     if slow_by_gauges:
@@ -203,7 +205,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         model = slow_model(rig, motion, lines, corner_hz, rows.input_accelerances, observed)
         end_transient_s = max(end_transient_s, TAPER_S + 2 / corner_hz)
         inputs = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
-        correction = model.correction(inputs, observed.displaced[: len(motion.stations)])
+        correction = model.correction(inputs, observed.displacements[: len(motion.stations)])
         slow_signals = slow_motion(correction, lines, motion.samples, rows.noise_m)
     kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // factor
     nuisances = nuisance_signals(
@@ -222,8 +224,8 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         force_n = _force_on_mass(rig, motion, factor)[:, :kept_samples]
     elif states:
         start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / factor), kept_samples - 1)
-        state_force_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.spectra), kept_samples)
-        state_force_n = np.tensordot(states.root.T, state_force_n, 1)
+        state_force_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.unit_spectra), kept_samples)
+        state_force_n = np.tensordot(states.error_root.T, state_force_n, 1)
         state_rms_n = np.sqrt(np.mean(state_force_n[..., start_sample:] ** 2, axis=(1, 2)))
         is_significant = state_rms_n > LEAST_INITIAL_SHARE * force_n.std()
         nuisances = nuisances.with_record_signals(NuisanceKind.INITIAL_STATE, state_force_n[is_significant])

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Complex, Float
 from msgspec.structs import replace as with_fields
 
 from identify.contacts.station_spectra import SpectralLines
-from identify.linear.model import Response, input_shapes, times
+from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
@@ -71,11 +71,14 @@ class Gauges:
         on its body, by the indices of force and gauge."""
         shares = {}
         for body_response in responses:
-            highest = slice(int(CONVERGED_SHARE * body_response.count), None)
-            inputs, outputs = input_shapes(rig, body_response, rig.forces)[:, highest], body_response.shapes(self.sensors)[:, highest]
+            highest = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
+            inputs, outputs = (
+                input_shapes(rig, body_response, rig.forces)[:, highest],
+                body_response.shapes(self.sensors)[:, highest],
+            )
             accelerance = body_response.accelerance[highest]
             for i, j in product(*(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (inputs, outputs))):
-                shares[i, j] = response[j] * times((inputs[i] * outputs[j])[None], accelerance)[0]
+                shares[i, j] = response[j] * real_product((inputs[i] * outputs[j])[None], accelerance)[0]
         return shares
 
 
@@ -142,7 +145,11 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
             s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
             for s, row in zip(gauges, signals, strict=True)
         ]
-        noise, zero, zero_error = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities), signals.mean(axis=1), signals.std(axis=1)
+        noise, zero, zero_error = (
+            np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities),
+            signals.mean(axis=1),
+            signals.std(axis=1),
+        )
         strain = (signals - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
         noise, zero = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)

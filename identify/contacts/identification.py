@@ -24,7 +24,7 @@ from identify.contacts.paper_methods import (
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
 from identify.linear.joined import ContactGroup
-from identify.linear.modal import NEARLY_INVISIBLE, Transformation
+from identify.linear.modal import NEARLY_INVISIBLE_SHARE, Transformation
 from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
@@ -37,7 +37,7 @@ from rig.model.description import Rig, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-CLOSED_SHARE_DOUBT = 0.05
+MAX_SHARE_HALF_WIDTH = 0.05
 """Largest half-width of the 95 % interval of a share of time that is reported."""
 
 
@@ -53,20 +53,20 @@ class Identification:
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    same_place: tuple[ContactGroup, ...]
+    contact_groups: tuple[ContactGroup, ...]
     separated_n: Float[np.ndarray, "places fewer"]
-    factor: int
+    decimation: int
     outcomes: Outcomes
     methods: PaperMethods
     tolerances: Tolerances
 
     @property
-    def weak(self) -> Nifo:
+    def weak_nifo(self) -> Nifo:
         """NIFO's weak form of the main equation; raises RigError if there is none."""
         return self._forms[0]
 
     @property
-    def paper(self) -> Nifo:
+    def paper_nifo(self) -> Nifo:
         """NIFO in the paper's form; raises RigError if there is none."""
         return self._forms[1]
 
@@ -84,11 +84,11 @@ class Identification:
 
     @property
     def _forms(self) -> tuple[Nifo, ...]:
-        if not self.methods.forms:
+        if not self.methods.main_spectra:
             raise RigError(
                 "; ".join(self.methods.notes) or "NIFO needs a force, and the exciting force is zero throughout"
             )
-        return self.methods.forms
+        return self.methods.main_spectra
 
 
 @dataclass(frozen=True)
@@ -149,9 +149,9 @@ def identify_contact(
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        same_place=separated.same_place,
+        contact_groups=separated.same_place,
         separated_n=separated.separated_n,
-        factor=separated.factor,
+        decimation=separated.factor,
         outcomes=separated.outcomes,
         methods=methods,
         tolerances=tolerances or rig.tolerances or LABORATORY,
@@ -182,7 +182,7 @@ def contact_report(
     eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_contact(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(_contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
@@ -208,14 +208,16 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     lower, upper = estimate.touched
     (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
 
-    def share(errors_outwards: float) -> float:
-        below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
-        return float(np.mean(below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
+    def share_beyond(errors_outwards: float) -> float:
+        is_below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
+        return float(np.mean(is_below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
 
-    return share(0.0) if share(-COVERED) - share(COVERED) < 2 * CLOSED_SHARE_DOUBT else None
+    return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
 
-def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
+def _contact_estimate(
+    name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
+) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
@@ -241,8 +243,8 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
 
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
-        acting = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
-        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), acting)
+        undetermined_names = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
+        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), undetermined_names)
 
     return tuple(mode_of(nifo) for nifo in nifo_in_band)
 
@@ -254,11 +256,15 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    hidden = tuple(
-        c.name for c, share in zip(rig.contacts, nifo.equation.visibility, strict=True) if share < NEARLY_INVISIBLE
+    invisible_contacts = tuple(
+        c.name
+        for c, share in zip(rig.contacts, nifo.equation.visibility, strict=True)
+        if share < NEARLY_INVISIBLE_SHARE
     )
     band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, hidden)
+    return results.NifoResult(
+        nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible_contacts
+    )
 
 
 def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
@@ -272,5 +278,9 @@ def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Cleara
 def _transformation_result(transform: Transformation) -> results.TransformationResult:
     modes, stations = transform.inverse_shapes.shape
     return results.TransformationResult(
-        transform.body.name, stations, modes, transform.condition, tuple(float(x) for x in transform.lost)
+        transform.body.name,
+        stations,
+        modes,
+        transform.condition_number,
+        tuple(float(x) for x in transform.truncation_shares),
     )

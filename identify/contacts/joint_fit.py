@@ -183,7 +183,9 @@ def fit_joint(
     state = fit.state
     derivatives, equations, scaled_to_laws = fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    by_knots, by_dense = equations.solved(np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count))
+    by_knots, by_dense = equations.solved(
+        np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
+    )
     in_law = np.concatenate([by_dense[:pull_count], scaled_to_laws @ by_dense[pull_count:]])
     influence = derivatives.columns(by_knots, in_law) * fit.weights[:, None] ** 2  # of residuals on parameters
     degrees_of_freedom = PARTS - free_count  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
@@ -216,8 +218,10 @@ def fit_joint(
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
             unexplained_share=_unexplained_share(record, state),
-            half_differences=_half_differences(by_parts @ scaled_to_laws[block].T, (_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT)),
-            form=SPRING if not (lower or upper) else replace(state.form, springs=()),
+            half_differences=_half_differences(
+                by_parts @ scaled_to_laws[block].T, (_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT)
+            ),
+            form=SPRING if not (lower or upper) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
             exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
@@ -261,7 +265,9 @@ def _check_bridged(record: ContactRecord, state: State) -> None:
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
     is_closed = clearly_closed(record)
-    open_times_s = np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * record.decimation / record.sample_rate_hz
+    open_times_s = (
+        np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * record.decimation / record.sample_rate_hz
+    )
     open_times_s = np.sort(open_times_s)[: round((1 - PAUSE_SHARE) * open_times_s.size)]
     wander_m = record.drift.noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
     depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m

@@ -93,7 +93,11 @@ def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarra
     zero of the relative displacement is unknown, it is the middle of the first contact's play."""
     is_free = np.column_stack([touched, np.ones_like(touched)]).ravel()
     free_to_laws = np.eye(is_free.size)[:, is_free]
-    return free_to_laws if sides_known or not touched[0].any() else np.column_stack([free_to_laws[:, 0] + free_to_laws[:, 1], free_to_laws[:, 2:]])
+    return (
+        free_to_laws
+        if sides_known or not touched[0].any()
+        else np.column_stack([free_to_laws[:, 0] + free_to_laws[:, 1], free_to_laws[:, 2:]])
+    )
 
 
 def first_fit(
@@ -113,7 +117,9 @@ def first_fit(
     for law, knots in guesses:
         start = state_at(record, curve, form, law, knots, pulls)
         try:
-            states.append(_least_cost_state(record, curve, start, free_to_laws, residual_weights(record, start, initial_noise_n)))
+            states.append(
+                _least_cost_state(record, curve, start, free_to_laws, residual_weights(record, start, initial_noise_n))
+            )
         except ContactRefusedError as error:
             refusal = error
     if not states:
@@ -156,7 +162,11 @@ def _least_cost_state(
 def _with_cost(record: ContactRecord, curve: Spline, state: State, weights: Weights) -> State:
     """State with its cost: weighted squares of residuals and of the priors."""
     curvature_residual = curve.curvature @ state.knots - curve.target
-    squares = np.sum((weights * state.residual_n) ** 2) + np.sum(curvature_residual**2) + record.samples_per_error * np.sum(state.pulls**2)
+    squares = (
+        np.sum((weights * state.residual_n) ** 2)
+        + np.sum(curvature_residual**2)
+        + record.samples_per_error * np.sum(state.pulls**2)
+    )
     return replace(state, cost=float(squares))
 
 
@@ -166,7 +176,11 @@ def _scaled_to_laws(state: State, free_to_laws: Float[np.ndarray, "laws free"]) 
     clearance_m = np.maximum(np.minimum(lower, upper), 1e-9)
     scales = np.stack([clearance_m, clearance_m, stiffness, 1e-3 * stiffness], axis=1).ravel()
     scaled_to_laws = free_to_laws * np.max(free_to_laws * scales[:, None], axis=0)
-    return np.asarray(block_diag(scaled_to_laws, EXPONENT_STEP * np.eye(state.form.exponent_count)) if state.form.exponent_count else scaled_to_laws)
+    return np.asarray(
+        block_diag(scaled_to_laws, EXPONENT_STEP * np.eye(state.form.exponent_count))
+        if state.form.exponent_count
+        else scaled_to_laws
+    )
 
 
 def _open_deviation_n(state: State) -> float:
@@ -263,7 +277,9 @@ def misfit_covariance(
     covariance = np.zeros((law_parameters.size, law_parameters.size))
     scaled_to_laws = fit.linearized[2]
     for halves in _closed_splits(fit):
-        half_scores = [_half_scores(fit, derivatives.by_law @ scaled_to_laws, is_in_half, part_starts) for is_in_half in halves]
+        half_scores = [
+            _half_scores(fit, derivatives.by_law @ scaled_to_laws, is_in_half, part_starts) for is_in_half in halves
+        ]
         if any(scores is None for scores in half_scores):
             continue
         first, second = (scores for scores in half_scores if scores is not None)
@@ -281,7 +297,12 @@ def _misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.nd
     scatter = (scores - scores.mean(axis=0)) / scale
     covariance = part_count / (part_count - 1) * scatter.T @ scatter
     t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
-    t_square_limit = free_count * (part_count - 1) / (part_count - free_count) * float(f.ppf(MISFIT_CONFIDENCE, free_count, part_count - free_count))
+    t_square_limit = (
+        free_count
+        * (part_count - 1)
+        / (part_count - free_count)
+        * float(f.ppf(MISFIT_CONFIDENCE, free_count, part_count - free_count))
+    )
     return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
@@ -322,7 +343,8 @@ def _rounded_depth_m(fit: LawFit) -> float:
     typical_m = float(np.sqrt(np.mean(depth[depth != 0] ** 2)))
     power_of_ten = float(10 ** np.floor(np.log10(typical_m)))
     return min(
-        (round_number * power_of_ten for round_number in (1.0, 2.0, 5.0, 10.0)), key=lambda d: abs(np.log(d / typical_m))
+        (round_number * power_of_ten for round_number in (1.0, 2.0, 5.0, 10.0)),
+        key=lambda d: abs(np.log(d / typical_m)),
     )
 
 

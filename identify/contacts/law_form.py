@@ -178,9 +178,7 @@ def linear_form(touched: TouchedStops) -> LawForm:
     return LawForm("spring" if len(spring_indices) == len(touched) else "dead zone", spring_indices=spring_indices)
 
 
-def unit_forces(
-    form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
-) -> list[Signal]:
+def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
     contributions = form._contributions(law_parameters, eta_m, rate_m_per_s)
     return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper_m_per_s)]

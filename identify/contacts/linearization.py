@@ -71,7 +71,9 @@ class Jacobian:
     ) -> Float[np.ndarray, "fewer columns"]:
         """Jacobian times columns of knots and dense parameters: the nuisance parameters, then the law's."""
         pull_count = self.by_pulls.shape[1]
-        of_pulls = np.concatenate([self.by_pulls[chunk] @ dense[:pull_count] for chunk in sample_chunks(len(self.by_law))])
+        of_pulls = np.concatenate(
+            [self.by_pulls[chunk] @ dense[:pull_count] for chunk in sample_chunks(len(self.by_law))]
+        )
         return np.asarray(self.by_knots @ knots + of_pulls + self.by_law @ dense[pull_count:])
 
 
@@ -135,11 +137,16 @@ def jacobian(record: ContactRecord, curve: Spline, state: State) -> Jacobian:
     by_stiffness, by_damping = state.form.slopes(state.law_parameters, eta, velocity)
     by_law = state.form.derivatives(state.law_parameters, eta, velocity)
     by_drift = diags(state.tangent_n_per_m) @ curve.value[:: record.decimation][: record.force_n.size]
-    force_residual_n, drift_force_n = state.residual_n + ground_force_n(record, curve) @ state.knots, by_drift @ state.knots
+    force_residual_n, drift_force_n = (
+        state.residual_n + ground_force_n(record, curve) @ state.knots,
+        by_drift @ state.knots,
+    )
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
     for index, noise in enumerate(record.force_noise_multiple):
         by_pulls[index] -= noise * force_residual_n
-    for row, nuisance_m, noise in zip(np.flatnonzero(record.shifts_eta), record.nuisance_m, record.eta_noise_multiple, strict=True):
+    for row, nuisance_m, noise in zip(
+        np.flatnonzero(record.shifts_eta), record.nuisance_m, record.eta_noise_multiple, strict=True
+    ):
         force_change_n = by_stiffness * nuisance_m + by_damping * record.velocity_of(nuisance_m)
         by_pulls[row] -= _low_passed(record, force_change_n) + noise * drift_force_n
     force_gain = 1 - state.pulls @ record.force_noise_multiple
@@ -217,7 +224,11 @@ def normal_equations(
         schur_inverse = np.linalg.inv(dense_block - border.T @ eliminated_border)
     except LinAlgError as error:
         raise refused(RefusalCode.NO_LAW) from error
-    return BorderedEquations(cholesky, border, eliminated_border, schur_inverse), knot_gradient[:, None], dense_gradient[:, None]
+    return (
+        BorderedEquations(cholesky, border, eliminated_border, schur_inverse),
+        knot_gradient[:, None],
+        dense_gradient[:, None],
+    )
 
 
 def _banded_cholesky(matrix: spmatrix) -> Float[np.ndarray, "band knots"]:

@@ -8,8 +8,8 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.slow_motion import SlowModel
 from identify.contacts.station_spectra import SpectralLines
-from identify.linear.model import times
-from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, changes_of
+from identify.linear.model import real_product
+from identify.linear.nuisance import RECORD_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.signals.drift import KNOT_S
 
 ForceWeights = Complex[np.ndarray, "contacts rows lines"]
@@ -35,7 +35,7 @@ class NuisanceSignals:
         """Signals with further ones of parameters of the record itself, which change no displacement."""
         no_noise = np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
+            (*self.parameters, *(Nuisance(kind, RECORD_NAME, i + 1) for i in range(len(force_n)))),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
             np.concatenate([self.force_noise_multiple, no_noise]),
@@ -49,8 +49,8 @@ class NuisanceSignals:
 
 def nuisance_signals(
     parameters: tuple[Nuisance, ...],
-    observed: Observed,
-    noise_alone: Observed,
+    observed: ObservedSignals,
+    noise_alone: ObservedSignals,
     weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
@@ -67,24 +67,27 @@ def nuisance_signals(
     shape = (len(parameters), len(signs), samples)
     force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
     force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_forces, noise_etas = contact_spectra(weights, noise_alone.explained), times(signs, noise_alone.displaced)
+    noise_forces, noise_etas = (
+        contact_spectra(weights, noise_alone.signals),
+        real_product(signs, noise_alone.displacements),
+    )
     for i, (change, noise_change) in enumerate(zip(changes_of(observed), changes_of(noise_alone), strict=True)):
         sensor_weights, sensor_signs = weights[:, change.sensors], signs[:, change.sensors]
-        force_spectra = contact_spectra(sensor_weights, change.delivered)
+        force_spectra = contact_spectra(sensor_weights, change.signals)
         force_n[i] = lines.signals(force_spectra, samples)
-        force_multiple[i] = _noise_multiple(noise_forces, contact_spectra(sensor_weights, noise_change.delivered))
-        displaced = np.zeros_like(change.delivered) if change.displaced is None else change.displaced
+        force_multiple[i] = _noise_multiple(noise_forces, contact_spectra(sensor_weights, noise_change.signals))
+        displaced = np.zeros_like(change.signals) if change.displacements is None else change.displacements
         if slow_model is not None:
             station_motion = np.zeros((station_count, displaced.shape[1]), dtype=complex)
             rows = [(row, sensor) for row, sensor in enumerate(change.sensors) if sensor < station_count]
             for row, sensor in rows:
                 station_motion[sensor] = displaced[row]
             motion_change = slow_model.displacement_change(change.parameter, force_spectra, station_motion)
-            eta_m[i] = lines.signals(times(signs[:, :station_count], motion_change), samples)
-        elif change.displaced is not None and np.any(sensor_signs):
-            eta_m[i] = lines.signals(times(sensor_signs, displaced), samples)
-        if change.displaced is not None and noise_change.displaced is not None and np.any(sensor_signs):
-            eta_multiple[i] = _noise_multiple(noise_etas, times(sensor_signs, noise_change.displaced))
+            eta_m[i] = lines.signals(real_product(signs[:, :station_count], motion_change), samples)
+        elif change.displacements is not None and np.any(sensor_signs):
+            eta_m[i] = lines.signals(real_product(sensor_signs, displaced), samples)
+        if change.displacements is not None and noise_change.displacements is not None and np.any(sensor_signs):
+            eta_multiple[i] = _noise_multiple(noise_etas, real_product(sensor_signs, noise_change.displacements))
     return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)
 
 

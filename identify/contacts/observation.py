@@ -9,9 +9,14 @@ from scipy.fft import next_fast_len
 
 from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
-from identify.contacts.station_spectra import SpectralLines, full_body_motion, observed_body_motion, sensed_accelerations
+from identify.contacts.station_spectra import (
+    SpectralLines,
+    full_body_motion,
+    observed_body_motion,
+    sensed_accelerations,
+)
 from identify.linear.model import Response
-from identify.linear.nuisance import Observed, ObservedBase
+from identify.linear.nuisance import ObservedSignals, ObservedBase
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import MeasuredBase, count_on_bodies
 from rig.model.description import Rig
@@ -54,7 +59,7 @@ def observation_of(
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
-) -> tuple[Observed, GaugeErrors, Float[np.ndarray, "rows lines"]]:
+) -> tuple[ObservedSignals, GaugeErrors, Float[np.ndarray, "rows lines"]]:
     """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
     gauges beside the tolerances; the power of the noise.
 
@@ -68,17 +73,19 @@ def observation_of(
     station_signals = np.where(in_metres, displacements, accelerations)
     station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
     has_high_passed_springs = any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
-    is_usable = ~lines.is_slow | np.array([[not (has_high_passed_springs or s.high_pass_hz)] for s in gauges.sensors], bool).reshape(-1, 1)
+    is_usable = ~lines.is_slow | np.array(
+        [[not (has_high_passed_springs or s.high_pass_hz)] for s in gauges.sensors], bool
+    ).reshape(-1, 1)
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
-    observed = Observed(
+    observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
         tolerances=record.tolerances,
         omega=lines.omega,
         sensor_response=np.concatenate([station_response, gauge_rows.response]),
-        explained=np.concatenate([station_signals, gauge_rows.measured]),
-        by_force=input_accelerations[: count_on_bodies(rig)],
-        displaced=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
+        signals=np.concatenate([station_signals, gauge_rows.measured]),
+        force_accelerations=input_accelerations[: count_on_bodies(rig)],
+        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=_observed_base(motion.base, lines, input_accelerations[-1]) if motion.base else None,
     )
@@ -103,57 +110,57 @@ def _observed_base(
         displaced_by=base.displaced_by,
         acceleration=lines.spectra(base.acceleration_m_per_s2),
         displacement=lines.spectra(base.displacement_m),
-        by_base=base_response,
+        station_accelerations=base_response,
     )
 
 
 def noise_observation(
-    rig: Rig, motion: Kinematics, observed: Observed, noise: Complex[np.ndarray, "rows lines"]
-) -> Observed:
+    rig: Rig, motion: Kinematics, observed: ObservedSignals, noise: Complex[np.ndarray, "rows lines"]
+) -> ObservedSignals:
     """Observation of the sensors' noise alone."""
     station_count = len(motion.stations)
     accelerations = noise[:station_count] / observed.sensor_response[:station_count]
-    displaced = np.zeros_like(observed.displaced)
+    displaced = np.zeros_like(observed.displacements)
     displaced[:station_count] = -accelerations / observed.omega**2
     return replace(
         observed,
-        explained=noise,
-        by_force=np.zeros_like(observed.by_force),
-        displaced=displaced,
+        signals=noise,
+        force_accelerations=np.zeros_like(observed.force_accelerations),
+        displacements=displaced,
         bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
-        base=observed.base and observed.base.silent,
+        base=observed.base and observed.base.at_rest,
     )
 
 
 def with_driven_modes(
     record: SeparationInput,
-    observed: Observed,
+    observed: ObservedSignals,
     inputs: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
     errors: GaugeErrors,
-) -> Observed:
+) -> ObservedSignals:
     """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
     and the contact forces."""
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
-    accelerations = observed.explained[:station_count] / observed.sensor_response[:station_count]
+    accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
     motions = (
         full_body_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])
         for b in observed.bodies
     )
-    driven = replace(observed, bodies=tuple(motions), further=errors.changes(inputs))
+    driven = replace(observed, bodies=tuple(motions), further_changes=errors.changes(inputs))
     return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
 
 
 def with_modes_at_rest(
     record: SeparationInput,
-    observed: Observed,
+    observed: ObservedSignals,
     forces: Complex[np.ndarray, "forces lines"],
     corner_hz: float,
     errors: GaugeErrors,
-) -> Observed:
+) -> ObservedSignals:
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
     inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting = replace(observed, further=errors.changes(inputs))
+    resting = replace(observed, further_changes=errors.changes(inputs))
     return with_slow_modes(record.rig, resting, 0 * inputs, corner_hz) if corner_hz else resting

@@ -10,7 +10,7 @@ import numpy as np
 
 from identify.contacts.assumptions import assumptions, recommendations, variance_shares
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import attempted
+from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
 from identify.pages.machine import rig_drawing
@@ -204,7 +204,7 @@ def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> li
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
     named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    html = results_by_name(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
     return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 

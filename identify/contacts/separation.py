@@ -265,7 +265,9 @@ def drift_of(
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
     densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]
     if motion.base and len(stations) == 1:
-        base_error_m_per_s2 = tolerances.of_sensor(motion.base.sensor.name).gain * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+        base_error_m_per_s2 = tolerances.of_sensor(motion.base.sensor.name).gain * _slow_acceleration(
+            motion.base.acceleration_m_per_s2, motion
+        )
         densities.append(float(np.sqrt(np.mean(base_error_m_per_s2**2) / DRIFT_BAND_HZ)))
     return Drift(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
@@ -284,7 +286,9 @@ def _error_density(
     row = motion.stations.index(station)
     body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
     body_stations.sort(key=lambda i: motion.stations[i].position_m)
-    slow_m_per_s2 = np.stack([_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]])
+    slow_m_per_s2 = np.stack(
+        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]]
+    )
     absolute_m_per_s2 = slow_m_per_s2[body_stations.index(row)]
     if motion.base:
         absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)

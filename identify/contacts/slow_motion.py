@@ -19,7 +19,7 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, ResponseCache, input_shapes, responses_of
-from identify.linear.nuisance import Nuisance, Observed, changes_of
+from identify.linear.nuisance import Nuisance, ObservedSignals, changes_of
 from identify.signals.kinematics import CORNER_HZ, Kinematics, integrated
 from rig.model.description import Rig
 
@@ -55,7 +55,10 @@ class SlowModel:
     ) -> Complex[np.ndarray, "stations slow"]:
         """Slow displacement by exciting and contact forces, less the integrated one."""
         lines = slice(self.low_pass_gain.shape[1])
-        return np.asarray(np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines]) - self.low_pass_gain * displacements[:, lines])
+        return np.asarray(
+            np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines])
+            - self.low_pass_gain * displacements[:, lines]
+        )
 
     def displacement_change(
         self,
@@ -68,8 +71,12 @@ class SlowModel:
         count = self.low_pass_gain.shape[1]
         lines = slice(count)
         by_contacts = self.input_displacements[-len(contact_forces) :]
-        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, lines]) - self.nuisance_changes.get(parameter, 0.0)
-        return np.concatenate([(1 - self.low_pass_gain) * displacements[:, lines] + slow, displacements[:, count:]], axis=1)
+        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, lines]) - self.nuisance_changes.get(
+            parameter, 0.0
+        )
+        return np.concatenate(
+            [(1 - self.low_pass_gain) * displacements[:, lines] + slow, displacements[:, count:]], axis=1
+        )
 
 
 def slow_model(
@@ -78,7 +85,7 @@ def slow_model(
     lines: SpectralLines,
     corner_hz: float,
     by_input: Complex[np.ndarray, "inputs rows lines"],
-    observed: Observed,
+    observed: ObservedSignals,
 ) -> SlowModel:
     """Slow model of a rig; `by_input` are the accelerations per newton, those of the stations first; `observed` has the
     motion of the modes."""
@@ -91,15 +98,15 @@ def slow_model(
     )
     no_motion = np.zeros((station_count, slow_count), dtype=complex)
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
-    at_stations = Observed(
+    at_stations = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
         tolerances=exact_sensors,
         omega=omega,
         sensor_response=(low_pass_gain / -(omega**2)).astype(complex),
-        explained=no_motion,
-        by_force=observed.by_force[:, :station_count, :slow_count],
-        displaced=no_motion,
+        signals=no_motion,
+        force_accelerations=observed.force_accelerations[:, :station_count, :slow_count],
+        displacements=no_motion,
         bodies=tuple(
             replace(body, response=response, acceleration=body.acceleration[:, :slow_count])
             for body, response in zip(observed.bodies, responses, strict=True)
@@ -167,7 +174,9 @@ def quietest_corner(
     stations = signs.shape[1]
     integrated_power = np.einsum("cs,sl->cl", signs**2, noise_power[:stations]) / lines.omega**4
     by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
-    modelled_power = np.einsum("crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", by_contacts_m, weights)) ** 2, noise_power)
+    modelled_power = np.einsum(
+        "crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", by_contacts_m, weights)) ** 2, noise_power
+    )
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
     steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
     corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)
@@ -181,8 +190,8 @@ def quietest_corner(
 
 
 def with_slow_modes(
-    rig: Rig, observed: Observed, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
-) -> Observed:
+    rig: Rig, observed: ObservedSignals, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
+) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
     slow_count = int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))

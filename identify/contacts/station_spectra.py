@@ -11,7 +11,7 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.linear.free_motion import InitialStates, estimated_states, free_motions, free_spectra
 from identify.linear.modal import transformation
-from identify.linear.model import Response, input_shapes, times
+from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import BodyMotion, Change, elastic_modes
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
@@ -64,7 +64,9 @@ class SpectralLines:
     def signals(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
         """First samples of the signals of spectra, at every `factor`-th sample."""
         real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        return np.asarray(np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples] / self.decimation)
+        return np.asarray(
+            np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples] / self.decimation
+        )
 
     @property
     def correlated_line_count(self) -> int:
@@ -89,9 +91,11 @@ class StationErrors:
         chunk_lines = slice(start - first, stop - first)
         covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
         index = np.arange(station_count)
-        covariance[index, index] = self.noise_power[:, start:stop] + max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
+        covariance[index, index] = self.noise_power[:, start:stop] + max(
+            LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power
+        )
         for change in self.changes:
-            rows, delivered = np.array(change.sensors), change.delivered[:, first:last]
+            rows, delivered = np.array(change.sensors), change.signals[:, first:last]
             products = uniform_filter1d(
                 delivered[:, None] * delivered[None].conj(), self.correlated_line_count, axis=-1
             )
@@ -101,7 +105,7 @@ class StationErrors:
     @cached_property
     def _mean_variance(self) -> float:
         """Mean variance over stations and lines."""
-        tolerance_power = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
+        tolerance_power = sum(np.linalg.norm(change.signals) ** 2 for change in self.changes)
         return float(np.sum(self.noise_power) + tolerance_power) / self.noise_power.size
 
     def line_chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
@@ -130,7 +134,7 @@ def observed_body_motion(
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
-    modal_accelerations = times(transform.inverse_shapes, accelerations[list(transform.rows)])
+    modal_accelerations = real_product(transform.inverse_shapes, accelerations[list(transform.station_rows)])
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
@@ -154,14 +158,16 @@ def full_body_motion(
     and are subtracted from the stations' accelerations before the others are determined.
     """
     observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
-    modal_force = times(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
+    modal_force = real_product(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
     hidden_accelerations = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
-    visible_accelerations = accelerations - times(response.shapes(motion.stations)[:, observed_mode_count:], hidden_accelerations)
+    visible_accelerations = accelerations - real_product(
+        response.shapes(motion.stations)[:, observed_mode_count:], hidden_accelerations
+    )
     body_motion = observed_body_motion(rig, response, motion, visible_accelerations)
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
+        elastic_indices=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
     )
 
 
@@ -201,15 +207,22 @@ def initial_states(
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
-    untapered = replace(lines, tapered=False)
+    untapered = replace(lines, is_tapered=False)
     samples, padding_samples, force_count = motion.samples, lines.padded_samples - motion.samples, len(motion.forces_n)
-    motions, start_prior, end_prior = free_motions(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.padded_samples)
+    motions, start_prior, end_prior = free_motions(
+        responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.padded_samples
+    )
     orders = [s.measures.order for s in motion.sensors]
 
     def free_motion_spectra(lines_of_part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        return free_spectra(motions, orders, in_metres, lines.omega, lambda signals: lines_of_part.spectra(signals[:, :length]))
+        return free_spectra(
+            motions, orders, in_metres, lines.omega, lambda signals: lines_of_part.spectra(signals[:, :length])
+        )
 
-    start_spectra, end_spectra = free_motion_spectra(untapered, samples), free_motion_spectra(untapered, padding_samples)
+    start_spectra, end_spectra = (
+        free_motion_spectra(untapered, samples),
+        free_motion_spectra(untapered, padding_samples),
+    )
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
     measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
     is_spring_held = np.array([m.is_held for m in motions])

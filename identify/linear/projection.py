@@ -35,7 +35,7 @@ class Projection:
     deviation: Float[np.ndarray, "sensors lines"]
     free_count: int
 
-    def of(
+    def residual_and_inputs(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
         """Residual of a change that some sensors deliver, in standard deviations, and the free inputs.
@@ -44,10 +44,10 @@ class Projection:
         """
         standardised = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
         inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standardised)
-        residual = unexplained(self.by_input, inputs, standardised, sensors)
+        residual = input_residual(self.by_input, inputs, standardised, sensors)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
-    def single(self) -> "Projection":
+    def in_single_precision(self) -> "Projection":
         """Projection in single precision, half as large: enough for derivatives."""
         return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
@@ -58,7 +58,7 @@ def projection(
     free_count: int,
 ) -> Projection:
     """Projection of unknown inputs, with `by_input` in standard deviations."""
-    to_inputs = _solved(_normal(by_input, by_input, free_count), by_input.conj())
+    to_inputs = _solved_line_by_line(_normal_matrices(by_input, by_input, free_count), by_input.conj())
     return Projection(by_input, to_inputs, deviation, free_count)
 
 
@@ -71,15 +71,15 @@ def estimated_inputs(
 
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
-    normal = _normal(by_input, by_input, free_count)
-    inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
+    normal = _normal_matrices(by_input, by_input, free_count)
+    inputs = _solved_line_by_line(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
     wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count]))
     return inputs, float(wide - narrow)
 
 
-def unexplained(
+def input_residual(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
     standardised: Complex[np.ndarray, "some lines"],
@@ -101,12 +101,12 @@ def to_free_inputs(
     to_inputs, condition = np.empty_like(by_input), 1.0
     for lines, covariance in covariances:
         columns = by_input[..., lines]
-        weighted = np.linalg.solve(covariance, _line_by_line(columns)).transpose(2, 1, 0)
-        normal = _normal(columns, weighted, len(columns))
+        weighted = np.linalg.solve(covariance, _lines_first(columns)).transpose(2, 1, 0)
+        normal = _normal_matrices(columns, weighted, len(columns))
         if not np.isfinite(normal).all():
             return to_inputs, np.inf
         condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
-        to_inputs[..., lines] = _solved(normal, weighted.conj())
+        to_inputs[..., lines] = _solved_line_by_line(normal, weighted.conj())
     return to_inputs, condition
 
 
@@ -122,16 +122,20 @@ def without_free_inputs(
     input_count = len(by_input)
     for lines, covariance in covariances:
         root = np.linalg.cholesky(covariance)
-        rows = _line_by_line(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
+        rows = _lines_first(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
         standardised = np.linalg.solve(root, rows)
         standardised_inputs, standardised_columns = standardised[..., :input_count], standardised[..., input_count:]
         products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
-        normal = _normal(standardised_inputs.transpose(2, 1, 0), standardised_inputs.transpose(2, 1, 0), input_count)
-        residual = standardised_columns - standardised_inputs @ _solved(normal, products).transpose(2, 0, 1)
+        normal = _normal_matrices(
+            standardised_inputs.transpose(2, 1, 0), standardised_inputs.transpose(2, 1, 0), input_count
+        )
+        residual = standardised_columns - standardised_inputs @ _solved_line_by_line(normal, products).transpose(
+            2, 0, 1
+        )
         yield residual.reshape(-1, residual.shape[-1])
 
 
-def complement(
+def input_complement(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
 ) -> Complex[np.ndarray, "lines rows sensors"]:
     """Orthonormal rows that no input reaches, line by line: |rows y|^2 = |r|^2 for free inputs."""
@@ -144,7 +148,7 @@ def complement(
     return np.ascontiguousarray(unitary[:, :, input_count:].conj().transpose(0, 2, 1))
 
 
-def _normal(
+def _normal_matrices(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     weighted: Complex[np.ndarray, "inputs sensors lines"],
     free_count: int,
@@ -159,13 +163,13 @@ def _normal(
     return normal
 
 
-def _solved(
-    normal: Complex[np.ndarray, "lines inputs inputs"], right: Complex[np.ndarray, "inputs many lines"]
+def _solved_line_by_line(
+    normal: Complex[np.ndarray, "lines inputs inputs"], right_hand_side: Complex[np.ndarray, "inputs many lines"]
 ) -> Complex[np.ndarray, "inputs many lines"]:
     """N^-1 right, line by line."""
-    return np.ascontiguousarray(np.linalg.solve(normal, right.transpose(2, 0, 1)).transpose(1, 2, 0))
+    return np.ascontiguousarray(np.linalg.solve(normal, right_hand_side.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
-def _line_by_line(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
+def _lines_first(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
     """Array with the line as the first axis and the input as the last."""
     return np.ascontiguousarray(rows.transpose(2, 1, 0))

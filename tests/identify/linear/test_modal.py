@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from identify.linear.modal import (
-    NEARLY_INVISIBLE,
+    NEARLY_INVISIBLE_SHARE,
     contact_shapes,
     correctable_samples,
     modal_equations,
-    pushing_force,
+    equivalent_force_n,
     relative_displacements,
     relative_velocities,
     transformation,
@@ -108,8 +108,8 @@ def test_forces_push_a_mode_as_much_as_the_one_that_does_the_same_work():
     translation, rotation = modal_equations(two_forces_rig, motion, rig.body("barrel"))[:2]
     single_force_rotation = modal_equations(rig, motion, rig.body("barrel"))[1]
     assert rotation.shape_at_force == single_force_rotation.shape_at_force
-    np.testing.assert_allclose(pushing_force(two_forces_rig, translation, forces_n), forces_n.sum(axis=0))
-    np.testing.assert_allclose(pushing_force(two_forces_rig, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
+    np.testing.assert_allclose(equivalent_force_n(two_forces_rig, translation, forces_n), forces_n.sum(axis=0))
+    np.testing.assert_allclose(equivalent_force_n(two_forces_rig, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
 
 
 def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():
@@ -120,8 +120,8 @@ def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():
         rotation = modal_equations(rig, motion, rig.body("barrel"))[1]
         expected = (1.0, abs(2 * (1 - overlap_start_m) - 1))
         assert rotation.visibility == pytest.approx(expected, abs=1e-12)
-        assert rotation.visible == (True, expected[1] > 1e-3)
-        assert (rotation.visibility[1] < NEARLY_INVISIBLE) == (expected[1] < 0.15)
+        assert rotation.is_visible == (True, expected[1] > 1e-3)
+        assert (rotation.visibility[1] < NEARLY_INVISIBLE_SHARE) == (expected[1] < 0.15)
 
 
 def test_a_body_without_stations_is_refused():
@@ -140,7 +140,7 @@ def test_stations_that_coincide_are_refused():
     motion = motion_at_sensors(rig, lambda _: tones(4, 1))
     with pytest.raises(RigError, match="the stations of 'cradle' do not tell 4 modes apart"):
         transformation(rig, rig.body("cradle"), motion)
-    assert transformation(rig, rig.body("barrel"), motion).condition < 10
+    assert transformation(rig, rig.body("barrel"), motion).condition_number < 10
 
 
 @pytest.mark.parametrize("body", ["cradle", "barrel"])
@@ -149,7 +149,7 @@ def test_fewer_stations_lose_more_to_the_higher_modes(body):
     for stations in (4, 8):
         rig = rig_of(stations=stations)
         motion = motion_at_sensors(rig, lambda _, n=stations: tones(n, 1))
-        lost[stations] = transformation(rig, rig.body(body), motion).lost
+        lost[stations] = transformation(rig, rig.body(body), motion).truncation_shares
         assert lost[stations].shape == (stations,)
         assert (lost[stations] > 0).all()
     assert (lost[8][2:4] < lost[4][2:] / 2).all()  # the first modes hardly lose anything
@@ -163,7 +163,7 @@ def test_one_mass_has_one_coordinate_and_loses_nothing():
     np.testing.assert_allclose(motion.displacement_m, rows[0])
     np.testing.assert_allclose(equation.acceleration, 2 * rows[2][0])
     assert equation.shape_at_force == pytest.approx(0.5)
-    np.testing.assert_array_equal(transformation(rig, rig.bodies[0], motion).lost, [0.0])
+    np.testing.assert_array_equal(transformation(rig, rig.bodies[0], motion).truncation_shares, [0.0])
 
 
 def forced(rig, body, modes, force_n, contact_n):
