@@ -16,7 +16,7 @@ from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken_tolerances, tolerance_finding
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.checks.waveforms import Row, Rows
-from identify.linear.joined import group_rig_of, contact_groups
+from identify.linear.joined import contact_groups, group_rig_of
 from identify.signals.kinematics import Use, kinematics
 from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
 from rig.errors import RigError

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED, Spectra
-from identify.linear.model import ResponseCache, accelerances, input_shapes, response_of, real_product
+from identify.linear.model import ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Station

@@ -16,7 +16,7 @@ from jaxtyping import Complex, Float
 
 from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.prediction import LinearCheck, Prediction, Projector
-from identify.linear.model import Response, ResponseCache, input_shapes, response_of, real_product
+from identify.linear.model import Response, ResponseCache, input_shapes, real_product, response_of
 from identify.linear.nuisance import SINGLE_FORCE_NAME, BodyMotion, Nuisance, ObservedSignals, changes_of, elastic_modes
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances

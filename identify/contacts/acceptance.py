@@ -141,13 +141,8 @@ def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], ma
     is_single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
     pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
-    return replace(
-        estimate,
-        covariance=variance_factor * estimate.covariance,
-        of_tolerances=variance_factor * estimate.of_tolerances,
-        of_drift=variance_factor * estimate.of_drift,
-        of_misfit=variance_factor * estimate.of_misfit,
-    )
+    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
+    return replace(estimate, covariances=covariances)
 
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:

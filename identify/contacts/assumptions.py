@@ -126,16 +126,12 @@ def recommendations(result: Identification) -> Iterator[str]:
 
 def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
     """Shares of the variance of clearance and stiffness by source, which sum to one."""
-    covariances = {"tolerances": estimate.of_tolerances, "drift": estimate.of_drift, "law": estimate.of_misfit}
     shares_by_quantity = {}
     for quantity, gradient in (("clearance", estimate.clearance_gradient), ("stiffness", STIFFNESS_GRADIENT)):
-        variance = float(gradient @ estimate.covariance @ gradient)
-        shares = (
-            {source: float(gradient @ covariance @ gradient) / variance for source, covariance in covariances.items()}
-            if variance > 0
-            else {}
-        )
-        shares_by_quantity[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
+        variances = {source: float(gradient @ part @ gradient) for source, part in estimate.covariances.items()}
+        variance = sum(variances.values())
+        shares = {source: part / variance for source, part in variances.items()} if variance > 0 else {"scatter": 1.0}
+        shares_by_quantity[quantity] = shares
     return shares_by_quantity
 
 

@@ -1,12 +1,14 @@
 """Record of one contact: relative displacement, separated force, and the nuisance signals of both; closed samples."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import Drift
+from identify.signals.drift import Drift, Spline
 from identify.signals.scores import COUNTED_HZ, quiet_deviation
 
 CLOSED_FORCE_SHARE = 0.1
@@ -17,18 +19,20 @@ sensors' noise makes, which is at most that of the quietest parts."""
 LEAST_CLOSED_SHARE = 1e-3
 """Share of the record for which a stop has to be clearly touched to be determined."""
 
+Rows = TypeVar("Rows", np.ndarray, csr_matrix)
+
 
 @dataclass(frozen=True)
 class ContactRecord:
     """One contact in a record: relative displacement and velocity (m, m/s) and the separated force (N).
 
-    The force is low-passed and sampled at every `factor`-th sample. quiet_n is its standard deviation before the
-    excitation, noise_n that of the sensors' noise in it, unmodelled the share of it that no law explains. drift is None
-    where no slow motion was lost, noise_m the noise of the displacement where strain gauges gave its slow part, else
-    zero. One standard deviation of each nuisance parameter adds its row of nuisance_n to the force; the parameters in
-    `moving` also add their row of nuisance_m to the displacement. noise_in_n and noise_in_m are the multiples of the
-    sensors' noise in these rows. The parameters in `initial` are the modes' initial states of a record that does not
-    begin at rest.
+    The force is low-passed and sampled at every `decimation`-th sample. quiet_deviation_n is its standard deviation
+    before the excitation, noise_n that of the sensors' noise in it, unmodelled_share the share of it that no law
+    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; noise_m is the noise of
+    the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
+    parameter adds its row of nuisance_n to the force; those with `shifts_eta` also add their row of nuisance_m to the
+    displacement. force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise in these rows.
+    `is_initial_state` marks the modes' initial states of a record that does not begin at rest.
     """
 
     eta_m: Float[np.ndarray, " samples"]
@@ -40,6 +44,7 @@ class ContactRecord:
     noise_n: float
     unmodelled_share: float
     drift: Drift | None
+    drift_spline: Spline
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
     force_noise_multiple: Float[np.ndarray, " nuisances"]
     shifts_eta: Bool[np.ndarray, " nuisances"]
@@ -47,6 +52,10 @@ class ContactRecord:
     nuisance_m: Float[np.ndarray, "moving samples"]
     is_initial_state: Bool[np.ndarray, " nuisances"]
     noise_m: float = 0.0
+
+    def at_force_samples(self, rows: Rows) -> Rows:
+        """Signal, or rows of a matrix, at the samples of the force."""
+        return rows[:: self.decimation][: self.force_n.size]
 
     def velocity_of(self, displacement_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Time derivative by central differences, m/s."""

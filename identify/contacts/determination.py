@@ -74,7 +74,7 @@ def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outc
         estimate = outcomes.estimates.get(rig.contacts[j].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
-            slow_m[:] = drift_m[:: record.decimation][: slow_m.size]
+            slow_m = record.at_force_samples(drift_m)
     return slow_m
 
 

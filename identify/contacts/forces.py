@@ -8,11 +8,11 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.gauges import Gauges
 from identify.contacts.nuisance_signals import (
-    NuisanceSignals,
     ForceWeights,
+    NuisanceSignals,
+    contact_spectra,
     nuisance_signals,
     random_noise,
-    contact_spectra,
 )
 from identify.contacts.observation import (
     SeparationInput,

@@ -21,12 +21,11 @@ from identify.contacts.law_form import (
     LawParameters,
     NominalLaws,
     TouchedStops,
-    unit_forces,
     linear_form,
+    unit_forces,
 )
 from identify.contacts.linearization import Guess, ground_force_n
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
-from identify.signals.drift import Spline, spline
 from identify.signals.refit import refit_until_settled
 
 Sides = tuple[bool, bool]
@@ -51,7 +50,7 @@ LEAST_DEVIATION_SHARE = 1e-3
 """Deviations below this share of the median deviation weigh as much as that share."""
 
 
-def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Guess:
+def regressed_guess(record: ContactRecord, sides: Sides | None = None) -> Guess:
     """Law and drift b by the regression eta + b = +-clearance + force / k, linear in clearance, 1 / k and b, over the
     samples at which a stop on these sides, or else on the touched ones, is clearly closed.
 
@@ -62,7 +61,7 @@ def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = 
     """
     touched = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, softness = closed_regression(record, curve, with_drift, sides=touched)
+        *knots, clearance, softness = closed_regression(record, with_drift, sides=touched)
         if np.isfinite(clearance) and softness > 0:
             far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
             lower, upper = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched)
@@ -73,24 +72,19 @@ def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = 
 
 def closed_regression(
     record: ContactRecord,
-    curve: Spline,
     with_drift: bool,
-    clear_share: float = CLOSED_FORCE_SHARE,
+    force_share: float = CLOSED_FORCE_SHARE,
     knee_excess_n: Sequence[Float[np.ndarray, " fewer"]] = (),
     sides: Sides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
     """Regression on closed samples: drift's knots, clearance, 1 / stiffness, and the decrease of it beyond each
     knee."""
-    magnitude_n = np.abs(record.force_n)
-    drift_at_force = curve.value[:: record.decimation][: magnitude_n.size]
-    force_n = record.force_n
-    is_closed = clearly_closed(record, clear_share) & np.where(force_n < 0, *sides)
-    if not with_drift:
-        drift_at_force = csr_matrix(drift_at_force.shape)
-    eta = record.eta_m[:: record.decimation][: magnitude_n.size][is_closed]
-    sign = np.sign(force_n)
-    law_columns = np.stack([sign, force_n, *(-sign * beyond for beyond in knee_excess_n)], axis=1)[is_closed]
-    columns = hstack([-drift_at_force[is_closed], law_columns]).tocsr()
+    curve, force_n, sign = record.drift_spline, record.force_n, np.sign(record.force_n)
+    is_closed = clearly_closed(record, force_share) & np.where(force_n < 0, *sides)
+    drift_m = record.at_force_samples(curve.value)[is_closed]
+    eta = record.at_force_samples(record.eta_m)[is_closed]
+    law_columns = np.stack([sign, force_n, *(-sign * excess_n for excess_n in knee_excess_n)], axis=1)[is_closed]
+    columns = hstack([-drift_m if with_drift else csr_matrix(drift_m.shape), law_columns]).tocsr()
     curvature_rows = hstack([curve.curvature, csr_matrix((curve.target.size, law_columns.shape[1]))])
     weights = np.ones(eta.size)
     for share, curvature_weight in REGRESSION_STAGES:
@@ -109,12 +103,11 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
     Raises ContactRefusedError as `regressed_guess` does.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    eta = record.eta_m + curve.value @ regressed_guess(record, curve)[1]
+    eta = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
     return np.array([-eta.min(), eta.max()])
 
 
-def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: TouchedStops) -> list[Guess]:
+def guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> list[Guess]:
     """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
     beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
@@ -125,26 +118,28 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
     """
     sides, form = np.any(touched, axis=0), linear_form(touched)
     if not sides.any():
-        return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots), form)[1]]
+        return [
+            _refined_guess(record, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots), form)[1]
+        ]
     if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring,) = nominal[~are_stops]
-        stop_guesses = guesses(without_spring(record, spring), curve, nominal[are_stops], touched[are_stops])
-        return _guesses_with_spring(record, curve, nominal, form, stop_guesses)
-    law, knots = regressed_guess(record, curve, (bool(sides[0]), bool(sides[1])))
+        stop_guesses = guesses(without_spring(record, spring), nominal[are_stops], touched[are_stops])
+        return _guesses_with_spring(record, nominal, form, stop_guesses)
+    law, knots = regressed_guess(record, (bool(sides[0]), bool(sides[1])))
     candidates = [(law, knots)]
     if len(nominal) > 1:
         far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
         nominal = np.column_stack([np.where(touched, nominal[:, :2], far_m), nominal[:, 2:]])
-        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, curve, nominal, touched)]
-    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if curve.knots]
+        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, nominal, touched)]
+    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if knots.size]
     if len(nominal) == 1:
         return candidates
-    return _best_guesses(record, curve, candidates, form)
+    return _best_guesses(record, candidates, form)
 
 
 def _guesses_with_spring(
-    record: ContactRecord, curve: Spline, nominal: NominalLaws, form: LawForm, stop_guesses: Sequence[Guess]
+    record: ContactRecord, nominal: NominalLaws, form: LawForm, stop_guesses: Sequence[Guess]
 ) -> list[Guess]:
     """Guesses of stops with the spring of `nominal` beside them."""
     candidates: list[Guess] = []
@@ -152,12 +147,12 @@ def _guesses_with_spring(
         laws = nominal.copy()
         laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = law.reshape(-1, len(LAW))
         candidates.append((laws.ravel(), knots))
-    return _best_guesses(record, curve, candidates, form)
+    return _best_guesses(record, candidates, form)
 
 
-def _best_guesses(record: ContactRecord, curve: Spline, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
+def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
     """Refined guesses of least misfit."""
-    ranked = sorted((_refined_guess(record, curve, *guess, form) for guess in candidates), key=lambda pair: pair[0])
+    ranked = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
     return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
@@ -182,7 +177,6 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
 
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
     form = LawForm(spring_indices=(1,))
     force_n, eta_m = (float(np.quantile(np.abs(row), 0.995)) for row in (record.force_n, record.eta_m))
     stiffnesses_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
@@ -194,42 +188,35 @@ def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray
         elif best_guess is not None:
             spring = best_guess[0][len(LAW) :]
         try:
-            law, knots = regressed_guess(without_spring(record, spring), curve)
+            law, knots = regressed_guess(without_spring(record, spring))
         except ContactRefusedError:
             continue
         for drift_knots in (knots, np.zeros_like(knots)):
-            misfit, guess = _refined_guess(record, curve, np.concatenate([law, spring]), drift_knots, form)
+            misfit, guess = _refined_guess(record, np.concatenate([law, spring]), drift_knots, form)
             if misfit < least_misfit:
                 least_misfit, best_guess = misfit, guess
     if best_guess is None:
         raise refused(RefusalCode.NO_STIFFNESS)
-    return best_guess[0][len(LAW) :], record.eta_m + curve.value @ best_guess[1]
+    return best_guess[0][len(LAW) :], record.eta_m + record.drift_spline.value @ best_guess[1]
 
 
 def _refined_guess(
-    record: ContactRecord,
-    curve: Spline,
-    law_parameters: LawParameters,
-    knots: Float[np.ndarray, " knots"],
-    form: LawForm,
+    record: ContactRecord, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"], form: LawForm
 ) -> tuple[float, Guess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
-    force_samples, laws = (
-        slice(None, record.force_n.size * record.decimation, record.decimation),
-        law_parameters.reshape(-1, len(LAW)).copy(),
-    )
-    eta = (record.eta_m + curve.value @ knots)[force_samples]
-    rate_m_per_s = (record.velocity_m_per_s + curve.rate @ knots)[force_samples]
-    columns = np.stack(unit_forces(form, laws.ravel(), eta, rate_m_per_s), axis=1)
-    force = record.force_n - ground_force_n(record, curve) @ knots
-    coefficients, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
+    curve, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
+    eta = record.at_force_samples(record.eta_m + curve.value @ knots)
+    rate = record.at_force_samples(record.velocity_m_per_s + curve.rate @ knots)
+    columns = np.stack(unit_forces(form, laws.ravel(), eta, rate), axis=1)
+    force_n = record.force_n - ground_force_n(record) @ knots
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
     is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
-    return float(np.sum((force - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
+    return float(np.sum((force_n - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
 
 
-def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
+def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
     magnitude_n = np.abs(record.force_n)
     sides, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
@@ -241,8 +228,9 @@ def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, to
             for m, knee_n in enumerate(knees_n, 1)
         ]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            solution = closed_regression(record, curve, with_drift, SOFT_STOP_SHARE, knee_excess_n)
-            knots, (clearance, softness, *softness_steps) = solution[: curve.knots], solution[curve.knots :].tolist()
+            solution = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
+            knot_count = record.drift_spline.knots
+            knots, (clearance, softness, *softness_steps) = solution[:knot_count], solution[knot_count:].tolist()
             summed_n_per_m = 1 / (softness - np.cumsum([0.0, *softness_steps]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue

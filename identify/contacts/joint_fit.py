@@ -1,7 +1,7 @@
 """Joint fit of clearances, stiffness and damping of one contact, or of several that share a relative displacement, with
 the drift of that displacement and the nuisance parameters of rig.json; estimates with their covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,7 +11,7 @@ from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import chosen_form, first_fit, misfit_covariance, free_parameters
+from identify.contacts.law_fit import chosen_form, first_fit, free_parameters, misfit_covariance
 from identify.contacts.law_form import (
     DEAD_ZONE,
     LAW,
@@ -28,7 +28,7 @@ from identify.contacts.law_form import (
 from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
-from identify.signals.drift import Spline, spline
+from identify.signals.drift import Spline
 from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
 
 DRIFT_PULL_LIMIT = 25.0
@@ -41,25 +41,25 @@ NOISE_RATIO_LIMIT = 1.5
 PAUSE_SHARE = 0.05
 """Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
 
+Covariance = Float[np.ndarray, "4 4"]
+"""Covariance of the parameters of `LAW`."""
+
 
 @dataclass(frozen=True)
 class JointEstimate:
     """Estimate of one contact: values of the parameters of `LAW` with their covariance.
 
-    of_tolerances, of_drift and of_misfit are the parts of the covariance from the tolerances of rig.json, from the slow
-    motion that accelerometers miss, and from the misfit of the law's form; the rest is the record's own scatter.
+    covariances are the parts of the covariance by source: "scatter" of the record, "tolerances" of rig.json, "drift",
+    the slow motion that accelerometers miss, and "law", the misfit of the law's form.
     sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
     drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
-    deviations. unexplained is the share of the contact force's root mean square that the fit leaves beyond the sensors'
-    noise; halves are the differences of clearance and stiffness between the record's halves in standard errors. The
-    stiffness of a power law is the force over the depth at the reference depth of its form.
+    deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
+    sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
+    errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
     """
 
     values: LawParameters
-    covariance: Float[np.ndarray, "4 4"]
-    of_tolerances: Float[np.ndarray, "4 4"]
-    of_drift: Float[np.ndarray, "4 4"]
-    of_misfit: Float[np.ndarray, "4 4"]
+    covariances: Mapping[str, Covariance]
     sides_known: bool
     touched: tuple[bool, bool]
     drift_m: Float[np.ndarray, " samples"]
@@ -70,6 +70,10 @@ class JointEstimate:
     form: LawForm = DEAD_ZONE
     exponent: float = 1.0
     exponent_error: float = 0.0
+
+    @property
+    def covariance(self) -> Covariance:
+        return sum(self.covariances.values(), np.zeros((len(LAW), len(LAW))))
 
     @property
     def law_parameters(self) -> LawParameters:
@@ -117,7 +121,7 @@ class JointEstimate:
 
     def own_error(self, gradient: LawParameters) -> float:
         """Standard error of a linear function by the record's own scatter and drift, which differ in other records."""
-        return float(np.sqrt(gradient @ (self.covariance - self.of_tolerances - self.of_misfit) @ gradient))
+        return float(np.sqrt(gradient @ (self.covariances["scatter"] + self.covariances["drift"]) @ gradient))
 
     @property
     def reversed(self) -> "JointEstimate":
@@ -127,10 +131,7 @@ class JointEstimate:
         return replace(
             self,
             values=swapped @ self.values,
-            covariance=swapped @ self.covariance @ swapped,
-            of_tolerances=swapped @ self.of_tolerances @ swapped,
-            of_drift=swapped @ self.of_drift @ swapped,
-            of_misfit=swapped @ self.of_misfit @ swapped,
+            covariances={source: swapped @ part @ swapped for source, part in self.covariances.items()},
             touched=(upper, lower),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
@@ -153,7 +154,7 @@ def fit_joint(
         residual = (force - theta' nuisance_n
                     - low-pass[sum of k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the
                     gap, over the contacts]) / g
-                   - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
+                   - spring b - damper b',  g = 1 - theta' n, h = 1 - theta' m
 
     The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
     relative displacement is unknown, lower = upper = half the total play. A contact of which neither side is touched is
@@ -168,12 +169,11 @@ def fit_joint(
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    form = linear_form(touched)
+    curve, form = record.drift_spline, linear_form(touched)
     sides_known = record.sides_known or bool(form.spring_indices)
     free_to_laws, start_pulls = free_parameters(touched, sides_known), initial_pulls(record)
-    candidates = guesses(without_nuisances(record, start_pulls), curve, nominal, touched)
-    fit = first_fit(record, curve, free_to_laws, candidates, start_pulls, form)
+    candidates = guesses(without_nuisances(record, start_pulls), nominal, touched)
+    fit = first_fit(record, free_to_laws, candidates, start_pulls, form)
     if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
     _check_bridged(record, fit.state)
@@ -181,7 +181,7 @@ def fit_joint(
     forms = forms if is_single and touched.any() else ()
     fit = chosen_form(fit, forms)
     state = fit.state
-    derivatives, equations, scaled_to_laws = fit.linearized
+    scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
     by_knots, by_dense = equations.solved(
         np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
@@ -192,15 +192,16 @@ def fit_joint(
     small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
     part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     by_parts = part_scores(influence, state.residual_n, part_starts)
-    of_rows = (
-        small_sample_factor * by_parts,
-        record.samples_per_error * by_dense[:pull_count],
-        curve.curvature @ by_knots,
-    )
-    of_scatter, of_tolerances, of_drift = (scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for x in of_rows)
-    of_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else np.zeros_like(of_scatter)
-    covariance = of_scatter + of_tolerances + of_drift + of_misfit
-    drift_m, drift_m_per_s = drift_signals(record, curve, state.knots, state.pulls)
+    rows_by_source = {
+        "scatter": small_sample_factor * by_parts,
+        "tolerances": record.samples_per_error * by_dense[:pull_count],
+        "drift": curve.curvature @ by_knots,
+    }
+    covariances = {source: scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for source, x in rows_by_source.items()}
+    law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
+    covariances["law"] = law_misfit
+    covariance = np.asarray(sum(covariances.values()))
+    drift_m, drift_m_per_s = drift_signals(record, state.knots, state.pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
@@ -208,10 +209,7 @@ def fit_joint(
         block = slice(first, first + len(LAW))
         return JointEstimate(
             values=state.law_parameters[block],
-            covariance=covariance[block, block],
-            of_tolerances=of_tolerances[block, block],
-            of_drift=of_drift[block, block],
-            of_misfit=of_misfit[block, block],
+            covariances={source: part[block, block] for source, part in covariances.items()},
             sides_known=sides_known,
             touched=(lower, upper),
             drift_m=drift_m,
@@ -219,7 +217,7 @@ def fit_joint(
             pulls=state.pulls,
             unexplained_share=_unexplained_share(record, state),
             half_differences=_half_differences(
-                by_parts @ scaled_to_laws[block].T, (_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT)
+                by_parts @ scaled_to_laws[block].T, [_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT]
             ),
             form=SPRING if not (lower or upper) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
@@ -232,20 +230,18 @@ def fit_joint(
 def _unexplained_share(record: ContactRecord, state: State) -> float:
     """Root mean square of the residual beyond the sensors' noise, as a share of the force's.
 
-    The noise is that of the quietest parts, at most `NOISE_LIMIT` times the sensors', and three standard deviations of
-    its variance in a part of n samples, sqrt(2 / n) of it.
+    The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
+    deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
     noise_n = min(float(quiet_deviation(state.residual_n)), NOISE_RATIO_LIMIT * record.noise_n)
-    noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual_n.size))
+    noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual_n.size))
     residual_square, force_square = (
-        max(float(np.var(signal_n)) - noise, 0.0) for signal_n in (state.residual_n, record.force_n)
+        max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (state.residual_n, record.force_n)
     )
     return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
 
 
-def _half_differences(
-    by_parts: Float[np.ndarray, "parts 4"], gradients: tuple[LawParameters, LawParameters]
-) -> tuple[float, float]:
+def _half_differences(by_parts: Float[np.ndarray, "parts 4"], gradients: list[LawParameters]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     influence = by_parts @ np.stack(gradients, axis=1)
     scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
@@ -265,10 +261,9 @@ def _check_bridged(record: ContactRecord, state: State) -> None:
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
     is_closed = clearly_closed(record)
-    open_times_s = (
-        np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * record.decimation / record.sample_rate_hz
-    )
-    open_times_s = np.sort(open_times_s)[: round((1 - PAUSE_SHARE) * open_times_s.size)]
+    closings = np.flatnonzero(np.diff(is_closed.astype(int)) == 1)
+    open_times_s = np.sort(np.diff(closings) * record.decimation / record.sample_rate_hz)
+    open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
     wander_m = record.drift.noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
     depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m
     if wander_m > WANDER_LIMIT * depth_m:

@@ -32,7 +32,6 @@ from identify.contacts.linearization import (
     state_at,
 )
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
-from identify.signals.drift import Spline
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.refit import refit_until_settled
 from identify.signals.scores import PARTS, part_scores
@@ -45,10 +44,9 @@ Weights = Float[np.ndarray, " fewer"]
 
 @dataclass(frozen=True)
 class LawFit:
-    """Fit of a record: its final state and weights. `tie` maps the free parameters of a dead zone to the laws."""
+    """Fit of a record: its state and weights. free_to_laws maps the free parameters of a dead zone to the laws."""
 
     record: ContactRecord
-    curve: Spline
     free_to_laws: Float[np.ndarray, "laws free"]
     state: State
     weights: Weights
@@ -59,50 +57,99 @@ class LawFit:
         return np.asarray((self.weights * self.state.residual_n) ** 2)
 
     @property
-    def linearized(self) -> tuple[Jacobian, BorderedEquations, Float[np.ndarray, "numbers sizes"]]:
-        """Jacobian and normal equations at the final state, and the matrix from their free parameters to the law."""
-        scaled_to_laws = _scaled_to_laws(self.state, self.free_to_laws)
-        derivatives = jacobian(self.record, self.curve, self.state)
-        equations, *_ = normal_equations(self.record, self.state, derivatives, self.curve, scaled_to_laws, self.weights)
-        return derivatives, equations, scaled_to_laws
+    def scaled_to_laws(self) -> Float[np.ndarray, "numbers sizes"]:
+        """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is
+        free."""
+        lower, upper, stiffness, _ = self.state.form.contact_parameters(self.state.law_parameters).T
+        clearance_m = np.maximum(np.minimum(lower, upper), 1e-9)
+        scales = np.stack([clearance_m, clearance_m, stiffness, 1e-3 * stiffness], axis=1).ravel()
+        linear = self.free_to_laws * np.max(self.free_to_laws * scales[:, None], axis=0)
+        exponent_count = self.state.form.exponent_count
+        return np.asarray(block_diag(linear, EXPONENT_STEP * np.eye(exponent_count)) if exponent_count else linear)
+
+    @property
+    def linearized(self) -> tuple[Jacobian, BorderedEquations]:
+        """Jacobian and normal equations at the state."""
+        derivatives = jacobian(self.record, self.state)
+        return derivatives, normal_equations(self.record, self.state, derivatives, self.scaled_to_laws, self.weights)
+
+    @property
+    def least_cost(self) -> "LawFit":
+        """Fit at the state of least cost for its weights, by Gauss-Newton."""
+        state, *_ = gauss_newton(
+            self._with_cost(self.state), self._step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
+        )
+        return replace(self, state=state)
+
+    def _step_from(self, state: State) -> Step[State]:
+        fit = replace(self, state=state)
+        scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
+        knots, dense = equations.solved(equations.knot_gradient, equations.dense_gradient)
+        cost_decrease = np.sum(equations.knot_gradient * knots) + np.sum(equations.dense_gradient * dense)
+
+        def state_after(share: float) -> State | None:
+            law = state.law_parameters + share * scaled_to_laws @ dense[state.pulls.size :, 0]
+            if not state.form.is_within_bounds(law):
+                return None
+            pulls = state.pulls + share * dense[: state.pulls.size, 0]
+            return self._with_cost(state_at(self.record, state.form, law, state.knots + share * knots[:, 0], pulls))
+
+        return Step(state_after, float(cost_decrease))
+
+    def _with_cost(self, state: State) -> State:
+        """State with its cost: weighted squares of residuals and of the priors."""
+        curve = self.record.drift_spline
+        residual_square = np.sum((self.weights * state.residual_n) ** 2)
+        curvature_square = np.sum((curve.curvature @ state.knots - curve.target) ** 2)
+        pull_square = self.record.samples_per_error * np.sum(state.pulls**2)
+        return replace(state, cost=float(residual_square + curvature_square + pull_square))
+
+    @property
+    def reweighted(self) -> "LawFit":
+        """Fit with weights from the scatter of the residuals."""
+        return replace(self, weights=residual_weights(self.record, self.state, _open_deviation_n(self.state)))
 
     @property
     def settled(self) -> "LawFit":
         """Fit with weights renewed from the scatter of the residuals until they settle."""
 
-        def refit(fit: LawFit) -> LawFit:
-            state = _least_cost_state(fit.record, fit.curve, fit.state, fit.free_to_laws, fit.weights)
-            return replace(fit, state=state, weights=residual_weights(fit.record, state, _open_deviation_n(state)))
-
         def weights_agree(before: LawFit, after: LawFit) -> bool:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
-        first = replace(self, weights=residual_weights(self.record, self.state, _open_deviation_n(self.state)))
-        return refit_until_settled(first, refit, weights_agree, rounds=WEIGHT_ROUNDS)
+        return refit_until_settled(
+            self.reweighted, lambda fit: fit.least_cost.reweighted, weights_agree, rounds=WEIGHT_ROUNDS
+        )
 
     def with_form(self, form: LawForm) -> "LawFit":
         """Fit of another form with the same weights, from this state and an exponent of one."""
         contact_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
         law_parameters = np.concatenate([contact_values, np.ones(form.exponent_count)])
-        start = state_at(self.record, self.curve, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=_least_cost_state(self.record, self.curve, start, self.free_to_laws, self.weights))
+        start = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
+        return replace(self, state=start).least_cost
+
+    @property
+    def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+        """Relative displacement with drift and nuisance signals, m, and its rate, m/s."""
+        return corrected_motion(self.record, self.state.knots, self.state.pulls)
+
+    def depth_m(self, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
+        """Penetration of the first contact's stops, m."""
+        lower, upper, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
+        return np.asarray(eta_m - np.clip(eta_m, -lower, upper))
 
 
 def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
     """Matrix from the free parameters to the laws: stops that are not touched have none, nor has a spring. Where the
     zero of the relative displacement is unknown, it is the middle of the first contact's play."""
     is_free = np.column_stack([touched, np.ones_like(touched)]).ravel()
-    free_to_laws = np.eye(is_free.size)[:, is_free]
-    return (
-        free_to_laws
-        if sides_known or not touched[0].any()
-        else np.column_stack([free_to_laws[:, 0] + free_to_laws[:, 1], free_to_laws[:, 2:]])
-    )
+    to_laws = np.eye(is_free.size)[:, is_free]
+    if sides_known or not touched[0].any():
+        return to_laws
+    return np.column_stack([to_laws[:, 0] + to_laws[:, 1], to_laws[:, 2:]])
 
 
 def first_fit(
     record: ContactRecord,
-    curve: Spline,
     free_to_laws: Float[np.ndarray, "laws free"],
     guesses: list[Guess],
     pulls: Pulls,
@@ -113,74 +160,17 @@ def first_fit(
     Raises ContactRefusedError if no guess leads to a minimum.
     """
     initial_noise_n = 0.02 * float(np.std(record.force_n))
-    states, refusal = list[State](), refused(RefusalCode.NO_LAW)
+    fits, refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
     for law, knots in guesses:
-        start = state_at(record, curve, form, law, knots, pulls)
+        start = state_at(record, form, law, knots, pulls)
+        weights = residual_weights(record, start, initial_noise_n)
         try:
-            states.append(
-                _least_cost_state(record, curve, start, free_to_laws, residual_weights(record, start, initial_noise_n))
-            )
+            fits.append(LawFit(record, free_to_laws, start, weights).least_cost)
         except ContactRefusedError as error:
             refusal = error
-    if not states:
+    if not fits:
         raise refusal
-    state = min(states, key=lambda state: float(np.sum(state.residual_n**2)))
-    return LawFit(record, curve, free_to_laws, state, np.ones_like(state.residual_n)).settled
-
-
-def _least_cost_state(
-    record: ContactRecord, curve: Spline, state: State, free_to_laws: Float[np.ndarray, "laws free"], weights: Weights
-) -> State:
-    """State of least cost for these weights, by Gauss-Newton."""
-
-    def step_from(current: State) -> Step[State]:
-        scaled_to_laws = _scaled_to_laws(current, free_to_laws)
-        equations, *right_hand_side = normal_equations(
-            record, current, jacobian(record, curve, current), curve, scaled_to_laws, weights
-        )
-        knots, dense = equations.solved(*right_hand_side)
-
-        def state_after(share: float) -> State | None:
-            law = current.law_parameters + share * scaled_to_laws @ dense[current.pulls.size :, 0]
-            if not current.form.is_within_bounds(law):
-                return None
-            pulls = current.pulls + share * dense[: current.pulls.size, 0]
-            return _with_cost(
-                record,
-                curve,
-                state_at(record, curve, current.form, law, current.knots + share * knots[:, 0], pulls),
-                weights,
-            )
-
-        return Step(state_after, float(np.sum(right_hand_side[0] * knots) + np.sum(right_hand_side[1] * dense)))
-
-    return gauss_newton(
-        _with_cost(record, curve, state, weights), step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
-    )[0]
-
-
-def _with_cost(record: ContactRecord, curve: Spline, state: State, weights: Weights) -> State:
-    """State with its cost: weighted squares of residuals and of the priors."""
-    curvature_residual = curve.curvature @ state.knots - curve.target
-    squares = (
-        np.sum((weights * state.residual_n) ** 2)
-        + np.sum(curvature_residual**2)
-        + record.samples_per_error * np.sum(state.pulls**2)
-    )
-    return replace(state, cost=float(squares))
-
-
-def _scaled_to_laws(state: State, free_to_laws: Float[np.ndarray, "laws free"]) -> Float[np.ndarray, "numbers sizes"]:
-    """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is free."""
-    lower, upper, stiffness, _ = state.form.contact_parameters(state.law_parameters).T
-    clearance_m = np.maximum(np.minimum(lower, upper), 1e-9)
-    scales = np.stack([clearance_m, clearance_m, stiffness, 1e-3 * stiffness], axis=1).ravel()
-    scaled_to_laws = free_to_laws * np.max(free_to_laws * scales[:, None], axis=0)
-    return np.asarray(
-        block_diag(scaled_to_laws, EXPONENT_STEP * np.eye(state.form.exponent_count))
-        if state.form.exponent_count
-        else scaled_to_laws
-    )
+    return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
 def _open_deviation_n(state: State) -> float:
@@ -275,42 +265,34 @@ def misfit_covariance(
     """
     law_parameters = fit.state.law_parameters
     covariance = np.zeros((law_parameters.size, law_parameters.size))
-    scaled_to_laws = fit.linearized[2]
+    by_free = derivatives.by_law @ fit.scaled_to_laws
     for halves in _closed_splits(fit):
-        half_scores = [
-            _half_scores(fit, derivatives.by_law @ scaled_to_laws, is_in_half, part_starts) for is_in_half in halves
-        ]
-        if any(scores is None for scores in half_scores):
+        first, second = (_half_scores(fit, by_free, is_in_half, part_starts) for is_in_half in halves)
+        if first is None or second is None:
             continue
-        first, second = (scores for scores in half_scores if scores is not None)
         difference, excess = _misfit_excess(first - second)
-        law_error = scaled_to_laws @ difference / 2
+        law_error = fit.scaled_to_laws @ difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
 def _misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
     """Sum D of the parts' scores, and the excess max(0, 1 - T0^2 / T^2)."""
-    part_count, free_count = scores.shape
+    parts, free = scores.shape
     difference = scores.sum(axis=0)
     scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)
     scatter = (scores - scores.mean(axis=0)) / scale
-    covariance = part_count / (part_count - 1) * scatter.T @ scatter
+    covariance = parts / (parts - 1) * scatter.T @ scatter
     t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
-    t_square_limit = (
-        free_count
-        * (part_count - 1)
-        / (part_count - free_count)
-        * float(f.ppf(MISFIT_CONFIDENCE, free_count, part_count - free_count))
-    )
+    t_square_limit = free * (parts - 1) / (parts - free) * float(f.ppf(MISFIT_CONFIDENCE, free, parts - free))
     return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
 def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
-    eta, rate = (row[:: record.decimation][: state.residual_n.size] for row in _motion(fit))
-    depth = _depth_m(fit, eta)
+    eta, rate = (record.at_force_samples(row) for row in fit.motion)
+    depth = fit.depth_m(eta)
     is_closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
     is_deep = np.abs(depth) > np.median(np.abs(depth[is_closed])) if is_closed.any() else is_closed
     is_growing = depth * rate > 0
@@ -337,21 +319,10 @@ def _half_scores(
 def _rounded_depth_m(fit: LawFit) -> float:
     """Root mean square of the depth while the contact is closed, m, rounded to 1, 2 or 5 times a power of ten, so that
     all records of a machine have the same."""
-    depth = _depth_m(fit, _motion(fit)[0])
+    depth = fit.depth_m(fit.motion[0])
     if not depth.any():
         return 0.0
     typical_m = float(np.sqrt(np.mean(depth[depth != 0] ** 2)))
     power_of_ten = float(10 ** np.floor(np.log10(typical_m)))
-    return min(
-        (round_number * power_of_ten for round_number in (1.0, 2.0, 5.0, 10.0)),
-        key=lambda d: abs(np.log(d / typical_m)),
-    )
-
-
-def _motion(fit: LawFit) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    return corrected_motion(fit.record, fit.curve, fit.state.knots, fit.state.pulls)
-
-
-def _depth_m(fit: LawFit, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
-    lower, upper, _, _ = fit.state.form.contact_parameters(fit.state.law_parameters)[0]
-    return np.asarray(eta_m - np.clip(eta_m, -lower, upper))
+    rounded_m = [number * power_of_ten for number in (1.0, 2.0, 5.0, 10.0)]
+    return min(rounded_m, key=lambda depth_m: abs(np.log(depth_m / typical_m)))

@@ -16,7 +16,7 @@ from identify.contacts.station_spectra import (
     sensed_accelerations,
 )
 from identify.linear.model import Response
-from identify.linear.nuisance import ObservedSignals, ObservedBase
+from identify.linear.nuisance import ObservedBase, ObservedSignals
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import MeasuredBase, count_on_bodies
 from rig.model.description import Rig

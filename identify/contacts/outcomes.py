@@ -33,7 +33,7 @@ NO_OUTCOMES = Outcomes({}, {})
 
 def check_certain(estimate: JointEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
-    without_misfit = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
+    without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
     stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS_GRADIENT))
     clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
     for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:

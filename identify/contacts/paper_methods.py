@@ -18,8 +18,8 @@ from identify.linear.modal import (
     ModalEquation,
     Transformation,
     correctable_samples,
-    modal_equations,
     equivalent_force_n,
+    modal_equations,
     transformation,
 )
 from identify.paper.nifo import Form, Nifo, nifo

@@ -14,10 +14,10 @@ from identify.contacts.gauges import gauges_of
 from identify.contacts.observation import RINGING_S
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
-from identify.linear.joined import ContactGroup, group_rig_of, contact_groups
+from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
 from identify.linear.modal import relative_displacements, relative_velocities
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_S, Drift
+from identify.signals.drift import KNOT_S, Drift, spline
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -226,6 +226,7 @@ def _contact_records(
                     spring_n_per_m=float(forces.slow_n_per_m[j, j]),
                     damper_n_s_per_m=float(forces.slow_n_s_per_m[j, j]),
                 ),
+                drift_spline=spline(samples, motion.sample_rate_hz, drift),
                 nuisance_n=forces.nuisances.force_n[:, j],
                 force_noise_multiple=forces.nuisances.force_noise_multiple[:, j],
                 eta_noise_multiple=forces.nuisances.eta_noise_multiple[shifts_eta, j],

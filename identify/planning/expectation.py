@@ -188,7 +188,7 @@ def _error_parts(
     for gradient in (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT):
         total, tolerances, slow_motion, misfit = (
             float(gradient @ covariance @ gradient)
-            for covariance in (estimate.covariance, estimate.of_tolerances, estimate.of_drift, estimate.of_misfit)
+            for covariance in (estimate.covariance, *(estimate.covariances[s] for s in ("tolerances", "drift", "law")))
         )
         simulated_parts = ErrorParts(
             value=float(gradient @ simulated),

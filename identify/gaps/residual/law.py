@@ -65,10 +65,11 @@ def initial_unknowns(
         sample_rate_hz=force_rate_hz,
         force_n=first_law.stiffness_n_per_m * depth_m,
         decimation=1,
-        quiet_n=0.0,
+        quiet_deviation_n=0.0,
         noise_n=0.0,
         unmodelled_share=0.0,
         drift=None,
+        drift_spline=observation.drift_spline,
         nuisance_n=np.zeros((0, elastic_n.size)),
         force_noise_multiple=np.zeros(0),
         shifts_eta=np.zeros(0, dtype=bool),
@@ -78,7 +79,7 @@ def initial_unknowns(
     )
     if observation.drift_spline.knots:
         with suppress(RigError):
-            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record, observation.drift_spline)[1]
+            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record)[1]
     return unknowns
 
 

@@ -32,14 +32,14 @@ from identify.linear.model import (
     Response,
     ResponseCache,
     accelerances,
-    relative_shapes,
     input_shapes,
+    real_product,
+    relative_shapes,
     responses_of,
     slow_stiffness,
-    real_product,
     station_weights,
 )
-from identify.linear.projection import Projection, estimated_inputs, projection, input_residual
+from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
 from rig.model.description import Rig, Station, contact_stations
 from rig.model.modes import participation
 

@@ -138,7 +138,7 @@ def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstima
         quantity_weights,
         quantity_weights @ joint_estimate.values,
         quantity_weights @ joint_estimate.covariance @ quantity_weights.T,
-        quantity_weights @ joint_estimate.of_tolerances @ quantity_weights.T,
+        quantity_weights @ joint_estimate.covariances["tolerances"] @ quantity_weights.T,
     )
 
 

@@ -250,7 +250,7 @@ def test_a_tolerance_changes_force_and_slow_motion_as_a_wrong_description_does(k
     signals, (before,), (after,) = nominal.forces.nuisances, nominal.records, changed.records
     (index,) = (i for i, parameter in enumerate(signals.parameters) if parameter.name == kind)
     inside = slice(100, -100)  # the ends are smoothed
-    moved_m = (after.eta_m - before.eta_m)[:: before.decimation][: before.force_n.size]
+    moved_m = before.at_force_samples(after.eta_m - before.eta_m)
     for made, stated in (
         (after.force_n - before.force_n, signals.force_n[index, 0]),
         (moved_m, signals.eta_m[index, 0]),

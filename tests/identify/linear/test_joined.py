@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from identify.linear.joined import group_rig_of, contact_groups, group_laws
+from identify.linear.joined import contact_groups, group_laws, group_rig_of
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 from tests.campaigns.topologies import chain

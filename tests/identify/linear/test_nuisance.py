@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.linear.model import ResponseCache, response_of, real_product
+from identify.linear.model import ResponseCache, real_product, response_of
 from identify.linear.nuisance import BodyMotion, NuisanceKind, ObservedSignals, changes_of, crosstalk_of, elastic_modes
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof

@@ -5,11 +5,11 @@ import pytest
 from scipy.linalg import lstsq, null_space, solve_triangular
 
 from identify.linear.projection import (
-    input_complement,
     estimated_inputs,
+    input_complement,
+    input_residual,
     projection,
     to_free_inputs,
-    input_residual,
     without_free_inputs,
 )
 
