@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import compress, permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -44,21 +44,15 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        slow_m = np.array(
-            [_slow_m(rig, place, record, outcomes) for place, record in zip(groups, records, strict=True)]
-        )
-        return determine_all(
-            [
-                replace(r, force_n=r.force_n - coupling_n)
-                for r, coupling_n in zip(records, coupling_n_per_m @ slow_m, strict=True)
-            ],
-            forms,
-        )
+        slow_m = [_slow_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)]
+        forces_n = coupling_n_per_m @ np.array(slow_m)
+        uncoupled = [replace(r, force_n=r.force_n - force_n) for r, force_n in zip(records, forces_n, strict=True)]
+        return determine_all(uncoupled, forms)
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         outcomes = NO_OUTCOMES
-        for place, record in zip(groups, records, strict=True):
-            outcomes = outcomes.joined(determine_group(rig, place, record, forms))
+        for group, record in zip(groups, records, strict=True):
+            outcomes |= determine_group(rig, group, record, forms)
         return outcomes
 
     if not np.any(coupling_n_per_m):
@@ -130,10 +124,8 @@ def _stop_outcomes(
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
-    nearest_stops_m = nominal[:, :2].min(axis=0)
-    eta_reach_m = np.maximum(
-        reach_m(record), np.where(nearest_stops_m < ABSENT_STOP_M, nearest_stops_m, 0.0)
-    )  # the nearest is always touched
+    nearest_m = nominal[:, :2].min(axis=0)  # which is always touched
+    eta_reach_m = np.maximum(reach_m(record), np.where(nearest_m < ABSENT_STOP_M, nearest_m, 0.0))
     return _outcomes_in_reach(names, nominal, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
 
 
@@ -159,8 +151,7 @@ def _outcomes_beside_spring(
         outcomes = _stops_beside_spring(names, laws, record, eta_m, are_springs)
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
-    stops = {name for name, is_spring in zip(names, are_springs, strict=True) if not is_spring}
-    if stops & outcomes.estimates.keys():
+    if outcomes.estimates.keys() & set(compress(names, ~are_springs)):
         return outcomes
     return _spring_without_stops(names, nominal, record, are_springs) or outcomes
 
@@ -190,9 +181,9 @@ def _certain_outcomes(names: Sequence[str], estimates: Sequence[JointEstimate]) 
         try:
             check_certain(estimate)
         except ContactRefusedError as error:
-            outcomes = outcomes.joined(Outcomes({}, {name: error.refusal}))
+            outcomes |= Outcomes({}, {name: error.refusal})
         else:
-            outcomes = outcomes.joined(Outcomes({name: estimate}, {}))
+            outcomes |= Outcomes({name: estimate}, {})
     return outcomes
 
 
@@ -209,15 +200,12 @@ def _spring_without_stops(
     if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
     eta_m = record.eta_m + spring.drift_m
-    eta_reach_m = np.array([-eta_m.min(), eta_m.max()])
-    unreached = {
-        name: _not_reached(law, eta_reach_m)
-        if np.all(law[:2] > eta_reach_m)
-        else refused(RefusalCode.HARDLY_CLOSES).refusal
-        for name, law, is_spring in zip(names, nominal, are_springs, strict=True)
-        if not is_spring
+    eta_reach_m, hardly_closes = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
+    stops = zip(compress(names, ~are_springs), nominal[~are_springs], strict=True)
+    refusals = {
+        name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes for name, law in stops
     }
-    return outcomes.joined(Outcomes({}, unreached))
+    return outcomes | Outcomes({}, refusals)
 
 
 def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
@@ -261,23 +249,17 @@ def _outcomes_in_reach(
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
         is_in_reach = np.any((nominal[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
-        reached = [name for name, is_in_reach in zip(names, is_in_reach, strict=True) if is_in_reach]
-        unreached = Outcomes(
-            {},
-            {
-                name: _not_reached(law, eta_reach_m)
-                for name, is_in_reach, law in zip(names, is_in_reach, nominal, strict=True)
-                if not is_in_reach
-            },
-        )
+        reached_names, farther_names = list(compress(names, is_in_reach)), compress(names, ~is_in_reach)
+        farther_stops = zip(farther_names, nominal[~is_in_reach], strict=True)
+        unreached = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in farther_stops})
         try:
             estimates = _certain_estimates(nominal[is_in_reach], may_touch[is_in_reach], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
-            refusals = unreached.joined(Outcomes.refused(reached, first_refusal))
-            continue
-        return unreached.joined(Outcomes(dict(zip(reached, estimates, strict=True)), {}))
-    return refusals
+            outcomes = unreached | Outcomes.refused(reached_names, first_refusal)
+        else:
+            return unreached | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
+    return outcomes
 
 
 def _refusal_of_several(refusal: Refusal) -> Refusal:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.contacts.gauges import Gauges
 from identify.contacts.nuisance_signals import (
     ForceWeights,
     NuisanceSignals,
@@ -53,7 +52,6 @@ from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import modes_of
-from rig.model.tolerances import Tolerances
 
 END_TRANSIENT_S = 2.5
 """End of a record in which the separated forces are wrong, as the beams' ringing is cut off."""
@@ -63,11 +61,11 @@ LEAST_INITIAL_SHARE = 1e-4
 
 @dataclass(frozen=True)
 class ContactForces:
-    """Contact forces (N), low-passed and sampled at the record's rate over `factor`.
+    """Contact forces (N), low-passed and sampled at the record's rate over `decimation`.
 
-    slow is the slow motion of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of
-    the sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness
-    and damping against slow relative displacements, whose forces accelerations do not show.
+    slow_motion is that of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of the
+    sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness and damping against slow relative
+    displacements, whose forces accelerations do not show.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
@@ -83,32 +81,22 @@ class ContactForces:
         return replace(self, force_n=self.force_n[:, samples:], nuisances=self.nuisances.without_start(samples))
 
 
-def separated_forces(
-    rig: Rig,
-    motion: Kinematics,
-    decimation: int,
-    noise_m_per_s2: Float[np.ndarray, " stations"],
-    tolerances: Tolerances,
-    gauges: Gauges,
-    from_rest: bool = True,
-) -> ContactForces:
+def separated_forces(record: SeparationInput) -> ContactForces:
     """Contact forces of all bodies by all their stations and strain gauges.
 
-    noise is the standard deviation per sample of each station's acceleration (m/s^2). Where the zero of displacements
-    is known, displacements of bodies that are held replace their slow accelerations; else strain gauges tell the slow
-    forces, and these the slow displacements of held bodies, if that is quiet enough (`SlowMotion.is_quiet`). In a
-    record that does not begin at rest the free motion of every mode is estimated as well, and its remaining uncertainty
-    is a nuisance.
+    Where the zero of displacements is known, displacements of bodies that are held replace their slow accelerations;
+    else strain gauges tell the slow forces, and these the slow displacements of held bodies, if that is quiet enough
+    (`SlowMotion.is_quiet`). In a record that does not begin at rest the free motion of every mode is estimated as well,
+    and its remaining uncertainty is a nuisance.
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
-    record = SeparationInput(rig, motion, decimation, noise_m_per_s2, tolerances, gauges, from_rest)
-    if gauges.sensors and not motion.zero_known:
+    if record.gauges.sensors and not record.motion.zero_known:
         try:
             forces = _contact_forces(record, slow_by_gauges=True)
         except RigError:
             forces = None
-        if forces and forces.slow_motion and forces.slow_motion.is_quiet(rig, forces.force_n):
+        if forces and forces.slow_motion and forces.slow_motion.is_quiet(record.rig, forces.force_n):
             return forces
     return _contact_forces(record, slow_by_gauges=False)
 
@@ -160,9 +148,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     has_driven_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
     for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        weighed_changes = tuple(
-            c for c in changes if c.parameter.kind is not NuisanceKind.ZERO
-        )  # those are at 0 Hz alone
+        weighed_changes = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # as that is at 0 Hz
         errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
         weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
         unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
@@ -193,8 +179,9 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
 
 
 def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
-    """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as `_weighted`."""
-    rig, motion, factor, lines = record.rig, record.motion, record.decimation, record.lines
+    """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
+    `_weighted_rows`."""
+    rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
     rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
     weights, states = rows.force_weights, rows.initial_states
     force_spectra = contact_spectra(weights, rows.unexplained)
@@ -207,31 +194,24 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
         inputs = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
         correction = model.correction(inputs, observed.displacements[: len(motion.stations)])
         slow_signals = slow_motion(correction, lines, motion.samples, rows.noise_m)
-    kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // factor
+    kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // decimation
     nuisances = nuisance_signals(
-        rows.parameters,
-        rows.observed,
-        rows.noise_alone,
-        weights,
-        record.signs,
-        lines,
-        kept_samples,
-        model,
+        rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, model
     )
     force_n = lines.signals(force_spectra, kept_samples)
     slow_n_per_m = slow_stiffness(rig, rows.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(rig, motion, factor)[:, :kept_samples]
+        force_n = _force_on_mass(rig, motion, decimation)[:, :kept_samples]
     elif states:
-        start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / factor), kept_samples - 1)
+        start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_samples - 1)
         state_force_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.unit_spectra), kept_samples)
         state_force_n = np.tensordot(states.error_root.T, state_force_n, 1)
         state_rms_n = np.sqrt(np.mean(state_force_n[..., start_sample:] ** 2, axis=(1, 2)))
         is_significant = state_rms_n > LEAST_INITIAL_SHARE * force_n.std()
-        nuisances = nuisances.with_record_signals(NuisanceKind.INITIAL_STATE, state_force_n[is_significant])
+        nuisances = nuisances.with_initial_states(state_force_n[is_significant])
     return ContactForces(
         force_n=force_n,
-        decimation=factor,
+        decimation=decimation,
         noise_n=_noise_n(weights, rows.noise_power, motion, lines),
         nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,

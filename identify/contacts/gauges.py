@@ -138,7 +138,7 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
         )
     quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
     if not (gauges and (quiet_samples or is_segment)):
-        return no_gauges(motion), motion
+        return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
     signals = np.stack([recording.values_of(s)[:count] for s in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         noise_densities = [
@@ -159,8 +159,3 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     channels = (*motion.channels, *(s.name for s in gauges))
     used = Gauges(sensors, strain, noise / gains, zero_error / gains)
     return used, replace(motion, excited_from=excited_from, channels=channels)
-
-
-def no_gauges(motion: Kinematics) -> Gauges:
-    """No gauges beside a motion."""
-    return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0))

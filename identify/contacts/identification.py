@@ -15,7 +15,6 @@ from identify.contacts.law_fit import FORMS
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.paper_methods import (
     PaperMethods,
-    SignalsByLaw,
     check_request,
     paper_methods,
     signals_by_law,
@@ -46,7 +45,7 @@ class Identification:
     """Result of an identification: the report, and the signals and estimates behind it.
 
     motion has the forces and the sensors, but not the stations' signals. eta_m includes the drift; separated_n are the
-    contact forces at every `factor`-th sample, one for all contacts of the `same_place`.
+    contact forces at every `decimation`-th sample, one for each of the contact_groups.
     """
 
     report: ContactReport
@@ -54,7 +53,7 @@ class Identification:
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
     contact_groups: tuple[ContactGroup, ...]
-    separated_n: Float[np.ndarray, "places fewer"]
+    separated_n: Float[np.ndarray, "groups fewer"]
     decimation: int
     outcomes: Outcomes
     methods: PaperMethods
@@ -91,20 +90,6 @@ class Identification:
         return self.methods.main_spectra
 
 
-@dataclass(frozen=True)
-class _SeparatedContacts:
-    """Results of the first three stages without the nuisance signals, which take much memory."""
-
-    rig: Rig
-    motion: Kinematics
-    same_place: tuple[ContactGroup, ...]
-    separated_n: Float[np.ndarray, "places fewer"]
-    factor: int
-    outcomes: Outcomes
-    findings: tuple[Finding, ...]
-    signals: SignalsByLaw
-
-
 def identify_contact(
     recording: Recording,
     *,
@@ -128,49 +113,36 @@ def identify_contact(
     """
     averaging = averaging or Averaging()
     check_request(recording, averaging, equation)
-    rig = recording.rig
-    separated = _separated_contacts(recording, use, tolerances)
+    rig, contacts = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
+    separation, outcomes = contacts.separation, contacts.outcomes
+    condensed_rig, motion, groups = separation.rig, separation.motion, separation.contact_groups
+    separated_n, decimation = separation.forces.force_n, separation.forces.decimation
+    findings, signals = contacts.findings, signals_by_law(separation, outcomes)
+    del contacts, separation  # whose nuisance signals take much memory
     progress(0.5)
-    single_contacts = {place.members[0] for place in separated.same_place if len(place.members) == 1}
     methods = paper_methods(
-        separated.rig,
-        separated.motion,
-        separated.signals,
-        stops_of(rig, separated.outcomes),
-        single_contacts=single_contacts,
+        condensed_rig,
+        motion,
+        signals,
+        stops_of(rig, outcomes),
+        single_contacts={group.members[0] for group in groups if len(group.members) == 1},
         averaging=averaging,
         equation=equation,
     )
     progress(0.95)
     names = [contact.name for contact in rig.contacts]
-    findings = separated.findings + tuple(equation_findings(names, separated.outcomes.estimates, methods.spectra))
+    findings += tuple(equation_findings(names, outcomes.estimates, methods.spectra))
     return Identification(
-        report=contact_report(rig, separated.outcomes, methods, findings),
+        report=contact_report(rig, outcomes, methods, findings),
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        contact_groups=separated.same_place,
-        separated_n=separated.separated_n,
-        decimation=separated.factor,
-        outcomes=separated.outcomes,
+        contact_groups=groups,
+        separated_n=separated_n,
+        decimation=decimation,
+        outcomes=outcomes,
         methods=methods,
         tolerances=tolerances or rig.tolerances or LABORATORY,
-    )
-
-
-def _separated_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> _SeparatedContacts:
-    """Separation, determination and acceptance of a recording's contacts."""
-    contacts = checked_contacts(recording, use, tolerances, FORMS)
-    separation = contacts.separation
-    return _SeparatedContacts(
-        rig=separation.rig,
-        motion=separation.motion,
-        same_place=separation.contact_groups,
-        separated_n=separation.forces.force_n,
-        factor=separation.forces.decimation,
-        outcomes=contacts.outcomes,
-        findings=contacts.findings,
-        signals=signals_by_law(separation, contacts.outcomes),
     )
 
 

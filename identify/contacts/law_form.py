@@ -9,6 +9,7 @@ where p = 1 except for a power law; a stop that cannot pull has f = 0 where f de
 its damping acts always, f = k eta + c rate. It may stand alone or beside stops between the same places.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -60,7 +61,7 @@ def parameters_of_law(law: ContactLaw) -> Float[np.ndarray, " 4"]:
 class LawForm:
     """Form of a law. At the reference depth a power law has the force of a linear stop of the same stiffness.
 
-    springs are the numbers of those contacts that have no stops.
+    spring_indices are those of the contacts that have no stops.
     """
 
     name: FormName = "dead zone"
@@ -89,14 +90,14 @@ class LawForm:
         """Contact force, N: sum over the contacts of stiffness and damping times the forces of a `DeadZone` with one
         each."""
         force = np.zeros_like(eta_m)
-        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
             force += contribution.force_n
         return force
 
     def slopes(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> tuple[Signal, Signal]:
         """Derivatives of the force by displacement (N/m) and by velocity (N s/m)."""
         by_stiffness, by_damping = np.zeros_like(eta_m), np.zeros_like(eta_m)
-        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
             by_stiffness += contribution.slope_n_per_m
             by_damping += contribution.damping_n_s_per_m * contribution.is_closed
         return by_stiffness, by_damping
@@ -104,7 +105,7 @@ class LawForm:
     def derivatives(self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
         """Derivatives of the force by every parameter of the law."""
         rows, by_exponent = [], np.zeros_like(eta_m)
-        for contribution in self._contributions(law_parameters, eta_m, rate_m_per_s):
+        for contribution in self.contributions(law_parameters, eta_m, rate_m_per_s):
             lower = contribution.slope_n_per_m * (contribution.depth_m < 0)
             rows += [
                 lower,
@@ -117,42 +118,35 @@ class LawForm:
                 by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(share)
         return [*rows, by_exponent] if self.exponent_count else rows
 
-    def _contributions(
+    def contributions(
         self, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal
-    ) -> "list[_Contribution]":
-        exponent = self.exponent(law_parameters)
-        return [
-            self._contribution(row, exponent, eta_m, rate_m_per_s, number in self.spring_indices)
-            for number, row in enumerate(self.contact_parameters(law_parameters))
-        ]
-
-    def _contribution(
-        self, contact_parameters: LawParameters, exponent: float, eta_m: Signal, rate_m_per_s: Signal, is_spring: bool
-    ) -> "_Contribution":
-        lower, upper, stiffness, damping = contact_parameters.tolist()
-        spring, damper = (
-            DeadZone(
-                lower_clearance_m=lower,
-                upper_clearance_m=upper,
-                stiffness_n_per_m=k,
-                damping_n_s_per_m=c,
-                exponent=exponent,
-                reference_depth_m=self.reference_depth_m,
+    ) -> "Iterator[Contribution]":
+        """Contributions of the contacts to the force."""
+        for number, row in enumerate(self.contact_parameters(law_parameters)):
+            lower, upper, stiffness, damping = row.tolist()
+            spring, damper = (
+                DeadZone(
+                    lower_clearance_m=lower,
+                    upper_clearance_m=upper,
+                    stiffness_n_per_m=unit_stiffness,
+                    damping_n_s_per_m=unit_damping,
+                    exponent=self.exponent(law_parameters),
+                    reference_depth_m=self.reference_depth_m,
+                )
+                for unit_stiffness, unit_damping in ((1.0, 0.0), (0.0, 1.0))
             )
-            for k, c in ((1.0, 0.0), (0.0, 1.0))
-        )
-        depth, by_eta = spring.penetration_m(eta_m), spring.by_eta_n_per_m(eta_m)
-        shape, drag = spring.force_n(eta_m), damper.force_n(eta_m, rate_m_per_s)
-        closed = depth != 0
-        if is_spring:
-            drag, closed = rate_m_per_s, np.ones_like(closed)
-        if self.name == "cannot pull":
-            closed = (stiffness * shape + damping * drag) * depth > 0
-        return _Contribution(depth, shape, drag, stiffness, damping, stiffness * by_eta * closed, closed)
+            depth_m, slope, spring_m = spring.penetration_m(eta_m), spring.by_eta_n_per_m(eta_m), spring.force_n(eta_m)
+            damper_m_per_s, is_closed = damper.force_n(eta_m, rate_m_per_s), depth_m != 0
+            if number in self.spring_indices:
+                damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
+            if self.name == "cannot pull":
+                is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
+            slope_n_per_m = stiffness * slope * is_closed
+            yield Contribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
 
 
 @dataclass(frozen=True)
-class _Contribution:
+class Contribution:
     """Force of one contact: depth, forces of unit stiffness and of unit damping, derivative by the displacement."""
 
     depth_m: Signal
@@ -180,5 +174,5 @@ def linear_form(touched: TouchedStops) -> LawForm:
 
 def unit_forces(form: LawForm, law_parameters: LawParameters, eta_m: Signal, rate_m_per_s: Signal) -> list[Signal]:
     """Forces of unit stiffness and of unit damping of every contact, for their motion."""
-    contributions = form._contributions(law_parameters, eta_m, rate_m_per_s)
+    contributions = form.contributions(law_parameters, eta_m, rate_m_per_s)
     return [row for contribution in contributions for row in (contribution.spring_m, contribution.damper_m_per_s)]

@@ -20,7 +20,8 @@ class NuisanceSignals:
     """Signals that one standard deviation of each nuisance parameter adds to the contact forces and to the relative
     displacements, in single precision.
 
-    noise_in_n and noise_in_m are the multiples of the sensors' noise of forces and displacements that they contain.
+    force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise of forces and displacements
+    that they contain.
     """
 
     parameters: tuple[Nuisance, ...]
@@ -29,11 +30,9 @@ class NuisanceSignals:
     force_noise_multiple: Float[np.ndarray, "nuisances contacts"]
     eta_noise_multiple: Float[np.ndarray, "nuisances contacts"]
 
-    def with_record_signals(
-        self, kind: NuisanceKind, force_n: Float[np.ndarray, "more contacts fewer"]
-    ) -> "NuisanceSignals":
-        """Signals with further ones of parameters of the record itself, which change no displacement."""
-        no_noise = np.zeros(force_n.shape[:2])
+    def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
+        """Signals with the contact forces by initial states, which change no displacement."""
+        kind, no_noise = NuisanceKind.INITIAL_STATE, np.zeros(force_n.shape[:2])
         return NuisanceSignals(
             (*self.parameters, *(Nuisance(kind, RECORD_NAME, i + 1) for i in range(len(force_n)))),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
@@ -62,30 +61,27 @@ def nuisance_signals(
     `noise` is the observation of the sensors' noise alone; the stations are the first rows of both. With a slow model,
     what a parameter adds to the contact forces moves the stations slowly.
     """
-    station_count = signs.shape[1]
-    signs = np.pad(signs, ((0, 0), (0, weights.shape[1] - station_count)))
+    row_count, station_count = weights.shape[1], signs.shape[1]
+    signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
     shape = (len(parameters), len(signs), samples)
     force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
     force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_forces, noise_etas = (
-        contact_spectra(weights, noise_alone.signals),
-        real_product(signs, noise_alone.displacements),
-    )
+    noise_forces = contact_spectra(weights, noise_alone.signals)
+    noise_etas = real_product(signs, noise_alone.displacements)
     for i, (change, noise_change) in enumerate(zip(changes_of(observed), changes_of(noise_alone), strict=True)):
         sensor_weights, sensor_signs = weights[:, change.sensors], signs[:, change.sensors]
         force_spectra = contact_spectra(sensor_weights, change.signals)
         force_n[i] = lines.signals(force_spectra, samples)
         force_multiple[i] = _noise_multiple(noise_forces, contact_spectra(sensor_weights, noise_change.signals))
-        displaced = np.zeros_like(change.signals) if change.displacements is None else change.displacements
+        displacements = np.zeros_like(change.signals) if change.displacements is None else change.displacements
         if slow_model is not None:
-            station_motion = np.zeros((station_count, displaced.shape[1]), dtype=complex)
-            rows = [(row, sensor) for row, sensor in enumerate(change.sensors) if sensor < station_count]
-            for row, sensor in rows:
-                station_motion[sensor] = displaced[row]
+            row_motion = np.zeros((row_count, displacements.shape[1]), dtype=complex)
+            row_motion[change.sensors] = displacements
+            station_motion = row_motion[:station_count]
             motion_change = slow_model.displacement_change(change.parameter, force_spectra, station_motion)
             eta_m[i] = lines.signals(real_product(signs[:, :station_count], motion_change), samples)
         elif change.displacements is not None and np.any(sensor_signs):
-            eta_m[i] = lines.signals(real_product(sensor_signs, displaced), samples)
+            eta_m[i] = lines.signals(real_product(sensor_signs, displacements), samples)
         if change.displacements is not None and noise_change.displacements is not None and np.any(sensor_signs):
             eta_multiple[i] = _noise_multiple(noise_etas, real_product(sensor_signs, noise_change.displacements))
     return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)

@@ -15,10 +15,10 @@ from identify.contacts.station_spectra import (
     observed_body_motion,
     sensed_accelerations,
 )
-from identify.linear.model import Response
+from identify.linear.model import Response, has_high_passed_springs
 from identify.linear.nuisance import ObservedBase, ObservedSignals
 from identify.signals.kinematics import Kinematics
-from identify.signals.measured_base import MeasuredBase, count_on_bodies
+from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
@@ -72,11 +72,20 @@ def observation_of(
     )
     station_signals = np.where(in_metres, displacements, accelerations)
     station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
-    has_high_passed_springs = any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
-    is_usable = ~lines.is_slow | np.array(
-        [[not (has_high_passed_springs or s.high_pass_hz)] for s in gauges.sensors], bool
-    ).reshape(-1, 1)
+    shows_slow = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
+    is_usable = ~lines.is_slow | np.array(shows_slow, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
+    base = (
+        None
+        if motion.base is None
+        else ObservedBase(
+            sensor=motion.base.sensor,
+            displaced_by=motion.base.displaced_by,
+            acceleration=lines.spectra(motion.base.acceleration_m_per_s2),
+            displacement=lines.spectra(motion.base.displacement_m),
+            station_accelerations=input_accelerations[-1],
+        )
+    )
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
@@ -87,7 +96,7 @@ def observation_of(
         force_accelerations=input_accelerations[: count_on_bodies(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
-        base=_observed_base(motion.base, lines, input_accelerations[-1]) if motion.base else None,
+        base=base,
     )
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
     errors = GaugeErrors(
@@ -99,19 +108,6 @@ def observation_of(
     )
     noise_power = (samples * record.noise_m_per_s2**2)[:, None] * np.abs(station_response) ** 2
     return observed, errors, np.concatenate([noise_power, gauge_rows.noise_power])
-
-
-def _observed_base(
-    base: MeasuredBase, lines: SpectralLines, base_response: Complex[np.ndarray, "stations lines"]
-) -> ObservedBase:
-    """Spectra of a measured base, with the accelerations of the stations that it causes."""
-    return ObservedBase(
-        sensor=base.sensor,
-        displaced_by=base.displaced_by,
-        acceleration=lines.spectra(base.acceleration_m_per_s2),
-        displacement=lines.spectra(base.displacement_m),
-        station_accelerations=base_response,
-    )
 
 
 def noise_observation(

@@ -23,7 +23,7 @@ class Outcomes:
         """Outcomes of contacts that are all refused for one reason."""
         return Outcomes({}, dict.fromkeys(names, refusal))
 
-    def joined(self, further: "Outcomes") -> "Outcomes":
+    def __or__(self, further: "Outcomes") -> "Outcomes":
         """Outcomes with those of further contacts."""
         return Outcomes({**self.estimates, **further.estimates}, {**self.refusals, **further.refusals})
 

@@ -76,8 +76,8 @@ def longest_segment_s(path: Path) -> float:
     if memory_limit_s < SHORTEST_S:
         raise RigError(
             f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at once "
-            f"take more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
-            "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+            f"take more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv "
+            "--map MAP, then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
         )
     return min(SEGMENT_S, memory_limit_s)
 

@@ -11,11 +11,11 @@ from identify.checks.masses import mass_pull
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.forces import ContactForces, separated_forces
 from identify.contacts.gauges import gauges_of
-from identify.contacts.observation import RINGING_S
-from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
+from identify.contacts.observation import RINGING_S, SeparationInput
+from identify.contacts.refusals import RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
 from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
-from identify.linear.modal import relative_displacements, relative_velocities
+from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift, spline
 from identify.signals.kinematics import Kinematics, Use, kinematics
@@ -49,8 +49,8 @@ UNMODELLED_FIELDS = ("loads", "base_motion", "force_sensor", "dampers", "tones")
 class Separation:
     """Measured motion of a rig, and the contact forces that follow from it.
 
-    forces and records have one entry for each pair of places, `same_place` the contacts of each. mass_pull is how many
-    tolerances the mass of a rig's single mass is off while its contacts are open.
+    forces and records have one entry for each pair of places, whose contacts are in contact_groups. mass_pull is how
+    many tolerances the mass of a rig's single mass is off while its contacts are open.
     """
 
     rig: Rig
@@ -74,12 +74,14 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
     decimation = max(1, int(motion.sample_rate_hz / 2 / band_end_hz))
-    noise_m_per_s2, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
-    group_rig = group_rig_of(rig)
+    noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
         _check_displacements(rig, motion)
-    forces = separated_forces(group_rig, motion, decimation, noise_m_per_s2, tolerances, gauges, from_rest)
+    pull = mass_pull(rig, motion, tolerances)
+    forces = separated_forces(
+        SeparationInput(group_rig, motion, decimation, noise_m_per_s2, tolerances, gauges, from_rest)
+    )
     if forces.slow_motion:
         motion = forces.slow_motion.added_to(motion)
         _check_displacements(rig, motion)
@@ -140,22 +142,18 @@ def _without_start(
     Raises ContactRefusedError if too little is left.
     """
     rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
-    at_start_s = RINGING_S if from_rest else start_transient_s(group_rig, forces.slow_n_per_m)
-    skipped_samples = round(at_start_s * rate_hz / forces.decimation)
+    start_s = RINGING_S if from_rest else start_transient_s(group_rig, forces.slow_n_per_m)
+    skipped_samples = round(start_s * rate_hz / forces.decimation)
     if (samples - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
-        raise _too_short(recording, at_start_s, samples * forces.decimation, motion.zero_known)
+        displacement_remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+        raise refused(
+            RefusalCode.TOO_SHORT,
+            RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else displacement_remedy,
+            duration_s=recording.duration_s,
+            at_start_s=start_s,
+            at_end_s=recording.duration_s - samples * forces.decimation / recording.rig.sample_rate_hz,
+        )
     return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
-
-
-def _too_short(recording: Recording, at_start_s: float, last_sample: int, zero_known: bool) -> ContactRefusedError:
-    without_displacements = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
-    return refused(
-        RefusalCode.TOO_SHORT,
-        RemedyCode.RECORD_LONGER_OR_FROM_REST if zero_known else without_displacements,
-        duration_s=recording.duration_s,
-        at_start_s=at_start_s,
-        at_end_s=recording.duration_s - last_sample / recording.rig.sample_rate_hz,
-    )
 
 
 def check_described(rig: Rig) -> None:
@@ -197,17 +195,21 @@ def _contact_records(
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    samples = forces.force_n.shape[1] * forces.decimation
-    samples = min(samples, motion.samples)
-    eta_m, velocity_m_per_s = relative_displacements(rig, motion), relative_velocities(rig, motion)
-    records = []
+    samples = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
+    eta_m = relative_motion(rig, motion, motion.displacement_m)
+    velocity_m_per_s = relative_motion(rig, motion, motion.velocity_m_per_s)
+    records, nuisances = [], forces.nuisances
+    is_initial_state = np.array([p.kind == NuisanceKind.INITIAL_STATE for p in nuisances.parameters], dtype=bool)
     quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]
     quiet_deviation_n = quiet_force_n.std(axis=1) if quiet_force_n.shape[1] else np.zeros(len(rig.contacts))
     quiet_deviation_n = np.maximum(quiet_deviation_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
-        displacements_m = forces.nuisances.eta_m[:, j]
+        displacements_m = nuisances.eta_m[:, j]
         shifts_eta = np.any(displacements_m, axis=1)
         drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, samples)
+        if drift:
+            spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
+            drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
         nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :samples].astype(np.float32)
         records.append(
             ContactRecord(
@@ -220,21 +222,14 @@ def _contact_records(
                 noise_n=float(forces.noise_n[j]),
                 unmodelled_share=tolerances.unmodelled_contact,
                 noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
-                drift=drift
-                and replace(
-                    drift,
-                    spring_n_per_m=float(forces.slow_n_per_m[j, j]),
-                    damper_n_s_per_m=float(forces.slow_n_s_per_m[j, j]),
-                ),
+                drift=drift,
                 drift_spline=spline(samples, motion.sample_rate_hz, drift),
-                nuisance_n=forces.nuisances.force_n[:, j],
-                force_noise_multiple=forces.nuisances.force_noise_multiple[:, j],
-                eta_noise_multiple=forces.nuisances.eta_noise_multiple[shifts_eta, j],
+                nuisance_n=nuisances.force_n[:, j],
+                force_noise_multiple=nuisances.force_noise_multiple[:, j],
+                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, j],
                 shifts_eta=shifts_eta,
                 nuisance_m=nuisance_m,
-                is_initial_state=np.array(
-                    [p.kind == NuisanceKind.INITIAL_STATE for p in forces.nuisances.parameters], dtype=bool
-                ),
+                is_initial_state=is_initial_state,
             )
         )
     return tuple(records)
@@ -266,10 +261,9 @@ def drift_of(
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
     densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]
     if motion.base and len(stations) == 1:
-        base_error_m_per_s2 = tolerances.of_sensor(motion.base.sensor.name).gain * _slow_acceleration(
-            motion.base.acceleration_m_per_s2, motion
-        )
-        densities.append(float(np.sqrt(np.mean(base_error_m_per_s2**2) / DRIFT_BAND_HZ)))
+        gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
+        error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+        densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
     return Drift(
         acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),

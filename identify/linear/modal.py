@@ -74,8 +74,8 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
     condition_number = float(np.linalg.cond(shapes))
     if condition_number > 1e3:
         raise RigError(
-            f"the stations of {body.name!r} do not tell {mode_count} modes apart (condition number {condition_number:.2g}); "
-            "spread them over the body"
+            f"the stations of {body.name!r} do not tell {mode_count} modes apart (condition number "
+            f"{condition_number:.2g}); spread them over the body"
         )
     inverse_shapes = np.linalg.pinv(shapes)
     return Transformation(
@@ -200,20 +200,11 @@ def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) ->
     return np.asarray(shape_at(body, contact.at, mode_count) - against)
 
 
-def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """Relative displacement of each contact, from the sensors at its stations or, without any, from the modes."""
-    return _relative_motion(rig, motion, motion.displacement_m)
-
-
-def relative_velocities(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """Relative velocity of each contact, as `relative_displacements`."""
-    return _relative_motion(rig, motion, motion.velocity_m_per_s)
-
-
-def _relative_motion(
+def relative_motion(
     rig: Rig, motion: Kinematics, station_signals: Float[np.ndarray, "stations samples"]
 ) -> Float[np.ndarray, "contacts samples"]:
-    """Relative motion of each contact, from rows of station motion."""
+    """Signals of the stations, such as their displacements, across each contact: from the sensors at its stations or,
+    without any, from the modes."""
 
     def station_motion(station: Station) -> Float[np.ndarray, " samples"]:
         row = motion.row(station)

@@ -289,7 +289,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
     Raises RigError if no number of modes identifies every contact force.
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
-    eta_shapes = np.concatenate([relative_shapes(rig, r) for r in responses], axis=1)
+    eta_shapes, _ = _eta_modes(rig, responses)
     if _force_rank(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
@@ -330,32 +330,41 @@ def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], modes: Sequence
 
 
 def slow_damping(
-    rig: Rig, responses: tuple[Response, ...], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+    rig: Rig, responses: Sequence[Response], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
 ) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
-    eta_shapes = np.concatenate([relative_shapes(rig, r) for r in responses], axis=1)
-    omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
-    zeta = np.concatenate([r.dynamics.damping_ratios for r in responses])
-    held_shapes, damping_weights = eta_shapes[:, omega > 0], 2 * zeta[omega > 0] / omega[omega > 0] ** 3
+    eta_shapes, omega = _eta_modes(rig, responses)
+    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
+    held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
     return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
 
 
-def slow_stiffness(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, "contacts contacts"]:
+def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N) per slow relative displacement (m), where springs act on the high-passed displacements.
 
     K = N (N' C N)^-1 N', with C the sum of phi phi' / omega^2 over the held modes, and N the combinations of contacts
     that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
     """
-    eta_shapes = np.concatenate([relative_shapes(rig, r) for r in responses], axis=1)
-    omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
+    eta_shapes, omega = _eta_modes(rig, responses)
     combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
-    held_combinations = combinations[
-        :, np.count_nonzero(singular_values > RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)) :
-    ]
-    if not (
-        held_combinations.size and any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
-    ):
+    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
+    held_combinations = combinations[:, np.count_nonzero(singular_values > least_value) :]
+    if not (held_combinations.size and has_high_passed_springs(responses)):
         return np.zeros((len(eta_shapes), len(eta_shapes)))
     held_shapes = eta_shapes[:, omega > 0]
     compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
-    return np.asarray(held_combinations @ np.linalg.pinv(compliance, rcond=1e-12, hermitian=True) @ held_combinations.T)
+    inverse = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
+    return np.asarray(held_combinations @ inverse @ held_combinations.T)
+
+
+def has_high_passed_springs(responses: Sequence[Response]) -> bool:
+    """True if the spring of some mode acts on the high-passed displacement alone."""
+    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+
+
+def _eta_modes(
+    rig: Rig, responses: Sequence[Response]
+) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
+    """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""
+    natural_hz = np.concatenate([r.dynamics.natural_hz for r in responses])
+    return np.concatenate([relative_shapes(rig, r) for r in responses], axis=1), 2 * np.pi * natural_hz

@@ -10,8 +10,7 @@ from identify.linear.modal import (
     correctable_samples,
     equivalent_force_n,
     modal_equations,
-    relative_displacements,
-    relative_velocities,
+    relative_motion,
     transformation,
 )
 from identify.signals.kinematics import Kinematics, kinematics
@@ -240,8 +239,8 @@ def test_relative_displacement_from_the_sensors_at_the_contact():
     rig = rig_of()
     motion = motion_at_sensors(rig, lambda _: tones(9, 1))  # more modes than could be fitted
     for rows, relative in (
-        (motion.displacement_m, relative_displacements(rig, motion)),
-        (motion.velocity_m_per_s, relative_velocities(rig, motion)),
+        (motion.displacement_m, relative_motion(rig, motion, motion.displacement_m)),
+        (motion.velocity_m_per_s, relative_motion(rig, motion, motion.velocity_m_per_s)),
     ):
         by_station = {s.station: row for s, row in zip(rig.sensors, rows, strict=True)}
         for contact, eta in zip(rig.contacts, relative, strict=True):
@@ -258,7 +257,8 @@ def test_relative_displacement_from_the_modes_where_no_sensor_stands():
     )
     rig = msgspec.structs.replace(full, sensors=sensors)
     true = {body.name: tones(5, seed) for seed, body in enumerate(rig.bodies)}
-    eta = relative_displacements(rig, motion_at_sensors(rig, lambda body: true[body.name]))
+    motion = motion_at_sensors(rig, lambda body: true[body.name])
+    eta = relative_motion(rig, motion, motion.displacement_m)
     for j in range(2):
         expected = sum(contact_shapes(rig, body, j, 5) @ true[body.name][0] for body in rig.bodies)
         np.testing.assert_allclose(eta[j], expected, atol=1e-9 * np.abs(expected).max())
