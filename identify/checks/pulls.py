@@ -56,7 +56,7 @@ def suspects_of(
         response = body.response
         rows = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
         shapes = response.shapes([sensors[i].station for i in rows])
-        by_frequency = real_product(shapes, response.sensitivity("frequency") * body.acceleration)
+        by_frequency = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
         by_clock[rows] += by_frequency
         if response.body.length_m and tolerances.mass:
             by_density = np.zeros_like(by_clock)

@@ -189,14 +189,11 @@ def equation_findings(
             name, visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
             if name not in estimates or not visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
-            stiffness_n_per_m, standard_error = (
-                estimates[name].stiffness_n_per_m,
-                estimates[name].error(STIFFNESS_GRADIENT),
-            )
-            if abs(mean_n_per_m - stiffness_n_per_m) > max(
-                CONTRADICTION_SHARE * stiffness_n_per_m,
-                CONTRADICTION_ERRORS * float(np.hypot(mean_error_n_per_m, standard_error)),
-            ):
+            estimate = estimates[name]
+            stiffness_n_per_m, standard_error = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
+            combined_error = float(np.hypot(mean_error_n_per_m, standard_error))
+            limit_n_per_m = max(CONTRADICTION_SHARE * stiffness_n_per_m, CONTRADICTION_ERRORS * combined_error)
+            if abs(mean_n_per_m - stiffness_n_per_m) > limit_n_per_m:
                 yield _fit_finding(
                     name,
                     f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "

@@ -37,8 +37,8 @@ CONVERGED_SHARE = 0.4
 class Gauges:
     """Strain gauges of a record that begins at rest, each with its fibre_m.
 
-    strain is their signal less its mean before the force; noise the standard deviation of its noise per sample,
-    zero_error that of the subtracted mean.
+    strain is their signal less its mean before the force; noise_strain the standard deviation of its noise per sample,
+    zero_error_strain that of the subtracted mean.
     """
 
     sensors: tuple[Sensor, ...]
@@ -72,11 +72,8 @@ class Gauges:
         shares = {}
         for body_response in responses:
             highest = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
-            inputs, outputs = (
-                input_shapes(rig, body_response, rig.forces)[:, highest],
-                body_response.shapes(self.sensors)[:, highest],
-            )
-            accelerance = body_response.accelerance[highest]
+            inputs = input_shapes(rig, body_response, rig.forces)[:, highest]
+            outputs, accelerance = body_response.shapes(self.sensors)[:, highest], body_response.accelerance[highest]
             for i, j in product(*(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (inputs, outputs))):
                 shares[i, j] = response[j] * real_product((inputs[i] * outputs[j])[None], accelerance)[0]
         return shares
@@ -95,7 +92,7 @@ class GaugeRows:
 
 @dataclass(frozen=True)
 class GaugeErrors:
-    """Errors of gauges that no tolerance states, as rows behind `stations` others; truncation is per newton."""
+    """Errors of gauges that no tolerance states, as rows behind `station_count` others; truncation is per newton."""
 
     station_count: int
     gauge_names: tuple[str, ...]
@@ -128,9 +125,9 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
     rig, count = recording.rig, motion.samples
-    is_combined_use = use == "auto" and not rig.base_sensors
-    gauges = [s for s in rig.sensors if is_combined_use and not s.measures.translates]
-    gauges = [s for s in gauges if np.ptp(recording.values_of(s)) > 0]
+    gauges = [s for s in rig.sensors if not s.measures.translates and np.ptp(recording.values_of(s)) > 0]
+    if use != "auto" or rig.base_sensors:
+        gauges = []
     excited_from = motion.excited_from
     if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):
         excited_from = excitation_start(
@@ -145,11 +142,8 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
             s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
             for s, row in zip(gauges, signals, strict=True)
         ]
-        noise, zero, zero_error = (
-            np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities),
-            signals.mean(axis=1),
-            signals.std(axis=1),
-        )
+        noise = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
+        zero, zero_error = signals.mean(axis=1), signals.std(axis=1)
         strain = (signals - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
         noise, zero = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
@@ -157,5 +151,5 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     gains = np.abs([s.gain for s in gauges])
     sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
     channels = (*motion.channels, *(s.name for s in gauges))
-    used = Gauges(sensors, strain, noise / gains, zero_error / gains)
-    return used, replace(motion, excited_from=excited_from, channels=channels)
+    scaled_gauges = Gauges(sensors, strain, noise / gains, zero_error / gains)
+    return scaled_gauges, replace(motion, excited_from=excited_from, channels=channels)

@@ -154,7 +154,7 @@ def contact_report(
     eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(_estimates(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
@@ -187,9 +187,7 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
 
-def _contact_estimate(
-    name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
-) -> results.ContactEstimate:
+def _estimates(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
@@ -228,15 +226,10 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    invisible_contacts = tuple(
-        c.name
-        for c, share in zip(rig.contacts, nifo.equation.visibility, strict=True)
-        if share < NEARLY_INVISIBLE_SHARE
-    )
+    shares = zip(rig.contacts, nifo.equation.visibility, strict=True)
+    invisible = tuple(contact.name for contact, share in shares if share < NEARLY_INVISIBLE_SHARE)
     band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(
-        nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible_contacts
-    )
+    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible)
 
 
 def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
@@ -249,10 +242,5 @@ def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Cleara
 
 def _transformation_result(transform: Transformation) -> results.TransformationResult:
     modes, stations = transform.inverse_shapes.shape
-    return results.TransformationResult(
-        transform.body.name,
-        stations,
-        modes,
-        transform.condition_number,
-        tuple(float(x) for x in transform.truncation_shares),
-    )
+    shares, condition_number = tuple(transform.truncation_shares.tolist()), transform.condition_number
+    return results.TransformationResult(transform.body.name, stations, modes, condition_number, shares)

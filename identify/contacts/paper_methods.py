@@ -5,7 +5,6 @@ No estimate of the joint fit rests on them. A method that fails is left out, and
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -58,8 +57,8 @@ class PaperMethods:
     """Results of the paper's methods; notes say which could not be computed, and why.
 
     motion and eta_m are the inputs, transformations those of the bodies. histogram has the stops of each contact, None
-    where the density does not show them. main_equation is the one that the figures show; forms are its NIFO in the weak
-    form and in the paper's, empty without NIFO, as of a record without a force.
+    where the density does not show them. main_equation is the one that the figures show; main_spectra are its NIFO in
+    the weak form and in the paper's, empty without NIFO, as of a record without a force.
     """
 
     motion: Kinematics
@@ -115,14 +114,14 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
     force_n, penetration_m = np.zeros_like(eta), np.zeros_like(eta)
-    for place, record in zip(separation.contact_groups, separation.records, strict=True):
+    for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
-        signs = dict(zip((names[j] for j in place.members), place.signs, strict=True))
+        signs = dict(zip((names[j] for j in group.members), group.signs, strict=True))
         estimated_names = [name for name in signs if name in outcomes.estimates]
         if estimated_names:
             estimate, sign = outcomes.estimates[estimated_names[0]], signs[estimated_names[0]]
             eta_m, rate = eta_m + sign * estimate.drift_m, rate + sign * estimate.drift_m_per_s
-        for j, sign in zip(place.members, place.signs, strict=True):
+        for j, sign in zip(group.members, group.signs, strict=True):
             eta[j] = sign * eta_m
             if names[j] in estimated_names:
                 estimate = outcomes.estimates[names[j]]
@@ -162,17 +161,17 @@ def paper_methods(
     samples = correctable_samples(motion)
     eta, depth = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
     blocks_by_body = _blocks(rig, motion, samples, averaging, notes)
-    bodies = {body.name: body for body in rig.bodies}
-    transformations = results_by_name(
-        notes, "the modal transformation", bodies, lambda b: transformation(rig, b, motion)
-    )
-    body_equations = results_by_name(
-        notes,
-        "the modal equations",
-        {name: bodies[name] for name in transformations},
-        partial(_equations, rig, motion, signals.force_n),
-    )
-    equations = {e.name: e for of_body in body_equations.values() for e in of_body}
+    whole_motion, bodies = motion, {body.name: body for body in rig.bodies}
+
+    def body_transformation(body: Body) -> Transformation:
+        return transformation(rig, body, whole_motion)
+
+    def body_equations(transform: Transformation) -> tuple[ModalEquation, ...]:
+        return modal_equations(rig, whole_motion, transform.body, MAX_EQUATIONS, signals.force_n)
+
+    transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
+    equation_rows = results_by_name(notes, "the modal equations", transformations, body_equations)
+    equations = {e.name: e for row in equation_rows.values() for e in row}
     motion = motion.segment(slice(samples)).without_rows
     driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
@@ -194,9 +193,8 @@ def paper_methods(
     histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
     main_name = _main_equation(spectra, driven_equations, equation, notes)
     main_spectra = {main_name: spectra[main_name]} if main_name in spectra else {}
-    paper_spectra = results_by_name(
-        notes, "the paper's form of NIFO", main_spectra, lambda weak: by_nifo(weak.equation, "paper")
-    )
+    main_equations = {name: spectrum.equation for name, spectrum in main_spectra.items()}
+    paper_spectra = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: by_nifo(e, "paper"))
     return PaperMethods(
         motion=motion,
         eta_m=eta,
@@ -210,12 +208,6 @@ def paper_methods(
     )
 
 
-def _equations(
-    rig: Rig, motion: Kinematics, force_n: Float[np.ndarray, "contacts samples"], body: Body
-) -> tuple[ModalEquation, ...]:
-    return modal_equations(rig, motion, body, MAX_EQUATIONS, force_n)
-
-
 def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, notes: list[str]) -> dict[str, Blocks]:
     """Blocks of NIFO by body, in the band of the forces on it; none for a body without force."""
     body_forces_n = {}
@@ -226,19 +218,17 @@ def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, no
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
         low, high = force_band(forces_n, motion.sample_rate_hz)
-        band = averaging.band_hz or (
-            max(low, CORNER_RATIO * motion.trusted_hz[0], LOWEST_HZ),
-            min(high, motion.trusted_hz[1]),
-        )
-        return blocks(samples, motion.sample_rate_hz, averaging, band)
+        lowest_hz, highest_hz = motion.trusted_hz
+        band_hz = averaging.band_hz or (max(low, CORNER_RATIO * lowest_hz, LOWEST_HZ), min(high, highest_hz))
+        return blocks(samples, motion.sample_rate_hz, averaging, band_hz)
 
     return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)
 
 
-def _histogram_stops(of: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
+def _histogram_stops(signal: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
     """Stops by the histogram of a relative displacement, which touches the given sides; None if too uncertain, as of a
     decay, which rests most of the time."""
-    eta_m, touched = of
+    eta_m, touched = signal
     stops = replace(clearance_from_occurrence(eta_m), touched=touched)
     return stops if stops.clearance_error_m < UNCERTAIN_SHARE * stops.clearance_m else None
 

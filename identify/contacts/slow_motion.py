@@ -44,7 +44,7 @@ def low_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.n
 @dataclass(frozen=True)
 class SlowModel:
     """Slow displacement of the stations per newton of each force, and its changes by one standard deviation of the
-    nuisance parameters at given forces; `share` is L at every station whose displacement is integrated."""
+    nuisance parameters at given forces; low_pass_gain is L at every station whose displacement is integrated."""
 
     low_pass_gain: Float[np.ndarray, "stations slow"]
     input_displacements: Complex[np.ndarray, "inputs stations slow"]
@@ -55,10 +55,8 @@ class SlowModel:
     ) -> Complex[np.ndarray, "stations slow"]:
         """Slow displacement by exciting and contact forces, less the integrated one."""
         lines = slice(self.low_pass_gain.shape[1])
-        return np.asarray(
-            np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines])
-            - self.low_pass_gain * displacements[:, lines]
-        )
+        by_forces = np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines])
+        return np.asarray(by_forces - self.low_pass_gain * displacements[:, lines])
 
     def displacement_change(
         self,
@@ -69,14 +67,11 @@ class SlowModel:
         """Change of the stations' displacement by a parameter, given its changes of the contact forces and of the
         integrated displacement."""
         count = self.low_pass_gain.shape[1]
-        lines = slice(count)
         by_contacts = self.input_displacements[-len(contact_forces) :]
-        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, lines]) - self.nuisance_changes.get(
-            parameter, 0.0
-        )
-        return np.concatenate(
-            [(1 - self.low_pass_gain) * displacements[:, lines] + slow, displacements[:, count:]], axis=1
-        )
+        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
+        slow = slow - self.nuisance_changes.get(parameter, 0.0)
+        kept = (1 - self.low_pass_gain) * displacements[:, :count]
+        return np.concatenate([kept + slow, displacements[:, count:]], axis=1)
 
 
 def slow_model(
@@ -168,15 +163,14 @@ def quietest_corner(
 ) -> tuple[float, Float[np.ndarray, " contacts"]]:
     """Corner of L, Hz, with the least noise of the relative displacements, and that noise's standard deviation (m).
 
-    power is that of the sensors' noise over the padded record: that of accelerometers integrated twice above the
+    noise_power is that of the sensors over the padded record: that of accelerometers integrated twice above the
     corner, and what all sensors make of the contact forces below it.
     """
     stations = signs.shape[1]
     integrated_power = np.einsum("cs,sl->cl", signs**2, noise_power[:stations]) / lines.omega**4
     by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
-    modelled_power = np.einsum(
-        "crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", by_contacts_m, weights)) ** 2, noise_power
-    )
+    by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
+    modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
     steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
     corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)

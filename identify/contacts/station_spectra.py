@@ -35,8 +35,8 @@ START_TRANSIENT_S = 0.5
 
 @dataclass(frozen=True)
 class SpectralLines:
-    """Spectral lines of a record padded with silence to `length` samples, up to the band of forces at every
-    `factor`-th."""
+    """Spectral lines of a record padded with silence to `padded_samples`, up to the band of forces at every
+    `decimation`-th."""
 
     padded_samples: int
     decimation: int
@@ -62,11 +62,10 @@ class SpectralLines:
         return np.asarray(np.fft.rfft(signals, self.padded_samples)[..., : self.omega.size])
 
     def signals(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
-        """First samples of the signals of spectra, at every `factor`-th sample."""
+        """First samples of the signals of spectra, at every `decimation`-th sample."""
         real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        return np.asarray(
-            np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples] / self.decimation
-        )
+        signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples]
+        return np.asarray(signals / self.decimation)
 
     @property
     def correlated_line_count(self) -> int:
@@ -91,14 +90,11 @@ class StationErrors:
         chunk_lines = slice(start - first, stop - first)
         covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
         index = np.arange(station_count)
-        covariance[index, index] = self.noise_power[:, start:stop] + max(
-            LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power
-        )
+        least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
+        covariance[index, index] = self.noise_power[:, start:stop] + least_power
         for change in self.changes:
-            rows, delivered = np.array(change.sensors), change.signals[:, first:last]
-            products = uniform_filter1d(
-                delivered[:, None] * delivered[None].conj(), self.correlated_line_count, axis=-1
-            )
+            rows, signals = np.array(change.sensors), change.signals[:, first:last]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), self.correlated_line_count, axis=-1)
             covariance[rows[:, None], rows[None]] += products[..., chunk_lines]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
@@ -160,9 +156,8 @@ def full_body_motion(
     observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
     modal_force = real_product(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
     hidden_accelerations = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
-    visible_accelerations = accelerations - real_product(
-        response.shapes(motion.stations)[:, observed_mode_count:], hidden_accelerations
-    )
+    hidden_shapes = response.shapes(motion.stations)[:, observed_mode_count:]
+    visible_accelerations = accelerations - real_product(hidden_shapes, hidden_accelerations)
     body_motion = observed_body_motion(rig, response, motion, visible_accelerations)
     return replace(
         body_motion,
@@ -209,20 +204,14 @@ def initial_states(
     """
     untapered = replace(lines, is_tapered=False)
     samples, padding_samples, force_count = motion.samples, lines.padded_samples - motion.samples, len(motion.forces_n)
-    motions, start_prior, end_prior = free_motions(
-        responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.padded_samples
-    )
+    highest_hz = float(lines.omega[-1]) / (2 * np.pi)
+    motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
     orders = [s.measures.order for s in motion.sensors]
 
-    def free_motion_spectra(lines_of_part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        return free_spectra(
-            motions, orders, in_metres, lines.omega, lambda signals: lines_of_part.spectra(signals[:, :length])
-        )
+    def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
+        return free_spectra(motions, orders, in_metres, lines.omega, lambda rows: part.spectra(rows[:, :length]))
 
-    start_spectra, end_spectra = (
-        free_motion_spectra(untapered, samples),
-        free_motion_spectra(untapered, padding_samples),
-    )
+    start_spectra, end_spectra = unit_spectra(untapered, samples), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
     measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
     is_spring_held = np.array([m.is_held for m in motions])
@@ -235,4 +224,4 @@ def initial_states(
         errors.line_chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         correlated_line_count=lines.correlated_line_count,
     )
-    return state_estimate.initial_states(free_motion_spectra(lines, samples), np.flatnonzero(is_spring_held))
+    return state_estimate.initial_states(unit_spectra(lines, samples), np.flatnonzero(is_spring_held))

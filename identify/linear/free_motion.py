@@ -39,7 +39,7 @@ RELATIVE_STEP = 1e-6
 class FreeMotion:
     """Free motion of one mode per unit of its initial displacement or velocity.
 
-    rows are the coordinate's displacement, velocity and acceleration over time; shape is the mode's at the stations.
+    derivatives are the coordinate's displacement, velocity and acceleration over time; shape is the mode's at the stations.
     is_held is False if the mode's spring acts on the high-passed displacement: the drift then covers its initial state.
     """
 
@@ -92,8 +92,8 @@ def free_motions(
 class InitialStates:
     """Free motion from a record's start, as the sensors deliver it.
 
-    delivered is its estimate; its errors have the independent unit components sum_i spectra_i root_ij, where spectra_i
-    is delivered per unit of the initial value i.
+    signals is its estimate; its errors have the independent unit components sum_i spectra_i root_ij, with unit_spectra
+    spectra_i per unit of the initial value i, and error_root root_ij.
     """
 
     signals: Complex[np.ndarray, "stations lines"]
@@ -243,9 +243,8 @@ def fitted_free_modes(
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
     weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *per_unit.shape[::2]).astype(complex)
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
-        weights -= real_product(shapes, scaled_response.conj() * by_input)[:, None] * real_product(
-            shapes, scaled_response * to_input
-        )
+        to_shapes = real_product(shapes, scaled_response.conj() * by_input)
+        weights -= to_shapes[:, None] * real_product(shapes, scaled_response * to_input)
     weighted = (weights[:, :, None] * per_unit).reshape(len(per_unit), -1, per_unit.shape[2])
     weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
     normal = np.concatenate([_products(rows, columns) for rows, columns in zip(per_unit, weighted, strict=True)])

@@ -20,7 +20,7 @@ NEARLY_INVISIBLE_SHARE = 0.15
 class Transformation:
     """Transformation from station displacements to modal coordinates of one body: q = inverse_shapes @ u (kg^1/2 m).
 
-    lost is, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
+    truncation_shares are, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
     exciting force shake the body with a white spectrum up to the highest fitted frequency.
     """
 
@@ -78,9 +78,8 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
             f"{condition_number:.2g}); spread them over the body"
         )
     inverse_shapes = np.linalg.pinv(shapes)
-    return Transformation(
-        body, station_rows, inverse_shapes, condition_number, _truncation_shares(rig, body, positions_m, inverse_shapes)
-    )
+    truncation_shares = _truncation_shares(rig, body, positions_m, inverse_shapes)
+    return Transformation(body, station_rows, inverse_shapes, condition_number, truncation_shares)
 
 
 def modal_equations(
@@ -106,9 +105,8 @@ def modal_equations(
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
     force_shapes = input_mode_shapes(rig, body, mode_count)
     largest_force_shapes = force_shapes[np.argmax(np.abs(force_shapes), axis=0), np.arange(mode_count)]
-    eta_shapes = np.array([contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]).reshape(
-        -1, mode_count
-    )
+    contact_rows = [contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]
+    eta_shapes = np.array(contact_rows).reshape(-1, mode_count)
     largest_shapes = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
     return tuple(
         ModalEquation(
@@ -162,21 +160,14 @@ def _without_higher_modes(
     natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     higher_spectra = np.zeros((len(coordinate_shares), frequency_hz.size), dtype=complex)
     for m in range(fitted_count, body.max_modes):
-        response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * (
-            input_shapes[:, m] @ force_spectra
-        )
+        modal_force = input_shapes[:, m] @ force_spectra
+        response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * modal_force
         for i, weight in enumerate(coordinate_shares[:, m]):
             higher_spectra[i] += weight * response
     corrected = []
     for rows in coordinates:
-        corrected.append(
-            np.stack(
-                [
-                    r - np.fft.irfft(f, length)[:kept_samples]
-                    for r, f in zip(rows[:, :kept_samples], higher_spectra, strict=True)
-                ]
-            )
-        )
+        higher_coordinates = [np.fft.irfft(spectrum, length)[:kept_samples] for spectrum in higher_spectra]
+        corrected.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
         higher_spectra *= 2j * np.pi * frequency_hz
     return corrected
 
@@ -248,7 +239,7 @@ def _truncation_shares(
     positions_m: Float[np.ndarray, " stations"],
     inverse_shapes: Float[np.ndarray, "modes stations"],
 ) -> Float[np.ndarray, " modes"]:
-    """Share of each fitted coordinate that the higher modes contribute (`Transformation.lost`)."""
+    """Share of each fitted coordinate that the higher modes contribute (`Transformation.truncation_shares`)."""
     fitted_count, mode_count = inverse_shapes.shape[0], body.max_modes
     if fitted_count >= mode_count:
         return np.zeros(fitted_count)
@@ -260,6 +251,5 @@ def _truncation_shares(
     input_shapes = np.concatenate([contact_shapes_at, input_mode_shapes(rig, body, mode_count)])
     covariance = (response @ response.conj().T).real * (input_shapes.T @ input_shapes)
     coordinate_error = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
-    return np.asarray(
-        np.sqrt(np.diag(coordinate_error @ covariance @ coordinate_error.T) / np.diag(covariance)[:fitted_count])
-    )
+    error_power = np.diag(coordinate_error @ covariance @ coordinate_error.T)
+    return np.asarray(np.sqrt(error_power / np.diag(covariance)[:fitted_count]))

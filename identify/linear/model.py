@@ -14,7 +14,7 @@ It also covers slow motion, which accelerations do not show: where springs then 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, Literal, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -147,17 +147,14 @@ class Response:
             places_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
             if offset_m:
                 places_m = np.clip(places_m, 0.0, self.body.length_m)
-            derivatives = [
-                self.modes.shapes(places_m, self.mode_count, order) for order in (range(3) if gauges else (0,))
-            ]
+            orders = range(3) if gauges else range(1)
+            derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in orders]
             rows[place_indices] = derivatives[0]
             for row, i in enumerate(place_indices if gauges else ()):
                 rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
         return rows
 
-    def sensitivity(
-        self, kind: Literal["frequency", "damping"], modes: slice = slice(None)
-    ) -> Complex[np.ndarray, "modes lines"]:
+    def sensitivity(self, by_frequency: bool, modes: slice = slice(None)) -> Complex[np.ndarray, "modes lines"]:
         """Relative change -dD / D of each mode's acceleration by that of its frequency, or of its damping.
 
         An error dD changes a mode's acceleration by -dD / D times its true, that is its measured, value.
@@ -165,7 +162,7 @@ class Response:
         hz, zeta, omega = self.dynamics.natural_hz[modes], self.dynamics.damping_ratios[modes], self.dynamics.omega
         natural_omega = 2 * np.pi * hz[:, None]
         relative_change = -2j * zeta[:, None] * natural_omega * omega
-        if kind == "frequency":
+        if by_frequency:
             relative_change -= 2 * natural_omega**2
         relative_change *= receptance(hz, zeta, omega / (2 * np.pi))
         return relative_change
@@ -176,11 +173,9 @@ class Response:
         """Accelerations along some shapes per force along others."""
         return self.cache.transfer(self.dynamics, outputs, inputs)
 
-    def tuned(
-        self, frequency_factors: Float[np.ndarray, " modes"], damping_factors: Float[np.ndarray, " modes"]
-    ) -> "Response":
+    def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
-        hz, zeta = self.dynamics.natural_hz * frequency_factors, self.dynamics.damping_ratios * damping_factors
+        hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
 
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
@@ -322,11 +317,8 @@ def _high_passed_modes(
 
 def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
     """Number of contact forces that some modes tell apart."""
-    return int(
-        np.linalg.matrix_rank(
-            eta_shapes[:, list(modes)], RANK_TOLERANCE * float(np.max(np.abs(eta_shapes), initial=0.0))
-        )
-    )
+    least_value = RANK_TOLERANCE * float(np.max(np.abs(eta_shapes), initial=0.0))
+    return int(np.linalg.matrix_rank(eta_shapes[:, list(modes)], least_value))
 
 
 def slow_damping(

@@ -57,8 +57,8 @@ class Nuisance:
 class BodyMotion:
     """Modes of a body and the accelerations of the first of them; the others are taken to rest.
 
-    `elastic` are the modes with parameters of their own, from 0. Where `by_sensors` is known, the accelerations of the
-    first modes are those of all sensors times it, plus contributions of the model.
+    elastic_indices are the modes with parameters of their own, from 0. Where sensor_weights are known, the
+    accelerations of the first modes are those of all sensors times these, plus contributions of the model.
     """
 
     response: Response
@@ -106,7 +106,7 @@ class SensorPattern:
 class Change:
     """Change by one standard deviation of a parameter in the signals of some sensors, and in the displacements there.
 
-    reading is None if nothing measured enters, or if its way is unknown.
+    sensor_pattern is None if nothing measured enters, or if its way is unknown.
     """
 
     parameter: Nuisance
@@ -129,11 +129,11 @@ class Change:
 
 @dataclass(frozen=True)
 class ObservedSignals:
-    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
+    """Signals that the sensors deliver of the true motion, and its parts that the changes need.
 
-    by_force are the accelerations by each measured force on a body; displaced the displacements at the sensors'
-    stations, which the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are
-    changes by parameters that no tolerance states. Where a base is measured, all motion is relative to it.
+    force_accelerations are those by each measured force on a body; displacements those at the sensors' stations, which
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further_changes are those by
+    parameters that no tolerance states. Where a base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -178,21 +178,16 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
     base = observed.base
     base_acceleration, base_displacement = (base.acceleration, base.displacement) if base else (0.0, 0.0)
     unit_rows = np.eye(len(observed.sensors))
-    for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
-        for channel in dict.fromkeys((sensor, displacement)):
+    for i, (sensor, displacement_sensor) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
-                    absolute_signals = observed.signals[[i]] + observed.sensor_response[[i]] * base_acceleration
-                    delivered = factor * absolute_signals * (channel == sensor)
-                    displaced = (
-                        factor * (observed.displacements[[i]] + base_displacement) if channel == displacement else None
-                    )
-                    reading = (
-                        SensorPattern(factor * observed.sensor_response[[i]], unit_rows[i])
-                        if observed.is_motion_sensed
-                        else None
-                    )
-                    yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
+                    response = observed.sensor_response[[i]]
+                    signals = factor * (observed.signals[[i]] + response * base_acceleration) * (channel == sensor)
+                    absolute_displacements = observed.displacements[[i]] + base_displacement
+                    displacements = factor * absolute_displacements if channel == displacement_sensor else None
+                    pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
+                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
 
 
 def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
@@ -205,11 +200,13 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
         for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
             if np.any(factor):
                 base_signals = observed.sensor_response * (base.acceleration + base.station_accelerations)
-                delivered = -factor * base_signals * (channel == base.sensor)
-                displaced = np.tile(-factor * base.displacement, (len(all_sensors), 1))
-                is_displacement = channel == base.displaced_by
+                signals = -factor * base_signals * (channel == base.sensor)
+                displacements = np.tile(-factor * base.displacement, (len(all_sensors), 1))
                 yield Change(
-                    Nuisance(kind, channel.name), all_sensors, delivered, displaced if is_displacement else None
+                    Nuisance(kind, channel.name),
+                    all_sensors,
+                    signals,
+                    displacements if channel == base.displaced_by else None,
                 )
 
 
@@ -221,18 +218,12 @@ def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
         if sensors[first].measures != sensors[second].measures:
             continue
         for source, target in ((first, second), (second, first)):
-            reading = None
-            if observed.is_motion_sensed:
-                reading = SensorPattern(share * observed.sensor_response[[source]], np.eye(len(sensors))[source])
-            yield Change(
-                Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}"),
-                [target],
-                share * observed.signals[[source]],
-                share * observed.displacements[[source]]
-                if is_displacement[source] and is_displacement[target]
-                else None,
-                reading,
-            )
+            parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
+            are_displacements = is_displacement[source] and is_displacement[target]
+            displacements = share * observed.displacements[[source]] if are_displacements else None
+            response, weights = observed.sensor_response[[source]], np.eye(len(sensors))[source]
+            pattern = SensorPattern(share * response, weights) if observed.is_motion_sensed else None
+            yield Change(parameter, [target], share * observed.signals[[source]], displacements, pattern)
 
 
 def _chain_changes(
@@ -255,9 +246,9 @@ def _force_changes(observed: ObservedSignals) -> Iterator[Change]:
     count = len(observed.force_accelerations)
     names = force_names(count) if count > 1 else (SINGLE_FORCE_NAME,) * count
     if gain := observed.tolerances.force_gain:
-        for name, by_force in zip(names, observed.force_accelerations, strict=True):
-            delivered = -gain * observed.sensor_response * by_force
-            yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(delivered))), delivered)
+        for name, accelerations in zip(names, observed.force_accelerations, strict=True):
+            signals = -gain * observed.sensor_response * accelerations
+            yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(signals))), signals)
 
 
 def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
@@ -267,17 +258,17 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[
     slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
     double_integral = integrated(observed.omega, -2, CORNER_HZ)
     for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
-        sensor, displacement = observed.sensors[i], observed.displaced_by[i]
-        for channel in dict.fromkeys((sensor, displacement)):
+        sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 change = tolerance_m * slope_acceleration[None]
-                delivered = observed.sensor_response[i] * change * (channel == sensor)
-                displaced = double_integral * change if channel == displacement else None
-                reading = None
+                signals = observed.sensor_response[i] * change * (channel == sensor)
+                displacements = double_integral * change if channel == displacement_sensor else None
+                pattern = None
                 if motion.sensor_weights is not None:
                     weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
-                    reading = SensorPattern(tolerance_m * observed.sensor_response[[i]], weights)
-                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], delivered, displaced, reading)
+                    pattern = SensorPattern(tolerance_m * observed.sensor_response[[i]], weights)
+                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], signals, displacements, pattern)
 
 
 def _mode_changes(
@@ -294,25 +285,21 @@ def _mode_changes(
         driven_accelerations = real_product(shapes, motion.acceleration)
         if observed.base:
             driven_accelerations -= observed.base.station_accelerations[rows]
-        delivered = -tolerances.mass * sensor_response * driven_accelerations
-        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)
+        signals = -tolerances.mass * sensor_response * driven_accelerations
+        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-        factors = response.sensitivity(
-            "frequency" if kind is NuisanceKind.FREQUENCY else "damping", motion.moving_modes
-        )
+        factors = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
         if with_common and (tolerance := _tolerance_of(tolerances, kind)):
-            delivered = tolerance * sensor_response * real_product(shapes, factors * motion.acceleration)
-            yield Change(Nuisance(kind, body.name), rows, delivered)
+            signals = tolerance * sensor_response * real_product(shapes, factors * motion.acceleration)
+            yield Change(Nuisance(kind, body.name), rows, signals)
         for m in motion.elastic_indices.tolist():
             if tolerance := _tolerance_of(tolerances.of_mode(body.name, m + 1), kind):
-                pattern = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
-                reading = None
-                if motion.sensor_weights is not None:
-                    reading = (
-                        SensorPattern(pattern, motion.sensor_weights[m]) if m < len(motion.sensor_weights) else None
-                    )
-                delivered = pattern * motion.acceleration[m]
-                yield Change(Nuisance(kind, body.name, m + 1), rows, delivered, sensor_pattern=reading)
+                response_by_mode = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
+                weights, pattern = motion.sensor_weights, None
+                if weights is not None and m < len(weights):
+                    pattern = SensorPattern(response_by_mode, weights[m])
+                signals = response_by_mode * motion.acceleration[m]
+                yield Change(Nuisance(kind, body.name, m + 1), rows, signals, sensor_pattern=pattern)
 
 
 def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:

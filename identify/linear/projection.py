@@ -58,7 +58,7 @@ def projection(
     free_count: int,
 ) -> Projection:
     """Projection of unknown inputs, with `by_input` in standard deviations."""
-    to_inputs = _solved_line_by_line(_normal_matrices(by_input, by_input, free_count), by_input.conj())
+    to_inputs = _line_solutions(_normal_matrices(by_input, by_input, free_count), by_input.conj())
     return Projection(by_input, to_inputs, deviation, free_count)
 
 
@@ -72,7 +72,7 @@ def estimated_inputs(
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
     normal = _normal_matrices(by_input, by_input, free_count)
-    inputs = _solved_line_by_line(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
+    inputs = _line_solutions(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
     wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count]))
@@ -106,7 +106,7 @@ def to_free_inputs(
         if not np.isfinite(normal).all():
             return to_inputs, np.inf
         condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
-        to_inputs[..., lines] = _solved_line_by_line(normal, weighted.conj())
+        to_inputs[..., lines] = _line_solutions(normal, weighted.conj())
     return to_inputs, condition
 
 
@@ -126,12 +126,9 @@ def without_free_inputs(
         standardised = np.linalg.solve(root, rows)
         standardised_inputs, standardised_columns = standardised[..., :input_count], standardised[..., input_count:]
         products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
-        normal = _normal_matrices(
-            standardised_inputs.transpose(2, 1, 0), standardised_inputs.transpose(2, 1, 0), input_count
-        )
-        residual = standardised_columns - standardised_inputs @ _solved_line_by_line(normal, products).transpose(
-            2, 0, 1
-        )
+        input_rows = standardised_inputs.transpose(2, 1, 0)
+        inputs = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
+        residual = standardised_columns - standardised_inputs @ inputs.transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
 
@@ -163,11 +160,11 @@ def _normal_matrices(
     return normal
 
 
-def _solved_line_by_line(
-    normal: Complex[np.ndarray, "lines inputs inputs"], right_hand_side: Complex[np.ndarray, "inputs many lines"]
+def _line_solutions(
+    normal: Complex[np.ndarray, "lines inputs inputs"], right_side: Complex[np.ndarray, "inputs many lines"]
 ) -> Complex[np.ndarray, "inputs many lines"]:
-    """N^-1 right, line by line."""
-    return np.ascontiguousarray(np.linalg.solve(normal, right_hand_side.transpose(2, 0, 1)).transpose(1, 2, 0))
+    """N^-1 right_side, line by line."""
+    return np.ascontiguousarray(np.linalg.solve(normal, right_side.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
 def _lines_first(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:

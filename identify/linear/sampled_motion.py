@@ -28,8 +28,8 @@ def free_motion(
         ones, zeros = np.ones_like(time_s), np.zeros_like(time_s)
         return np.stack([time_s, ones, zeros] if order else [ones, zeros, zeros])
     poles = _poles(natural_hz, damping_ratio)
-    exponentials = [np.exp(p * time_s) for p in poles]
-    rows = [_pole_combination(poles, exponentials, order, k) / (poles[1] - poles[0]) for k in range(3)]
+    terms = [np.exp(p * time_s) for p in poles]
+    rows = [_pole_combination(poles, terms, order, k) / (poles[1] - poles[0]) for k in range(3)]
     return np.asarray(np.real(rows))
 
 
@@ -40,16 +40,13 @@ def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] 
 
 
 def _pole_combination(
-    poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"],
-    exponentials: Sequence[np.ndarray],
-    order: int,
-    derivative: int,
+    poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"], terms: Sequence[np.ndarray], order: int, derivative: int
 ) -> np.ndarray:
     """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
     first, second = poles
     if order:
-        return np.asarray(second**derivative * exponentials[1] - first**derivative * exponentials[0])
-    return np.asarray(second * first**derivative * exponentials[0] - first * second**derivative * exponentials[1])
+        return np.asarray(second**derivative * terms[1] - first**derivative * terms[0])
+    return np.asarray(second * first**derivative * terms[0] - first * second**derivative * terms[1])
 
 
 @dataclass(frozen=True, eq=False)
