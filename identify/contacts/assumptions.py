@@ -71,11 +71,11 @@ def assumptions(result: Identification) -> Iterator[str]:
             "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
             "slow displacements of the linear bodies."
         )
-    for place in result.contact_groups:
-        if len(place.members) > 1:
-            stops = sum(rig.contacts[j].law.has_stops for j in place.members)
+    for group in result.contact_groups:
+        if len(group.members) > 1:
+            stops = sum(rig.contacts[j].law.has_stops for j in group.members)
             told = [
-                *(["the slope within the gap is the spring's"] if stops < len(place.members) else []),
+                *(["the slope within the gap is the spring's"] if stops < len(group.members) else []),
                 *(
                     ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
                         : stops - 1
@@ -83,7 +83,7 @@ def assumptions(result: Identification) -> Iterator[str]:
                 ),
             ]
             yield (
-                f"{place.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
                 f"{' and '.join(told)}."
             )
     if is_unforced(motion):

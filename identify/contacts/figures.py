@@ -16,23 +16,23 @@ from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
 from identify.pages.wording import COVERED, number
 
-Marks = Mapping[str, tuple[float, float]]
+References = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
 OUTPUT_SAMPLES = 1 << 18
 """Samples of the figure of the output with and without the contacts."""
 
 
 def contact_figures(
-    result: Identification, marks: Marks, marks_name: str, notes: list[str] | None = None
+    result: Identification, references: References, reference_name: str, notes: list[str] | None = None
 ) -> dict[str, Picture]:
     """Figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces, by name.
 
-    `marks_name` names the marks: the true values where they are known, else those of rig.json. A figure that cannot be
+    `reference_name` names them: the true values where they are known, else those of rig.json. A figure that cannot be
     drawn is left out, and a note is added.
     """
 
     def drawn_picture(draw: Callable[..., None]) -> Picture:
-        return picture(lambda figure: draw(figure, result, marks, marks_name))
+        return picture(lambda figure: draw(figure, result, references, reference_name))
 
     missing = {
         *(() if result.methods.main_spectra else _NIFO_FIGURES),
@@ -69,7 +69,7 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
     return picture(draw)
 
 
-def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: str) -> None:
+def _outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
     equation, rate = result.surface.equation, result.motion.sample_rate_hz
     measured = equation.displacement[:OUTPUT_SAMPLES]
@@ -98,15 +98,15 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
     figure.suptitle("Output with and without the contacts")
 
 
-def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _surface(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 5 and 13: restoring force over two coordinates, averaged in cells."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
-    first_place, *other_places = result.contact_groups
-    first = result.eta_m[first_place.members[0]][every_nth]
-    if other_places:
-        second = 1e3 * result.eta_m[other_places[0].members[0]][every_nth]
-        label = f"η of {other_places[0].contact.name}, mm"
+    first_group, *other_groups = result.contact_groups
+    first = result.eta_m[first_group.members[0]][every_nth]
+    if other_groups:
+        second = 1e3 * result.eta_m[other_groups[0].members[0]][every_nth]
+        label = f"η of {other_groups[0].contact.name}, mm"
     else:
         second, label = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0], "velocity, m/s"
     count = min(first.size, second.size, surface.measured_force.size)
@@ -115,22 +115,22 @@ def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str)
         1e3 * first[:count], second[:count], C=surface.measured_force[:count], gridsize=70, cmap="RdBu_r", mincnt=3
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
-    axes.set(xlabel=f"η of {first_place.contact.name}, mm", ylabel=label)
-    for k, place in enumerate(result.contact_groups[:2]):
-        _mark_stops(axes, result, place, marks, marks_name, horizontal=k > 0, labelled=k == 0)
+    axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=label)
+    for k, group in enumerate(result.contact_groups[:2]):
+        _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
 
-def _section(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _section(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
-    place."""
+    pair of places."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     unexplained = surface.measured_force - surface.fitted_force
-    for axes, place in zip(axes_row, result.contact_groups, strict=True):
-        first, members = place.members[0], list(place.members)
+    for axes, group in zip(axes_row, result.contact_groups, strict=True):
+        first, members = group.members[0], list(group.members)
         scale = surface.equation.shape_at_contacts[first] or 1.0
         eta = result.eta_m[first][every_nth]
         count = min(eta.size, unexplained.size)
@@ -140,42 +140,42 @@ def _section(figure: Any, result: Identification, marks: Marks, marks_name: str)
         order = np.argsort(eta[:count])
         axes.plot(1e3 * eta[order], fitted[order], color=RED, lw=2.5, label="dead zone as fitted")
         axes.plot(1e3 * eta[:count][thinned], force[thinned], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
-        _mark_stops(axes, result, place, marks, marks_name)
-        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
+        _mark_stops(axes, result, group, references, reference_name)
+        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "lower", markerscale=6)
     figure.suptitle(f"Section of the restoring force, modal equation {surface.equation.name}")
 
 
-def _separated(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _separated(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     every_nth = slice(None, None, result.decimation)
-    for axes, place, separated in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
-        eta = result.eta_m[place.members[0]][every_nth]
+    for axes, group, separated in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
+        eta = result.eta_m[group.members[0]][every_nth]
         force = separated[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
         span = np.linspace(eta.min(), eta.max(), 400)
         laws = [
             sign * estimate.force_n(sign * span, np.zeros_like(span))
-            for sign, j in zip(place.signs, place.members, strict=True)
+            for sign, j in zip(group.signs, group.members, strict=True)
             for name, estimate in result.outcomes.estimates.items()
             if name == result.rig.contacts[j].name
         ]
         if laws:
             axes.plot(1e3 * span, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
-        _mark_stops(axes, result, place, marks, marks_name)
-        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
+        _mark_stops(axes, result, group, references, reference_name)
+        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "upper", markerscale=6)
 
 
-def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
     rate = result.motion.sample_rate_hz
     axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, place in enumerate(result.contact_groups):
-        eta = result.eta_m[place.members[0]]
+    for j, group in enumerate(result.contact_groups):
+        eta = result.eta_m[group.members[0]]
         start = int(0.4 * eta.size)
         excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
         axes[j][0].plot(result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η")
@@ -188,14 +188,14 @@ def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: st
             density=True,
         )
         for panel in axes[j]:
-            _mark_stops(panel, result, place, marks, marks_name, horizontal=True)
-        axes[j][0].set_ylabel(f"η of {place.contact.name}, mm")
+            _mark_stops(panel, result, group, references, reference_name, horizontal=True)
+        axes[j][0].set_ylabel(f"η of {group.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
 
 
-def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
     count = len(result.weak_nifo.contacts)
     if not count:
@@ -207,7 +207,7 @@ def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: st
     for i, j in enumerate(result.weak_nifo.contacts):
         contact = result.rig.contacts[j]
         mean_n_per_m = result.weak_nifo.mean_n_per_m[i]
-        reference_n_per_m = marks.get(contact.name, (np.nan, mean_n_per_m))[1]
+        reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
             (result.paper_nifo, GREY, "the paper's form"),
             (result.weak_nifo, BLUE, "weak form"),
@@ -217,8 +217,8 @@ def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: st
             deviation = 100 * np.abs(nifo.stiffness_n_per_m[i] / reference_n_per_m - 1)
             axes[1][i].semilogy(nifo.frequency_hz, np.maximum(deviation, 1e-6), color=colour, lw=1.0)
         axes[0][i].axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
-        if contact.name in marks:
-            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=marks_name)
+        if contact.name in references:
+            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
         limits = np.quantile(result.weak_nifo.stiffness_n_per_m[i].real, [0.02, 0.98])
         margin = max(np.ptp(limits), 0.02 * abs(mean_n_per_m))
         axes[0][i].set(ylim=(limits[0] - margin, limits[1] + margin), title=contact.name)
@@ -229,7 +229,7 @@ def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: st
     figure.suptitle(f"Contact stiffness, modal equation {result.weak_nifo.equation.name}")
 
 
-def _frf(figure: Any, result: Identification, _marks: Marks, _marks_name: str) -> None:
+def _frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
     weak, paper = result.weak_nifo, result.paper_nifo
@@ -259,23 +259,23 @@ def _legend_outside(figure: Any, axes: Any, edge: str, **style: Any) -> None:
 def _mark_stops(
     axes: Any,
     result: Identification,
-    place: ContactGroup,
-    marks: Marks,
-    marks_name: str,
+    group: ContactGroup,
+    references: References,
+    reference_name: str,
     *,
     horizontal: bool = False,
     labelled: bool = True,
 ) -> None:
-    """Draws the identified stops of a place, and its marks."""
+    """Draws the identified stops of a pair of places, and its reference values."""
     line, labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
-    mark_labels = iter([f"stops, {marks_name}"] * labelled)
-    for j, sign in zip(place.members, place.signs, strict=True):
+    reference_labels = iter([f"stops, {reference_name}"] * labelled)
+    for j, sign in zip(group.members, group.signs, strict=True):
         stop, name = result.stops[j], result.rig.contacts[j].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
                 line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))
-        for side in result.rig.contact(name).law.sides if name in marks else ():
-            line(1e3 * side * marks[name][0], color="k", ls=":", lw=1.2, label=next(mark_labels, None))
+        for side in result.rig.contact(name).law.sides if name in references else ():
+            line(1e3 * side * references[name][0], color="k", ls=":", lw=1.2, label=next(reference_labels, None))
 
 
 _FIGURES = {
@@ -308,11 +308,11 @@ def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
     factor = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[place.members[0] for place in result.contact_groups], ::factor]
+    eta = result.eta_m[[group.members[0] for group in result.contact_groups], ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(rows, factor)}
-    for place, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
-        name = place.contact.name
+    for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
+        name = group.contact.name
         table[f"{name} relative displacement m"] = displacement[:rows]
         table[f"{name} contact force N"] = contact_n[:rows]
     return table

@@ -116,7 +116,7 @@ class JointEstimate:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def error(self, gradient: LawParameters) -> float:
-        """Standard error of a linear function of the parameters, such as `STIFFNESS`."""
+        """Standard error of a linear function of the parameters, such as `STIFFNESS_GRADIENT`."""
         return float(np.sqrt(gradient @ self.covariance @ gradient))
 
     def own_error(self, gradient: LawParameters) -> float:
@@ -155,6 +155,8 @@ def fit_joint(
                     - low-pass[sum of k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the
                     gap, over the contacts]) / g
                    - spring b - damper b',  g = 1 - theta' n, h = 1 - theta' m
+
+    with the force_noise_multiple n and the eta_noise_multiple m.
 
     The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
     relative displacement is unknown, lower = upper = half the total play. A contact of which neither side is touched is

@@ -58,7 +58,7 @@ def nuisance_signals(
 ) -> NuisanceSignals:
     """Nuisance signals of the parameters of `changes_of(observed)` over some samples.
 
-    `noise_alone` is the observation of the sensors' noise alone; the stations are the first rows of both. With a slow model,
+    `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
     what a parameter adds to the contact forces moves the stations slowly.
     """
     row_count, station_count = weights.shape[1], signs.shape[1]

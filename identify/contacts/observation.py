@@ -11,7 +11,7 @@ from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import (
     SpectralLines,
-    full_body_motion,
+    driven_body_motion,
     observed_body_motion,
     sensed_accelerations,
 )
@@ -75,17 +75,10 @@ def observation_of(
     shows_slow = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
-    base = (
-        None
-        if motion.base is None
-        else ObservedBase(
-            sensor=motion.base.sensor,
-            displaced_by=motion.base.displaced_by,
-            acceleration=lines.spectra(motion.base.acceleration_m_per_s2),
-            displacement=lines.spectra(motion.base.displacement_m),
-            station_accelerations=input_accelerations[-1],
-        )
-    )
+    base = None
+    if motion.base:
+        spectra = (lines.spectra(row) for row in (motion.base.acceleration_m_per_s2, motion.base.displacement_m))
+        base = ObservedBase(motion.base.sensor, motion.base.displaced_by, *spectra, input_accelerations[-1])
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
@@ -98,14 +91,10 @@ def observation_of(
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=base,
     )
+    gauge_names = tuple(s.name for s in gauges.sensors)
+    input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
-    errors = GaugeErrors(
-        len(station_signals),
-        tuple(s.name for s in gauges.sensors),
-        (*rig.force_names, *(contact.name for contact in rig.contacts)),
-        gauge_rows.zero_error,
-        truncation,
-    )
+    errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
     noise_power = (samples * record.noise_m_per_s2**2)[:, None] * np.abs(station_response) ** 2
     return observed, errors, np.concatenate([noise_power, gauge_rows.noise_power])
 
@@ -116,13 +105,13 @@ def noise_observation(
     """Observation of the sensors' noise alone."""
     station_count = len(motion.stations)
     accelerations = noise[:station_count] / observed.sensor_response[:station_count]
-    displaced = np.zeros_like(observed.displacements)
-    displaced[:station_count] = -accelerations / observed.omega**2
+    displacements = np.zeros_like(observed.displacements)
+    displacements[:station_count] = -accelerations / observed.omega**2
     return replace(
         observed,
         signals=noise,
         force_accelerations=np.zeros_like(observed.force_accelerations),
-        displacements=displaced,
+        displacements=displacements,
         bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
         base=observed.base and observed.base.at_rest,
     )
@@ -140,11 +129,12 @@ def with_driven_modes(
     rig, motion = record.rig, record.motion
     station_count, force_count = len(motion.stations), len(rig.inputs)
     accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
-    motions = (
-        full_body_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])
-        for b in observed.bodies
+    forces, contact_forces = inputs[:force_count], inputs[force_count:]
+    bodies = tuple(
+        driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
+        for body in observed.bodies
     )
-    driven = replace(observed, bodies=tuple(motions), further_changes=errors.changes(inputs))
+    driven = replace(observed, bodies=bodies, further_changes=errors.changes(inputs))
     return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
 
 

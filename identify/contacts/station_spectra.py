@@ -139,7 +139,7 @@ def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     return _modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
 
 
-def full_body_motion(
+def driven_body_motion(
     rig: Rig,
     response: Response,
     motion: Kinematics,

@@ -39,7 +39,7 @@ RELATIVE_STEP = 1e-6
 class FreeMotion:
     """Free motion of one mode per unit of its initial displacement or velocity.
 
-    derivatives are the coordinate's displacement, velocity and acceleration over time; shape is the mode's at the stations.
+    derivatives are the coordinate's displacement, velocity and acceleration; shape is the mode's at the stations.
     is_held is False if the mode's spring acts on the high-passed displacement: the drift then covers its initial state.
     """
 

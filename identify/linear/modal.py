@@ -20,8 +20,8 @@ NEARLY_INVISIBLE_SHARE = 0.15
 class Transformation:
     """Transformation from station displacements to modal coordinates of one body: q = inverse_shapes @ u (kg^1/2 m).
 
-    truncation_shares are, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
-    exciting force shake the body with a white spectrum up to the highest fitted frequency.
+    truncation_shares are, per mode, the rms share of the coordinate that the higher modes contribute when the contact
+    forces and the exciting force shake the body with a white spectrum up to the highest fitted frequency.
     """
 
     body: Body
@@ -35,7 +35,7 @@ class Transformation:
 class ModalEquation:
     """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several inputs, shape_at_force is the one of the largest size, and F is `pushing_force`. Both kinds of shapes are
+    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of shapes are
     mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
     displacement. visibility is their size as a share of the shape's largest value.
     """

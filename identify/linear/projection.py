@@ -5,8 +5,8 @@ At every line, of the sensors' accelerations y beyond those by known forces,
     y = B x + e,   cov(e) = C,   var(x_i) = 1 of inputs with a prior, any of free ones
     x = T y,   T = N^-1 B^H C^-1,   N = B^H C^-1 B + P,   r = y - B x
 
-with the accelerations B per unit of each input, and P one for inputs with a prior, zero for free ones. The first `free`
-inputs are the free ones.
+with the accelerations B per unit of each input, and P one for inputs with a prior, zero for free ones. The first
+`free_count` inputs are the free ones.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
