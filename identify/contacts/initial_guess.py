@@ -172,8 +172,9 @@ def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecor
 
 
 def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray, " samples"]]:
-    """Spring beside stops, and the relative displacement with its drift, m: of the stiffnesses `SPRING_STIFFNESS_SHARES`, the one
-    that leaves least of the force beside one stop, then the spring of that least-squares solution once more.
+    """Spring beside stops, and the relative displacement with its drift, m: of the stiffnesses by
+    `SPRING_STIFFNESS_SHARES`, the one that leaves least of the force beside one stop, then the spring of that
+    least-squares solution once more.
 
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """

@@ -75,10 +75,12 @@ def observation_of(
     shows_slow = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
-    base = None
-    if motion.base:
-        spectra = (lines.spectra(row) for row in (motion.base.acceleration_m_per_s2, motion.base.displacement_m))
-        base = ObservedBase(motion.base.sensor, motion.base.displaced_by, *spectra, input_accelerations[-1])
+    observed_base = None
+    if base := motion.base:
+        acceleration, displacement = (lines.spectra(x) for x in (base.acceleration_m_per_s2, base.displacement_m))
+        observed_base = ObservedBase(
+            base.sensor, base.displaced_by, acceleration, displacement, input_accelerations[-1]
+        )
     observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
@@ -89,7 +91,7 @@ def observation_of(
         force_accelerations=input_accelerations[: count_on_bodies(rig)],
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
-        base=base,
+        base=observed_base,
     )
     gauge_names = tuple(s.name for s in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))

@@ -35,8 +35,8 @@ class Transformation:
 class ModalEquation:
     """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of shapes are
-    mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
+    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of shapes
+    are mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
     displacement. visibility is their size as a share of the shape's largest value.
     """
 
