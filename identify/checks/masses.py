@@ -171,7 +171,7 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
             contact.against.body if contact.against else None,
         ):
             continue
-        if not all(rig.contacts[j].law.has_stops for j in pair.members):
+        if not all(rig.contacts[j].law.has_stops for j in pair.contact_indices):
             return np.zeros_like(is_open)
         sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in sides:
@@ -179,8 +179,8 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
         eta_m = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
         distance_m = np.abs(eta_m - np.median(eta_m))[::factor]
         is_open &= distance_m < np.quantile(distance_m[motion.excited_from // factor :], quantile)
-        if len(pair.members) > 1:
-            laws = [rig.contacts[j].law for j in pair.members]
+        if len(pair.contact_indices) > 1:
+            laws = [rig.contacts[j].law for j in pair.contact_indices]
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
             is_open &= distance_m < INNER_SHARE * min(clearances_m)
     return is_open

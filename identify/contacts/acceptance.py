@@ -147,8 +147,8 @@ def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], ma
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
     """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate."""
-    for k, parameter in enumerate(parameters):
-        pull = max((estimate.pulls[k] for estimate in estimates.values()), key=abs, default=0.0)
+    for parameter_index, parameter in enumerate(parameters):
+        pull = max((estimate.pulls[parameter_index] for estimate in estimates.values()), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
             yield _pull_finding(parameter, pull)
     for name, estimate in estimates.items():
@@ -186,8 +186,8 @@ def equation_findings(
         for j, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
-            if name not in estimates or not visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
+            name, is_visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
+            if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
             estimate = estimates[name]
             stiffness_n_per_m, standard_error = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)

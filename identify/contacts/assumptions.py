@@ -72,10 +72,10 @@ def assumptions(result: Identification) -> Iterator[str]:
             "slow displacements of the linear bodies."
         )
     for group in result.contact_groups:
-        if len(group.members) > 1:
-            stops = sum(rig.contacts[j].law.has_stops for j in group.members)
-            told = [
-                *(["the slope within the gap is the spring's"] if stops < len(group.members) else []),
+        if len(group.contact_indices) > 1:
+            stops = sum(rig.contacts[j].law.has_stops for j in group.contact_indices)
+            assignment_rules = [
+                *(["the slope within the gap is the spring's"] if stops < len(group.contact_indices) else []),
                 *(
                     ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
                         : stops - 1
@@ -84,7 +84,7 @@ def assumptions(result: Identification) -> Iterator[str]:
             ]
             yield (
                 f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
-                f"{' and '.join(told)}."
+                f"{' and '.join(assignment_rules)}."
             )
     if is_unforced(motion):
         yield (
@@ -92,8 +92,10 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        alone = "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
-        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{alone}."
+        clause = (
+            "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
+        )
+        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{clause}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -103,13 +105,13 @@ def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
         yield f"{name}: {refusal.advice}."
-    dominated: dict[str, list[str]] = {}
+    quantities_by_source: dict[str, list[str]] = {}
     for name, estimate in result.outcomes.estimates.items():
         for quantity, shares in variance_shares(estimate).items():
             for source, share in shares.items():
                 if share >= DOMINANT_SHARE:
-                    dominated.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
-    for source, quantities in dominated.items():
+                    quantities_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in quantities_by_source.items():
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
@@ -144,8 +146,8 @@ def _places(body: str, stations: tuple[Station, ...]) -> str:
     return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
 
 
-def _frequencies(hz: np.ndarray) -> str:
-    return ", ".join(f"{f:.4g}" for f in hz if f > 0) + " Hz"
+def _frequencies(frequencies_hz: np.ndarray) -> str:
+    return ", ".join(f"{f:.4g}" for f in frequencies_hz if f > 0) + " Hz"
 
 
 def _enumeration(words: list[str]) -> str:

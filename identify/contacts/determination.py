@@ -46,8 +46,9 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
         slow_m = [_slow_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)]
         forces_n = coupling_n_per_m @ np.array(slow_m)
-        uncoupled = [replace(r, force_n=r.force_n - force_n) for r, force_n in zip(records, forces_n, strict=True)]
-        return determine_all(uncoupled, forms)
+        pairs = zip(records, forces_n, strict=True)
+        uncoupled_records = [replace(record, force_n=record.force_n - force_n) for record, force_n in pairs]
+        return determine_all(uncoupled_records, forms)
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         outcomes = NO_OUTCOMES
@@ -57,14 +58,14 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
 
     if not np.any(coupling_n_per_m):
         return determine_all(records, forms)
-    settled = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
-    return refit(settled, forms) if forms else settled
+    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
+    return refit(settled_outcomes, forms) if forms else settled_outcomes
 
 
 def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
     slow_m = np.zeros(len(record.force_n))
-    for j, sign in zip(group.members, group.signs, strict=True):
+    for j, sign in zip(group.contact_indices, group.signs, strict=True):
         estimate = outcomes.estimates.get(rig.contacts[j].name)
         if estimate is not None:
             drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
@@ -74,8 +75,8 @@ def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outc
 
 def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal = [rig.contacts[j].name for j in group.members], _nominal_laws(rig, group)
-    springs = [not rig.contacts[j].law.has_stops for j in group.members]
+    names, nominal = [rig.contacts[j].name for j in group.contact_indices], _nominal_laws(rig, group)
+    springs = [not rig.contacts[j].law.has_stops for j in group.contact_indices]
     try:
         if not any(springs):
             outcomes = _stop_outcomes(names, nominal, record, forms)
@@ -106,8 +107,8 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
 
 def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    values = [parameters_of_law(rig.contacts[j].law) for j in group.members]
-    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, group.signs, strict=True)])
+    laws = [parameters_of_law(rig.contacts[j].law) for j in group.contact_indices]
+    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
 
 
 def _stop_outcomes(

@@ -34,11 +34,11 @@ def contact_figures(
     def drawn_picture(draw: Callable[..., None]) -> Picture:
         return picture(lambda figure: draw(figure, result, references, reference_name))
 
-    missing = {
+    missing_names = {
         *(() if result.methods.main_spectra else _NIFO_FIGURES),
         *(() if result.methods.main_surfaces else _SURFACE_FIGURES),
     }
-    figures = {name: draw for name, draw in _FIGURES.items() if name not in missing}
+    figures = {name: draw for name, draw in _FIGURES.items() if name not in missing_names}
     return results_by_name([] if notes is None else notes, "the figure", figures, drawn_picture)
 
 
@@ -103,16 +103,21 @@ def _surface(figure: Any, result: Identification, references: References, refere
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
     first_group, *other_groups = result.contact_groups
-    first = result.eta_m[first_group.members[0]][every_nth]
+    first_eta = result.eta_m[first_group.contact_indices[0]][every_nth]
     if other_groups:
-        second = 1e3 * result.eta_m[other_groups[0].members[0]][every_nth]
+        second = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
         label = f"η of {other_groups[0].contact.name}, mm"
     else:
         second, label = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0], "velocity, m/s"
-    count = min(first.size, second.size, surface.measured_force.size)
+    count = min(first_eta.size, second.size, surface.measured_force.size)
     axes = figure.subplots()
     cells = axes.hexbin(
-        1e3 * first[:count], second[:count], C=surface.measured_force[:count], gridsize=70, cmap="RdBu_r", mincnt=3
+        1e3 * first_eta[:count],
+        second[:count],
+        C=surface.measured_force[:count],
+        gridsize=70,
+        cmap="RdBu_r",
+        mincnt=3,
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
     axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=label)
@@ -128,18 +133,26 @@ def _section(figure: Any, result: Identification, references: References, refere
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
-    unexplained = surface.measured_force - surface.fitted_force
+    unexplained_force = surface.measured_force - surface.fitted_force
     for axes, group in zip(axes_row, result.contact_groups, strict=True):
-        first, members = group.members[0], list(group.members)
+        first, members = group.contact_indices[0], list(group.contact_indices)
         scale = surface.equation.shape_at_contacts[first] or 1.0
         eta = result.eta_m[first][every_nth]
-        count = min(eta.size, unexplained.size)
+        count = min(eta.size, unexplained_force.size)
         thinned = slice(None, None, max(1, count // 6000))
-        fitted = surface.contact_forces[members].sum(axis=0)[:count] / scale
-        force = unexplained[:count] / scale + fitted
-        order = np.argsort(eta[:count])
-        axes.plot(1e3 * eta[order], fitted[order], color=RED, lw=2.5, label="dead zone as fitted")
-        axes.plot(1e3 * eta[:count][thinned], force[thinned], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
+        fitted_n = surface.contact_forces[members].sum(axis=0)[:count] / scale
+        force = unexplained_force[:count] / scale + fitted_n
+        eta_order = np.argsort(eta[:count])
+        axes.plot(1e3 * eta[eta_order], fitted_n[eta_order], color=RED, lw=2.5, label="dead zone as fitted")
+        axes.plot(
+            1e3 * eta[:count][thinned],
+            force[thinned],
+            ".",
+            ms=1.5,
+            color=BLUE,
+            alpha=0.5,
+            label="measured",
+        )
         _mark_stops(axes, result, group, references, reference_name)
         axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
@@ -151,19 +164,19 @@ def _separated(figure: Any, result: Identification, references: References, refe
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
     axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
     every_nth = slice(None, None, result.decimation)
-    for axes, group, separated in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
-        eta = result.eta_m[group.members[0]][every_nth]
-        force = separated[: eta.size]
+    for axes, group, separated_force_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
+        eta = result.eta_m[group.contact_indices[0]][every_nth]
+        force = separated_force_n[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
-        span = np.linspace(eta.min(), eta.max(), 400)
+        eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
         laws = [
-            sign * estimate.force_n(sign * span, np.zeros_like(span))
-            for sign, j in zip(group.signs, group.members, strict=True)
+            sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
+            for sign, j in zip(group.signs, group.contact_indices, strict=True)
             for name, estimate in result.outcomes.estimates.items()
             if name == result.rig.contacts[j].name
         ]
         if laws:
-            axes.plot(1e3 * span, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
+            axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, result, group, references, reference_name)
         axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
@@ -175,7 +188,7 @@ def _histogram(figure: Any, result: Identification, references: References, refe
     rate = result.motion.sample_rate_hz
     axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
     for j, group in enumerate(result.contact_groups):
-        eta = result.eta_m[group.members[0]]
+        eta = result.eta_m[group.contact_indices[0]]
         start = int(0.4 * eta.size)
         excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
         axes[j][0].plot(result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η")
@@ -233,13 +246,13 @@ def _frf(figure: Any, result: Identification, _references: References, _referenc
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
     weak, paper = result.weak_nifo, result.paper_nifo
-    per_kg = weak.equation.shape_at_force**2
+    shape_square_per_kg = weak.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
         (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
         (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
         (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
     ):
-        receptance_m_per_n = per_kg * np.abs(frf)
+        receptance_m_per_n = shape_square_per_kg * np.abs(frf)
         upper.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
         middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
         lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
@@ -269,7 +282,7 @@ def _mark_stops(
     """Draws the identified stops of a pair of places, and its reference values."""
     line, labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
     reference_labels = iter([f"stops, {reference_name}"] * labelled)
-    for j, sign in zip(group.members, group.signs, strict=True):
+    for j, sign in zip(group.contact_indices, group.signs, strict=True):
         stop, name = result.stops[j], result.rig.contacts[j].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
@@ -308,7 +321,7 @@ def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
     factor = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[group.members[0] for group in result.contact_groups], ::factor]
+    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(rows, factor)}
     for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):

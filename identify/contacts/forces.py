@@ -115,7 +115,7 @@ class _WeightedRows:
     observed: ObservedSignals
     noise_alone: ObservedSignals
     force_weights: ForceWeights
-    unexplained: Complex[np.ndarray, "rows lines"]
+    unexplained_signals: Complex[np.ndarray, "rows lines"]
     initial_states: InitialStates | None
     parameters: tuple[Nuisance, ...]
     corner_hz: float
@@ -128,7 +128,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that floats.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
-    force_count, padding = len(rig.inputs), lines.padded_samples / motion.samples
+    force_count, padding_ratio = len(rig.inputs), lines.padded_samples / motion.samples
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
     is_floating = {r.body.name: not is_held(r) for r in responses}
     if slow_by_gauges and any(is_floating.values()):
@@ -151,15 +151,15 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         weighed_changes = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # as that is at 0 Hz
         errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
         weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
-        unexplained = signals - sensor_response * input_accelerations.sum(axis=0)
+        unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
             states = initial_states(responses, motion, in_metres, lines, sensor_response * input_accelerances, errors)
-            unexplained = unexplained - states.signals
+            unexplained_signals = unexplained_signals - states.signals
         if slow_by_gauges:
             by_contacts = input_accelerances[force_count:]
-            corner_hz, noise_m = quietest_corner(record.signs, by_contacts, weights, noise_power * padding, lines)
+            corner_hz, noise_m = quietest_corner(record.signs, by_contacts, weights, noise_power * padding_ratio, lines)
         if is_first_pass:
-            inputs = np.concatenate([force_spectra, contact_spectra(weights, unexplained)])
+            inputs = np.concatenate([force_spectra, contact_spectra(weights, unexplained_signals)])
             observed = with_driven_modes(record, observed, inputs, corner_hz, gauge_errors)
             inputs = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.signals)])
             noise_alone = with_driven_modes(record, noise_alone, inputs, corner_hz, gauge_errors)
@@ -170,7 +170,7 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         observed,
         noise_alone,
         weights,
-        unexplained,
+        unexplained_signals,
         states,
         tuple(change.parameter for change in changes),
         corner_hz,
@@ -184,7 +184,7 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
     rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
     rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
     weights, states = rows.force_weights, rows.initial_states
-    force_spectra = contact_spectra(weights, rows.unexplained)
+    force_spectra = contact_spectra(weights, rows.unexplained_signals)
     end_transient_s = END_TRANSIENT_S if any(b.length_m for b in rig.bodies) else TAPER_S
     model, slow_signals = None, None
     if slow_by_gauges:

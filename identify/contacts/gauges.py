@@ -124,7 +124,7 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
-    rig, count = recording.rig, motion.samples
+    rig, sample_count = recording.rig, motion.samples
     gauges = [s for s in rig.sensors if not s.measures.translates and np.ptp(recording.values_of(s)) > 0]
     if use != "auto" or rig.base_sensors:
         gauges = []
@@ -136,18 +136,18 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
     if not (gauges and (quiet_samples or is_segment)):
         return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
-    signals = np.stack([recording.values_of(s)[:count] for s in gauges])
+    signals = np.stack([recording.values_of(s)[:sample_count] for s in gauges])
     if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
         noise_densities = [
             s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
             for s, row in zip(gauges, signals, strict=True)
         ]
         noise = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
-        zero, zero_error = signals.mean(axis=1), signals.std(axis=1)
-        strain = (signals - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+        zero_offset, zero_error = signals.mean(axis=1), signals.std(axis=1)
+        strain = (signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
-        noise, zero = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
-        strain, zero_error = signals - zero[:, None], noise / np.sqrt(quiet_samples)
+        noise, zero_offset = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
+        strain, zero_error = signals - zero_offset[:, None], noise / np.sqrt(quiet_samples)
     gains = np.abs([s.gain for s in gauges])
     sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
     channels = (*motion.channels, *(s.name for s in gauges))

@@ -62,12 +62,12 @@ class Identification:
     @property
     def weak_nifo(self) -> Nifo:
         """NIFO's weak form of the main equation; raises RigError if there is none."""
-        return self._forms[0]
+        return self._main_spectra[0]
 
     @property
     def paper_nifo(self) -> Nifo:
         """NIFO in the paper's form; raises RigError if there is none."""
-        return self._forms[1]
+        return self._main_spectra[1]
 
     @property
     def surface(self) -> Surface:
@@ -82,7 +82,7 @@ class Identification:
         return stops_of(self.rig, self.outcomes)
 
     @property
-    def _forms(self) -> tuple[Nifo, ...]:
+    def _main_spectra(self) -> tuple[Nifo, ...]:
         if not self.methods.main_spectra:
             raise RigError(
                 "; ".join(self.methods.notes) or "NIFO needs a force, and the exciting force is zero throughout"
@@ -125,7 +125,7 @@ def identify_contact(
         motion,
         signals,
         stops_of(rig, outcomes),
-        single_contacts={group.members[0] for group in groups if len(group.members) == 1},
+        single_contacts={group.contact_indices[0] for group in groups if len(group.contact_indices) == 1},
         averaging=averaging,
         equation=equation,
     )
@@ -227,9 +227,9 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
         )
     )
     shares = zip(rig.contacts, nifo.equation.visibility, strict=True)
-    invisible = tuple(contact.name for contact, share in shares if share < NEARLY_INVISIBLE_SHARE)
+    invisible_names = tuple(contact.name for contact, share in shares if share < NEARLY_INVISIBLE_SHARE)
     band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible)
+    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible_names)
 
 
 def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:

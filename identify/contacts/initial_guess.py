@@ -61,12 +61,12 @@ def regressed_guess(record: ContactRecord, sides: Sides | None = None) -> Guess:
     """
     touched = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, softness = closed_regression(record, with_drift, sides=touched)
-        if np.isfinite(clearance) and softness > 0:
-            far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-            lower, upper = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched)
-            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
-            return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots) / drift_ratio
+        *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched)
+        if np.isfinite(clearance) and compliance > 0:
+            far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+            lower, upper = (max(clearance, 0.0) if is_touched else far_stop_m for is_touched in touched)
+            drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
+            return np.array([lower, upper, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
@@ -90,10 +90,10 @@ def closed_regression(
     for share, curvature_weight in REGRESSION_STAGES:
         scale_m = share * float(np.std(eta))
         rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        target = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
+        right_side = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
         knot_ridge = np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
+        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ right_side)
         weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
     return np.asarray(solution)
 
@@ -129,8 +129,8 @@ def guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) 
     law, knots = regressed_guess(record, (bool(sides[0]), bool(sides[1])))
     candidates = [(law, knots)]
     if len(nominal) > 1:
-        far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_m), nominal[:, 2:]])
+        far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_stop_m), nominal[:, 2:]])
         candidates = [(nominal.ravel(), knots), *_knee_guesses(record, nominal, touched)]
     candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if knots.size]
     if len(nominal) == 1:
@@ -152,8 +152,8 @@ def _guesses_with_spring(
 
 def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
     """Refined guesses of least misfit."""
-    ranked = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
-    return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
+    ranked_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
+    return [guess for misfit, guess in ranked_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
 def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecord:
@@ -231,8 +231,8 @@ def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedS
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
             solution = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
             knot_count = record.drift_spline.knots
-            knots, (clearance, softness, *softness_steps) = solution[:knot_count], solution[knot_count:].tolist()
-            summed_n_per_m = 1 / (softness - np.cumsum([0.0, *softness_steps]))
+            knots, (clearance, compliance, *compliance_steps) = solution[:knot_count], solution[knot_count:].tolist()
+            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *compliance_steps]))
             if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
             clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
@@ -245,7 +245,7 @@ def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedS
                     clearances_m[: contacts.size],
                     stiffnesses_n_per_m[: contacts.size],
                 )
-            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
+            drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
             yield law.ravel(), knots / drift_ratio
 
 

@@ -85,8 +85,8 @@ class JointEstimate:
 
     def spring_m(self, eta_m: Signal) -> Signal:
         """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
-        unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
-        return self.form.force_n(unit, eta_m, np.zeros_like(eta_m))
+        unit_parameters = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
+        return self.form.force_n(unit_parameters, eta_m, np.zeros_like(eta_m))
 
     @property
     def clearance_gradient(self) -> LawParameters:
@@ -126,12 +126,12 @@ class JointEstimate:
     @property
     def reversed(self) -> "JointEstimate":
         """Estimate with the relative displacement counted in the other direction."""
-        swapped = np.eye(len(LAW))[[1, 0, 2, 3]]
+        swap_matrix = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower, upper = self.touched
         return replace(
             self,
-            values=swapped @ self.values,
-            covariances={source: swapped @ part @ swapped for source, part in self.covariances.items()},
+            values=swap_matrix @ self.values,
+            covariances={source: swap_matrix @ part @ swap_matrix for source, part in self.covariances.items()},
             touched=(upper, lower),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
@@ -185,19 +185,19 @@ def fit_joint(
     state = fit.state
     scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    by_knots, by_dense = equations.solved(
+    knots_by_free, dense_by_free = equations.solved(
         np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    in_law = np.concatenate([by_dense[:pull_count], scaled_to_laws @ by_dense[pull_count:]])
-    influence = derivatives.columns(by_knots, in_law) * fit.weights[:, None] ** 2  # of residuals on parameters
+    dense_in_laws = np.concatenate([dense_by_free[:pull_count], scaled_to_laws @ dense_by_free[pull_count:]])
+    influence = derivatives.columns(knots_by_free, dense_in_laws) * fit.weights[:, None] ** 2  # by residuals
     degrees_of_freedom = PARTS - free_count  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
     small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
     part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     by_parts = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
         "scatter": small_sample_factor * by_parts,
-        "tolerances": record.samples_per_error * by_dense[:pull_count],
-        "drift": curve.curvature @ by_knots,
+        "tolerances": record.samples_per_error * dense_by_free[:pull_count],
+        "drift": curve.curvature @ knots_by_free,
     }
     covariances = {source: scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for source, x in rows_by_source.items()}
     law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
@@ -263,8 +263,8 @@ def _check_bridged(record: ContactRecord, state: State) -> None:
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
     is_closed = clearly_closed(record)
-    closings = np.flatnonzero(np.diff(is_closed.astype(int)) == 1)
-    open_times_s = np.sort(np.diff(closings) * record.decimation / record.sample_rate_hz)
+    closing_samples = np.flatnonzero(np.diff(is_closed.astype(int)) == 1)
+    open_times_s = np.sort(np.diff(closing_samples) * record.decimation / record.sample_rate_hz)
     open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
     wander_m = record.drift.noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
     depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m

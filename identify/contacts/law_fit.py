@@ -205,47 +205,43 @@ def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     form = LawForm(reference_depth_m=_rounded_depth_m(fit))
     if not form.reference_depth_m:
         return fit
-    chosen, least_squares = None, np.inf
+    preferred_fit, least_squares = None, np.inf
     for name in form_names:
         try:
             alternative = fit.with_form(replace(form, name=name))
         except ContactRefusedError:
             continue
         if is_preferred_form(fit, alternative) and alternative.weighted_squares.sum() < least_squares:
-            chosen, least_squares = alternative, float(alternative.weighted_squares.sum())
+            preferred_fit, least_squares = alternative, float(alternative.weighted_squares.sum())
     try:
-        return chosen.settled if chosen else fit
+        return preferred_fit.settled if preferred_fit else fit
     except ContactRefusedError:
         return fit
 
 
-def is_preferred_form(simple: LawFit, alternative: LawFit) -> bool:
+def is_preferred_form(dead_zone_fit: LawFit, alternative: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
-    samples = max(2.0, simple.weights.size / simple.record.samples_per_error)
-    likelihood_gain, consistency = form_evidence(simple, alternative, samples)
+    samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
+    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative, samples)
     return bool(
         likelihood_gain > alternative.state.form.exponent_count * np.log(samples) + 2 * np.log(LEAST_ODDS)
         and consistency > CONSISTENCY_LIMIT
     )
 
 
-def form_evidence(simple: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
+def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
-    spectrum_before, spectrum_after = (np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (simple, alternative))
-    edges = np.geomspace(LOWEST_BAND_LINES, spectrum_before.size, BAND_COUNT + 1).astype(int)
+    spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative)]
+    line_count = spectra[0].size
+    edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
     band_starts = np.unique(np.r_[0, edges[1:-1]])
-    line_counts = np.diff(np.r_[band_starts, spectrum_before.size])
-    squares_before, squares_after = (
-        np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in (spectrum_before, spectrum_after)
-    )
+    line_counts = np.diff(np.r_[band_starts, line_count])
+    squares_before, squares_after = (np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in spectra)
     if not np.all((squares_before > 0) & (squares_after > 0)):
         return 0.0, 0.0
-    likelihood_gain = samples * float(line_counts @ np.log(squares_before / squares_after)) / spectrum_before.size
+    likelihood_gain = samples * float(line_counts @ np.log(squares_before / squares_after)) / line_count
     usual_amplitude = np.repeat(np.sqrt(squares_before / line_counts), line_counts)
-    squares = [
-        np.fft.irfft(spectrum / usual_amplitude, simple.weights.size) ** 2
-        for spectrum in (spectrum_before, spectrum_after)
-    ]
+    squares = [np.fft.irfft(spectrum / usual_amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra]
     part_gains = np.array([segment.sum() for segment in np.array_split(squares[0] - squares[1], PARTS)])
     gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
     return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0

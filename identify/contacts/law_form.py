@@ -114,8 +114,8 @@ class LawForm:
                 contribution.damper_m_per_s * contribution.is_closed,
             ]
             if self.exponent_count:
-                share = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
-                by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(share)
+                depth_ratio = np.maximum(np.abs(contribution.depth_m) / self.reference_depth_m, 1e-9)
+                by_exponent += contribution.stiffness_n_per_m * contribution.spring_m * np.log(depth_ratio)
         return [*rows, by_exponent] if self.exponent_count else rows
 
     def contributions(
@@ -135,13 +135,13 @@ class LawForm:
                 )
                 for unit_stiffness, unit_damping in ((1.0, 0.0), (0.0, 1.0))
             )
-            depth_m, slope, spring_m = spring.penetration_m(eta_m), spring.by_eta_n_per_m(eta_m), spring.force_n(eta_m)
+            depth_m, spring_m = spring.penetration_m(eta_m), spring.force_n(eta_m)
             damper_m_per_s, is_closed = damper.force_n(eta_m, rate_m_per_s), depth_m != 0
             if number in self.spring_indices:
                 damper_m_per_s, is_closed = rate_m_per_s, np.ones_like(is_closed)
             if self.name == "cannot pull":
                 is_closed = (stiffness * spring_m + damping * damper_m_per_s) * depth_m > 0
-            slope_n_per_m = stiffness * slope * is_closed
+            slope_n_per_m = stiffness * spring.by_eta_n_per_m(eta_m) * is_closed
             yield Contribution(depth_m, spring_m, damper_m_per_s, stiffness, damping, slope_n_per_m, is_closed)
 
 

@@ -70,10 +70,10 @@ class Jacobian:
     ) -> Float[np.ndarray, "fewer columns"]:
         """Jacobian times columns of knots and dense parameters: the nuisance parameters, then the law's."""
         pull_count = self.by_pulls.shape[1]
-        of_pulls = np.concatenate(
+        pull_columns = np.concatenate(
             [self.by_pulls[chunk] @ dense[:pull_count] for chunk in sample_chunks(len(self.by_law))]
         )
-        return np.asarray(self.by_knots @ knots + of_pulls + self.by_law @ dense[pull_count:])
+        return np.asarray(self.by_knots @ knots + pull_columns + self.by_law @ dense[pull_count:])
 
 
 def sample_chunks(samples: int) -> Iterator[slice]:

@@ -72,8 +72,8 @@ def observation_of(
     )
     station_signals = np.where(in_metres, displacements, accelerations)
     station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
-    shows_slow = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
-    is_usable = ~lines.is_slow | np.array(shows_slow, bool)[:, None]
+    shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
+    is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
     observed_base = None
     if base := motion.base:
@@ -136,8 +136,8 @@ def with_driven_modes(
         driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
         for body in observed.bodies
     )
-    driven = replace(observed, bodies=bodies, further_changes=errors.changes(inputs))
-    return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
+    driven_observed = replace(observed, bodies=bodies, further_changes=errors.changes(inputs))
+    return with_slow_modes(rig, driven_observed, inputs, corner_hz) if corner_hz else driven_observed
 
 
 def with_modes_at_rest(
@@ -150,5 +150,5 @@ def with_modes_at_rest(
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
     inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting = replace(observed, further_changes=errors.changes(inputs))
-    return with_slow_modes(record.rig, resting, 0 * inputs, corner_hz) if corner_hz else resting
+    resting_observed = replace(observed, further_changes=errors.changes(inputs))
+    return with_slow_modes(record.rig, resting_observed, 0 * inputs, corner_hz) if corner_hz else resting_observed

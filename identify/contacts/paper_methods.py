@@ -78,13 +78,13 @@ class PaperMethods:
 
 
 def results_by_name(
-    notes: list[str], description: str, items: Mapping[str, Item], make: Callable[[Item], Result]
+    notes: list[str], description: str, items: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
     """Results of `make` for each item, by its name; a note for each item where it fails numerically."""
     results = {}
     for name, item in items.items():
         try:
-            results[name] = make(item)
+            results[name] = compute(item)
         except (ValueError, ArithmeticError) as error:  # RigError and LinAlgError are ValueErrors
             notes.append(f"{description} of {name} cannot be made: {error}")
     return results
@@ -116,12 +116,12 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     force_n, penetration_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
-        signs = dict(zip((names[j] for j in group.members), group.signs, strict=True))
+        signs = dict(zip((names[j] for j in group.contact_indices), group.signs, strict=True))
         estimated_names = [name for name in signs if name in outcomes.estimates]
         if estimated_names:
             estimate, sign = outcomes.estimates[estimated_names[0]], signs[estimated_names[0]]
             eta_m, rate = eta_m + sign * estimate.drift_m, rate + sign * estimate.drift_m_per_s
-        for j, sign in zip(group.members, group.signs, strict=True):
+        for j, sign in zip(group.contact_indices, group.signs, strict=True):
             eta[j] = sign * eta_m
             if names[j] in estimated_names:
                 estimate = outcomes.estimates[names[j]]
@@ -136,8 +136,8 @@ def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
 
 
 def _stops(estimate: JointEstimate) -> Stops:
-    (lower, upper, _, _), (of_lower, of_upper, _, _) = estimate.values.tolist(), estimate.errors.tolist()
-    return Stops(lower, upper, of_lower, of_upper, estimate.clearance_error_m, estimate.touched)
+    (lower, upper, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
+    return Stops(lower, upper, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
 
 
 def paper_methods(
@@ -159,7 +159,7 @@ def paper_methods(
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
     samples = correctable_samples(motion)
-    eta, depth = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
+    eta, penetration_m = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
     blocks_by_body = _blocks(rig, motion, samples, averaging, notes)
     whole_motion, bodies = motion, {body.name: body for body in rig.bodies}
 
@@ -177,7 +177,8 @@ def paper_methods(
     nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
 
     def by_nifo(modal: ModalEquation, form: Form = "weak") -> Nifo:
-        return nifo(modal, equivalent_force_n(rig, modal, motion.forces_n), depth, blocks_by_body[modal.body], form)
+        force_n = equivalent_force_n(rig, modal, motion.forces_n)
+        return nifo(modal, force_n, penetration_m, blocks_by_body[modal.body], form)
 
     def by_surface(modal: ModalEquation) -> Surface:
         return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, decimation, stops)
@@ -217,9 +218,9 @@ def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, no
             body_forces_n[body.name] = forces_n
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
-        low, high = force_band(forces_n, motion.sample_rate_hz)
+        low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
         lowest_hz, highest_hz = motion.trusted_hz
-        band_hz = averaging.band_hz or (max(low, CORNER_RATIO * lowest_hz, LOWEST_HZ), min(high, highest_hz))
+        band_hz = averaging.band_hz or (max(low_hz, CORNER_RATIO * lowest_hz, LOWEST_HZ), min(high_hz, highest_hz))
         return blocks(samples, motion.sample_rate_hz, averaging, band_hz)
 
     return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)

@@ -127,8 +127,8 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
-    low, high = (share * motion.sample_rate_hz for share in BAND)
-    noise_power = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
+    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in BAND)
+    noise_power = np.median(power[:, (hz > noise_low_hz) & (hz < noise_high_hz)], axis=1, keepdims=True)
     exceeds_noise = power > NOISE_POWER_RATIO * noise_power
     highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
     return float(min(highest_moving_hz, highest_hz.max()))
@@ -250,13 +250,13 @@ def drift_of(
     if motion.zero_known:
         return None
     stations = contact_stations(rig.contacts[contact_index])
-    missing = [s for s in stations if motion.row(s) is None]
-    if missing:
+    unmeasured_stations = [s for s in stations if motion.row(s) is None]
+    if unmeasured_stations:
         raise refused(
             RefusalCode.NO_ACCELEROMETER,
             contact=rig.contacts[contact_index].name,
-            position_m=missing[0].position_m,
-            body=missing[0].body,
+            position_m=unmeasured_stations[0].position_m,
+            body=unmeasured_stations[0].body,
         )
     slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
     densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]

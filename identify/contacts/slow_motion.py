@@ -68,10 +68,10 @@ class SlowModel:
         integrated displacement."""
         count = self.low_pass_gain.shape[1]
         by_contacts = self.input_displacements[-len(contact_forces) :]
-        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
-        slow = slow - self.nuisance_changes.get(parameter, 0.0)
-        kept = (1 - self.low_pass_gain) * displacements[:, :count]
-        return np.concatenate([kept + slow, displacements[:, count:]], axis=1)
+        slow_displacements = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
+        slow_displacements = slow_displacements - self.nuisance_changes.get(parameter, 0.0)
+        integrated_motion = (1 - self.low_pass_gain) * displacements[:, :count]
+        return np.concatenate([integrated_motion + slow_displacements, displacements[:, count:]], axis=1)
 
 
 def slow_model(
@@ -93,7 +93,7 @@ def slow_model(
     )
     no_motion = np.zeros((station_count, slow_count), dtype=complex)
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
-    at_stations = ObservedSignals(
+    station_signals = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
         tolerances=exact_sensors,
@@ -107,8 +107,8 @@ def slow_model(
             for body, response in zip(observed.bodies, responses, strict=True)
         ),
     )
-    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(at_stations)}
-    return SlowModel(low_pass_gain, by_input[:, :station_count, :slow_count] * at_stations.sensor_response, changes)
+    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(station_signals)}
+    return SlowModel(low_pass_gain, by_input[:, :station_count, :slow_count] * station_signals.sensor_response, changes)
 
 
 @dataclass(frozen=True)
@@ -172,8 +172,8 @@ def quietest_corner(
     by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
     modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
-    steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
-    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)
+    corner_count = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
+    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count)
     noise_m = []
     for corner_hz in corners_hz:
         low_pass_gain = low_pass(lines.omega, float(corner_hz))

@@ -86,15 +86,16 @@ class StationErrors:
     def covariance(self, start: int, stop: int) -> Complex[np.ndarray, "some stations stations"]:
         """Covariance of the stations' errors on the lines from `start` to before `stop`."""
         station_count, line_count = self.noise_power.shape
-        first, last = max(start - self.correlated_line_count, 0), min(stop + self.correlated_line_count, line_count)
-        chunk_lines = slice(start - first, stop - first)
+        width = self.correlated_line_count
+        first_line, last_line = max(start - width, 0), min(stop + width, line_count)
+        chunk_lines = slice(start - first_line, stop - first_line)
         covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
         index = np.arange(station_count)
         least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
         covariance[index, index] = self.noise_power[:, start:stop] + least_power
         for change in self.changes:
-            rows, signals = np.array(change.sensors), change.signals[:, first:last]
-            products = uniform_filter1d(signals[:, None] * signals[None].conj(), self.correlated_line_count, axis=-1)
+            rows, signals = np.array(change.sensors), change.signals[:, first_line:last_line]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), width, axis=-1)
             covariance[rows[:, None], rows[None]] += products[..., chunk_lines]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 

@@ -124,12 +124,12 @@ def identify_law(
     chosen_contacts = [
         (joined_contact, contact_record)
         for joined_contact, contact_record in joined_and_records
-        if contact in (None, *(contact_names[j] for j in joined_contact.members))
+        if contact in (None, *(contact_names[j] for j in joined_contact.contact_indices))
     ]
     laws: list[FoundLaw] = []
     refusal_by_name: dict[str, Refusal] = {}
     for contact_number, (joined_contact, contact_record) in enumerate(chosen_contacts, start=1):
-        member_names = [contact_names[j] for j in joined_contact.members]
+        member_names = [contact_names[j] for j in joined_contact.contact_indices]
         if set(member_names) <= refusals.keys() and (
             contact_record.drift is not None or not np.ptp(contact_record.eta_m)
         ):
@@ -246,7 +246,7 @@ def _contact_samples(
     """
     separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
     signs_and_names = zip(
-        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.members), strict=True
+        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.contact_indices), strict=True
     )
     estimates = tuple(
         estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed

@@ -161,8 +161,8 @@ def estimated_states(
     information, directions = np.linalg.eigh(normal * prior_deviation[:, None] * prior_deviation)
     root = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    shrunk = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
-    return StateEstimate(prior_mean + root @ shrunk, (root / information) @ root.T)
+    value_changes = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
+    return StateEstimate(prior_mean + root @ value_changes, (root / information) @ root.T)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,7 +21,7 @@ class ContactGroup:
     """
 
     contact: Contact
-    members: tuple[int, ...]
+    contact_indices: tuple[int, ...]
     signs: tuple[int, ...]
 
 
@@ -76,4 +76,4 @@ class GroupLaw:
 
 def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:
     """Laws of every pair of places."""
-    return tuple(GroupLaw(tuple(rig.contacts[j].law for j in p.members), p.signs) for p in contact_groups(rig))
+    return tuple(GroupLaw(tuple(rig.contacts[j].law for j in p.contact_indices), p.signs) for p in contact_groups(rig))

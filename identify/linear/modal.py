@@ -35,8 +35,8 @@ class Transformation:
 class ModalEquation:
     """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of shapes
-    are mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
+    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of
+    shapes are mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
     displacement. visibility is their size as a share of the shape's largest value.
     """
 
@@ -157,19 +157,19 @@ def _without_higher_modes(
     coordinate_shares = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
     eta_shapes = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
     input_shapes = np.stack([*input_mode_shapes(rig, body, body.max_modes), *eta_shapes])
-    natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
+    natural_hz, damping_ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
     higher_spectra = np.zeros((len(coordinate_shares), frequency_hz.size), dtype=complex)
     for m in range(fitted_count, body.max_modes):
         modal_force = input_shapes[:, m] @ force_spectra
-        response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * modal_force
+        response = receptance(float(natural_hz[m]), float(damping_ratios[m]), frequency_hz) * modal_force
         for i, weight in enumerate(coordinate_shares[:, m]):
             higher_spectra[i] += weight * response
-    corrected = []
+    corrected_coordinates = []
     for rows in coordinates:
         higher_coordinates = [np.fft.irfft(spectrum, length)[:kept_samples] for spectrum in higher_spectra]
-        corrected.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
+        corrected_coordinates.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
         higher_spectra *= 2j * np.pi * frequency_hz
-    return corrected
+    return corrected_coordinates
 
 
 def receptance(

@@ -140,17 +140,17 @@ class Response:
         """Rows of `shapes` with every place moved along the body, to its end at most."""
         rows = np.zeros((len(places), self.mode_count))
         on_body = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == self.body.name]
-        for gauges in (False, True):
-            place_indices = [i for i in on_body if _is_gauge(places[i]) == gauges]
+        for are_gauges in (False, True):
+            place_indices = [i for i in on_body if _is_gauge(places[i]) == are_gauges]
             if not place_indices:
                 continue
             places_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
             if offset_m:
                 places_m = np.clip(places_m, 0.0, self.body.length_m)
-            orders = range(3) if gauges else range(1)
+            orders = range(3) if are_gauges else range(1)
             derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in orders]
             rows[place_indices] = derivatives[0]
-            for row, i in enumerate(place_indices if gauges else ()):
+            for row, i in enumerate(place_indices if are_gauges else ()):
                 rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
         return rows
 
@@ -241,11 +241,11 @@ def accelerances(
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
     """Mode shapes through which forces at some places, and contact forces, drive a body; the participation of its modes
     in a force on the ground, which is the inertial force on each kilogram."""
-    driven = response.shapes([*forces])
-    for row, station in zip(driven, forces, strict=True):
+    force_shapes = response.shapes([*forces])
+    for row, station in zip(force_shapes, forces, strict=True):
         if rig.is_on_ground(station):
             row[:] = participation(rig, response.body, response.modes, response.mode_count)
-    return np.concatenate([driven, -relative_shapes(rig, response)])
+    return np.concatenate([force_shapes, -relative_shapes(rig, response)])
 
 
 def relative_shapes(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
@@ -303,8 +303,8 @@ def _high_passed_modes(
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
     modes = [(k, m) for k, r in enumerate(responses) for m in range(r.mode_count)]
-    rigid = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
-    high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid[k]]
+    rigid_counts = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
+    high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid_counts[k]]
     rank = _force_rank(eta_shapes, high_passed)
     for i in np.argsort(np.concatenate([r.dynamics.natural_hz for r in responses]), kind="stable").tolist():
         if rank == len(eta_shapes):

@@ -212,18 +212,18 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
 
 def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
-    share, sensors = observed.tolerances.crosstalk, observed.sensors
+    crosstalk, sensors = observed.tolerances.crosstalk, observed.sensors
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for first, second in pairwise(range(len(sensors)) if share else ()):
+    for first, second in pairwise(range(len(sensors)) if crosstalk else ()):
         if sensors[first].measures != sensors[second].measures:
             continue
         for source, target in ((first, second), (second, first)):
             parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
             are_displacements = is_displacement[source] and is_displacement[target]
-            displacements = share * observed.displacements[[source]] if are_displacements else None
+            displacements = crosstalk * observed.displacements[[source]] if are_displacements else None
             response, weights = observed.sensor_response[[source]], np.eye(len(sensors))[source]
-            pattern = SensorPattern(share * response, weights) if observed.is_motion_sensed else None
-            yield Change(parameter, [target], share * observed.signals[[source]], displacements, pattern)
+            pattern = SensorPattern(crosstalk * response, weights) if observed.is_motion_sensed else None
+            yield Change(parameter, [target], crosstalk * observed.signals[[source]], displacements, pattern)
 
 
 def _chain_changes(
@@ -233,11 +233,11 @@ def _chain_changes(
     first-order high-pass i omega / (i omega + w) of an AC-coupled one: g, -i omega tau, -w / (i omega + w).
     """
     tolerance, i_omega = tolerances.of_sensor(sensor.name), 1j * omega
-    corner = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
+    corner_omega = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
     return {
         NuisanceKind.GAIN: np.full(omega.size, tolerance.gain, dtype=complex),
         NuisanceKind.DELAY: -tolerance.delay_s * i_omega,
-        NuisanceKind.HIGH_PASS: -corner / (i_omega + corner) if corner else np.zeros_like(i_omega),
+        NuisanceKind.HIGH_PASS: -corner_omega / (i_omega + corner_omega) if corner_omega else np.zeros_like(i_omega),
     }
 
 

@@ -75,8 +75,10 @@ def estimated_inputs(
     inputs = _line_solutions(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
-    wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count]))
-    return inputs, float(wide - narrow)
+    log_det, free_log_det = (
+        np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count])
+    )
+    return inputs, float(log_det - free_log_det)
 
 
 def input_residual(

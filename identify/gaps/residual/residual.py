@@ -144,7 +144,7 @@ class Residual:
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
         for joined_contact, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
-            for contact_index, law in zip(joined_contact.members, contact_fit.fitted_laws, strict=True):
+            for contact_index, law in zip(joined_contact.contact_indices, contact_fit.fitted_laws, strict=True):
                 contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
 

@@ -22,7 +22,7 @@ RIG = replace(
 
 
 def test_contacts_of_one_pair_of_places_are_one():
-    assert [(j.members, j.signs) for j in contact_groups(RIG)] == [((0, 2), (1, -1)), ((1,), (1,))]
+    assert [(j.contact_indices, j.signs) for j in contact_groups(RIG)] == [((0, 2), (1, -1)), ((1,), (1,))]
     assert [(c.name, c.at, c.against) for c in group_rig_of(RIG).contacts] == [
         ("soft + hard", ONE, OTHER),
         ("wall", OTHER, None),
