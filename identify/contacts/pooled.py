@@ -75,9 +75,9 @@ def longest_segment_s(path: Path) -> float:
     memory_limit_s = bound_bytes / (MEMORY_COPIES * LAST_SEGMENT_RATIO * byte_rate) - RINGING_S
     if memory_limit_s < SHORTEST_S:
         raise RigError(
-            f"{path}: its channels have {byte_rate / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at once "
-            f"take more memory than {bound_bytes / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv "
-            "--map MAP, then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+            f"{path}: its channels have {byte_rate / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at "
+            f"once take more memory than {bound_bytes / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format "
+            "csv --map MAP, then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
         )
     return min(SEGMENT_S, memory_limit_s)
 

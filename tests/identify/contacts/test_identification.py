@@ -82,7 +82,7 @@ def test_the_papers_methods_are_as_good_as_the_paper(identification):
     surface = next(s for s in identification.report.surface.surfaces if s.equation == "barrel 3")
     assert (
         identification.report.main_equation
-        == identification.weak.equation.name
+        == identification.weak_nifo.equation.name
         == identification.surface.equation.name
         == "barrel 3"
     )
