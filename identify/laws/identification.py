@@ -316,9 +316,7 @@ def _add_drift(
     eta_m, force_n, velocity_m_per_s = contact_record.eta_m, contact_record.force_n, contact_record.velocity_m_per_s
     for estimate in estimates if contact_record.drift is not None else ():
         eta_m, velocity_m_per_s = eta_m + estimate.drift_m, velocity_m_per_s + estimate.drift_m_per_s
-        force_n = (
-            force_n - contact_record.spring_n_per_m * estimate.drift_m[:: contact_record.decimation][: force_n.size]
-        )
+        force_n = force_n - contact_record.spring_n_per_m * contact_record.at_force_samples(estimate.drift_m)
     return ForceSamples(eta_m, force_n, contact_record.sample_rate_hz, contact_record.decimation), velocity_m_per_s
 
 

@@ -35,7 +35,7 @@ class Projection:
     deviation: Float[np.ndarray, "sensors lines"]
     free_count: int
 
-    def residual_and_inputs(
+    def applied_to(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
         """Residual of a change that some sensors deliver, in standard deviations, and the free inputs.

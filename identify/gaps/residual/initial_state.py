@@ -48,9 +48,7 @@ def free_motion_of(
             (mass_mode.sensed_acceleration for mass_mode in mass_modes), np.zeros_like(unexplained)
         )
         contact_projection = projection(signal_per_input, error_deviation, len(rig.contacts))
-        projected_residual = contact_projection.residual_and_inputs(unexplained * error_deviation)[0][
-            : len(sensor_stations)
-        ]
+        projected_residual = contact_projection.applied_to(unexplained * error_deviation)[0][: len(sensor_stations)]
         free_modes_to_fit = fitted_free_modes(
             free_modes_to_fit, contact_projection, scaled_response, projected_residual
         )

@@ -121,10 +121,10 @@ def _projected_change(
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
     if change.displacements is None or not has_ground_forces(model.rig):
-        return projection.residual_and_inputs(change.signals, change.sensors)
+        return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
-    return projection.residual_and_inputs(signal_change + ground_spring_correction(record, model, displacement_change))
+    return projection.applied_to(signal_change + ground_spring_correction(record, model, displacement_change))
 
 
 def _observed_motion(record: Record, model: Linear) -> ObservedSignals:

@@ -297,9 +297,7 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     residual_decrease = model.residual - changed_model.residual
     input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, residual_decrease[sensor_count:]])
     sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
-    linear_decrease, contact_force_spectra = model.projection.residual_and_inputs(
-        sensor_decrease * model.error_deviation
-    )
+    linear_decrease, contact_force_spectra = model.projection.applied_to(sensor_decrease * model.error_deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
     contact_force_decrease_n = record.in_time(contact_force_spectra) + static_decrease_n[:, None]
     stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
@@ -314,7 +312,7 @@ def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Res
     record, model = linearization.record, residual.model
     change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
     explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
-    linear_decrease, contact_force_spectra = model.projection.residual_and_inputs(change * explained_signals)
+    linear_decrease, contact_force_spectra = model.projection.applied_to(change * explained_signals)
     eta_decrease_m = relative_displacements(record, model, change * record.displacement_signals / model.sensor_response)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_force_spectra), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases

@@ -241,7 +241,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(b.is_mass for b in rig.bodies):
         return None
     attached_forces = _attached_forces(record, model, attachments)
-    linear_decrease, contact_force_decrease_n = model.projection.residual_and_inputs(
+    linear_decrease, contact_force_decrease_n = model.projection.applied_to(
         delivered_by(model, sensor_stations_of(record, model.rig), attached_forces)
     )
     eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)

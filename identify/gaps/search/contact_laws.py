@@ -125,11 +125,8 @@ def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
 
 
 def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstimate:
-    quantity_rows = (
-        [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
-        if joint_estimate.is_spring
-        else [joint_estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT]
-    )
+    quantity_rows = [] if joint_estimate.is_spring else [joint_estimate.clearance_gradient]
+    quantity_rows += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
     if joint_estimate.sides_known and all(joint_estimate.touched):
         quantity_rows.append(OFFSET_GRADIENT)
     quantity_weights = np.array(quantity_rows)
