@@ -81,7 +81,7 @@ def forms_beside(comparison: Comparison, title: str, band_hz: tuple[float, float
     table = Table(title=title)
     for heading in ("form", "contact", "mean off by, %", "rms off by, %", "FRF squared error, %", "FRF rms error, %"):
         table.add_column(heading, justify="left" if heading in ("form", "contact") else "right")
-    for form, result in (("the paper's", comparison.found.paper), ("weak", comparison.found.weak)):
+    for form, result in (("the paper's", comparison.found.paper_nifo), ("weak", comparison.found.weak_nifo)):
         inside = (result.frequency_hz >= band_hz[0]) & (result.frequency_hz <= band_hz[1])
         true = result.true_frf()[inside]
         squared = float(np.sum(np.abs(result.frf[inside] - true) ** 2) / np.sum(np.abs(true) ** 2))

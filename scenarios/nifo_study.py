@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from identify.linear.modal import ModalEquation, modal_equations, relative_displacements
+from identify.linear.modal import ModalEquation, modal_equations, relative_motion
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.signals.kinematics import kinematics
 from identify.signals.law_evaluation import penetration
@@ -137,7 +137,7 @@ def reduced(rig: Rig, delivered: Float[np.ndarray, "channels samples"]) -> Reduc
     signals = {"force": delivered[:1], "displacement": delivered[1:]}
     recording = Recording(rig, {name: Signals(channels[name], 0.0, rows) for name, rows in signals.items()}, {})
     motion = kinematics(recording, "displacement")
-    eta_m = relative_displacements(rig, motion)
+    eta_m = relative_motion(rig, motion, motion.displacement_m)
     depth_m = np.array(
         [
             penetration(eta, contact.law.lower_clearance_m, contact.law.upper_clearance_m, rate)

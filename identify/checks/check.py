@@ -16,7 +16,7 @@ from identify.checks.prediction import linear_check
 from identify.checks.pulls import broken_tolerances, tolerance_finding
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.checks.waveforms import Row, Rows
-from identify.linear.joined import joined, joined_contacts
+from identify.linear.joined import contact_groups, group_rig_of
 from identify.signals.kinematics import Use, kinematics
 from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
 from rig.errors import RigError
@@ -121,7 +121,7 @@ def _model_findings(
         return []
     usable = [i for i, s in enumerate(sensors) if s.name not in excluded]
     try:
-        if len(usable) > len(joined_contacts(rig)) + 1:
+        if len(usable) > len(contact_groups(rig)) + 1:
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable, tolerances)
@@ -136,7 +136,7 @@ def _channel_findings(
     recording: Recording, sensors: tuple[Sensor, ...], usable: list[int], tolerances: Tolerances
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""
-    rig = joined(recording.rig)
+    rig = group_rig_of(recording.rig)
 
     @cache
     def full_spectra() -> Spectra:

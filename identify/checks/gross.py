@@ -154,7 +154,7 @@ def _force_findings(
     by_force = check.accelerance[force_index][usable]
     response = by_force / check.scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        response = check.unknown_input_projection(usable).of(by_force)[0]
+        response = check.unknown_input_projection(usable).applied_to(by_force)[0]
     weight = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
     return (force_finding(check.spectra, force_index, prediction.forces[force_index], weight),)
 
@@ -198,8 +198,8 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Tr
     for _ in range(3):
         check = check.with_spectra(spectra.with_rows(rows), usable)
         projection = check.unknown_input_projection(usable)
-        columns = np.array([projection.of(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
-        target = projection.of(check.by_force[usable])[0].ravel()
+        columns = np.array([projection.applied_to(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
+        target = projection.applied_to(check.by_force[usable])[0].ravel()
         normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
         factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), right_side)
         if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from identify.checks.findings import Finding
 from identify.checks.relations import unit_mistake
-from identify.linear.joined import joined_contacts
+from identify.linear.joined import contact_groups
 from identify.linear.modal import force_on_mass
 from identify.signals.kinematics import Kinematics
 from identify.signals.spectra import decimated, force_band
@@ -164,14 +164,14 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
-    for pair in joined_contacts(rig):
+    for pair in contact_groups(rig):
         contact = pair.contact
         if motion.stations[station_index].body not in (
             contact.at.body,
             contact.against.body if contact.against else None,
         ):
             continue
-        if not all(rig.contacts[j].law.has_stops for j in pair.members):
+        if not all(rig.contacts[j].law.has_stops for j in pair.contact_indices):
             return np.zeros_like(is_open)
         sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in sides:
@@ -179,8 +179,8 @@ def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantil
         eta_m = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
         distance_m = np.abs(eta_m - np.median(eta_m))[::factor]
         is_open &= distance_m < np.quantile(distance_m[motion.excited_from // factor :], quantile)
-        if len(pair.members) > 1:
-            laws = [rig.contacts[j].law for j in pair.members]
+        if len(pair.contact_indices) > 1:
+            laws = [rig.contacts[j].law for j in pair.contact_indices]
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
             is_open &= distance_m < INNER_SHARE * min(clearances_m)
     return is_open

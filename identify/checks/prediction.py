@@ -13,7 +13,7 @@ from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
 from identify.checks.spectra import SMOOTHED, Spectra
-from identify.linear.model import ResponseCache, accelerances, input_shapes, response_of, times
+from identify.linear.model import ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Station
@@ -98,7 +98,7 @@ class LinearCheck:
             by_each_force = np.delete(by_each_force, doubted_force_index, axis=0)
         by_known_forces = np.asarray(by_each_force.sum(axis=0))
         unexplained = (spectra.acceleration - by_known_forces)[channel_indices]
-        residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).of(unexplained)
+        residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
         freedom = len(channel_indices) - len(unknown)
         per_line, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channel_indices)
         misfit_by_force = (per_line[lines & informative] for lines in self.driven_lines if np.any(lines & informative))
@@ -152,7 +152,8 @@ def acceleration_by_forces(
     forces, cache = np.concatenate([predicted.forces, predicted.contacts]), ResponseCache(omega, 0)
     responses = (response_of(rig, body, cache) for body in rig.bodies)
     rows = (
-        times(r.shapes(stations), r.accelerance * times(input_shapes(rig, r, rig.forces).T, forces)) for r in responses
+        real_product(r.shapes(stations), r.accelerance * real_product(input_shapes(rig, r, rig.forces).T, forces))
+        for r in responses
     )
     return np.asarray(sum(rows))
 
@@ -188,7 +189,7 @@ class Projector:
         self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:
-        return np.asarray(self._spectra.in_time(self._projection.of(rows)[0]) * self._counted)
+        return np.asarray(self._spectra.in_time(self._projection.applied_to(rows)[0]) * self._counted)
 
 
 def motion_duration_s(motion: Float[np.ndarray, "sensors times"], per_s: float) -> float:

@@ -16,8 +16,8 @@ from jaxtyping import Complex, Float
 
 from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.prediction import LinearCheck, Prediction, Projector
-from identify.linear.model import Response, ResponseCache, input_shapes, response_of, times
-from identify.linear.nuisance import THE_FORCE, BodyMotion, Nuisance, Observed, changes_of, elastic_modes
+from identify.linear.model import Response, ResponseCache, input_shapes, real_product, response_of
+from identify.linear.nuisance import SINGLE_FORCE_NAME, BodyMotion, Nuisance, ObservedSignals, changes_of, elastic_modes
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
 
@@ -56,11 +56,11 @@ def suspects_of(
         response = body.response
         rows = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
         shapes = response.shapes([sensors[i].station for i in rows])
-        by_frequency = times(shapes, response.sensitivity("frequency") * body.acceleration)
+        by_frequency = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
         by_clock[rows] += by_frequency
         if response.body.length_m and tolerances.mass:
             by_density = np.zeros_like(by_clock)
-            by_density[rows] = -tolerances.mass * (times(shapes, body.acceleration) + 0.5 * by_frequency)
+            by_density[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * by_frequency)
             with_columns.append((Suspect("density", response.body.name, tolerances.mass), by_density))
     with_columns.append((Suspect("clock", "", 1.0), by_clock))
     if tolerances.delay_s:
@@ -73,7 +73,7 @@ def suspects_of(
 
 def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
     """Nuisance parameter with its tolerance as the unit."""
-    sensor_tolerance = tolerances.of_sensor(parameter.of)
+    sensor_tolerance = tolerances.of_sensor(parameter.owner)
     unit = {
         "gain": sensor_tolerance.gain,
         "position": sensor_tolerance.position_m,
@@ -84,7 +84,7 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
     }[parameter.kind]
-    name = parameter.of + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Suspect(parameter.kind, name, unit)
 
 
@@ -115,27 +115,27 @@ def broken_tolerances(
     if not nuisance_parameters:
         return [], np.zeros(0)
     candidates, added = suspects_of(
-        nuisance_parameters, observed.bodies, observed.sensors, observed.by_force, observed.omega, tolerances
+        nuisance_parameters, observed.bodies, observed.sensors, observed.force_accelerations, observed.omega, tolerances
     )
     columns += [_Column.of(project(spectra)) for spectra in added]
     residual = project((check.spectra.acceleration - check.by_force)[channel_indices])
     return _free_the_violated(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
-def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> Observed:
+def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> ObservedSignals:
     """Motion as these channels show it, with the contact forces that explain it best."""
     sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
     prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
     explained = prediction.acceleration[channel_indices]
-    return Observed(
+    return ObservedSignals(
         sensors=sensors,
         displaced_by=sensors,
         tolerances=tolerances,
         omega=omega,
         sensor_response=np.ones_like(explained),
-        explained=explained,
-        by_force=check.by_each_force[:, channel_indices],
-        displaced=np.zeros_like(explained),
+        signals=explained,
+        force_accelerations=check.by_each_force[:, channel_indices],
+        displacements=np.zeros_like(explained),
         bodies=tuple(
             _body_motion(rig, response_of(rig, body, cache), check, channel_indices, prediction) for body in rig.bodies
         ),
@@ -243,8 +243,8 @@ def _body_motion(
     inputs = input_shapes(rig, response, rig.forces)
     forces = np.concatenate([prediction.forces, prediction.contacts])
     sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channel_indices)
-    elastic = elastic_modes(response, min(sensor_count, response.count))
-    return BodyMotion(response, response.accelerance * times(inputs.T, forces), elastic)
+    elastic = elastic_modes(response, min(sensor_count, response.mode_count))
+    return BodyMotion(response, response.accelerance * real_product(inputs.T, forces), elastic)
 
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
@@ -260,7 +260,7 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
     if suspect.kind == "force gain":
         return Finding(
             cause="gain",
-            channels=("force" if suspect.of == THE_FORCE else suspect.of,),
+            channels=("force" if suspect.of == SINGLE_FORCE_NAME else suspect.of,),
             evidence=f"{suspect.of} is {100 * size:+.2g} % off what all sensors imply {in_tolerances}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )

@@ -13,11 +13,11 @@ from identify.checks import check_recording, naming
 from identify.checks.findings import Cause, Finding
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS, FormName
+from identify.contacts.law_form import STIFFNESS_GRADIENT, FormName
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.refusals import RefusalCode, refused
 from identify.contacts.separation import Separation, is_unforced, separate_described
-from identify.linear.modal import NEARLY_INVISIBLE
+from identify.linear.modal import NEARLY_INVISIBLE_SHARE
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
@@ -30,12 +30,12 @@ PULL_LIMIT = 4.5
 USUAL_PULL = 1.5
 """Tolerances by which `BODY_AND_FORCE_KINDS` may be pulled before the intervals widen: see `widened_estimate`."""
 BODY_AND_FORCE_KINDS = (NuisanceKind.FREQUENCY, NuisanceKind.MASS, NuisanceKind.FORCE_GAIN)
-HALVES_LIMIT = 3.7
+HALF_DIFFERENCE_LIMIT = 3.7
 """Standard errors by which the halves of a record may differ; 4 is the largest value that 16 equal parts can give."""
 UNEXPLAINED_LIMIT, FREE_DECAY_UNEXPLAINED_LIMIT = 0.3, 0.03
 """Share of a contact force's root mean square that the fit may leave. In a free decay less is left, unless a force acts
 that was not recorded."""
-STEADY_SHARE, DIFFERENT_SHARE, DIFFERENT_ERRORS = 0.1, 0.1, 5.0
+STEADY_SHARE, CONTRADICTION_SHARE, CONTRADICTION_ERRORS = 0.1, 0.1, 5.0
 """A stiffness that varies over frequency by less than the first share contradicts the joint fit if it differs by more
 than the second share and by so many standard errors."""
 NEGATIVE_DAMPING_ERRORS = 5.0
@@ -112,8 +112,8 @@ def accept(separation: Separation, outcomes: Outcomes) -> Contacts:
 def _check_free_decay(estimates: Mapping[str, JointEstimate]) -> None:
     """Raises ContactRefusedError if a contact's law leaves more of its force than in a free decay."""
     for name, estimate in estimates.items():
-        if estimate.unexplained > FREE_DECAY_UNEXPLAINED_LIMIT:
-            percent = 100 * estimate.unexplained
+        if estimate.unexplained_share > FREE_DECAY_UNEXPLAINED_LIMIT:
+            percent = 100 * estimate.unexplained_share
             raise refused(RefusalCode.FORCE_NOT_RECORDED, contact=name, unexplained_percent=percent)
 
 
@@ -133,27 +133,22 @@ def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], ma
     """
     kinds = (*BODY_AND_FORCE_KINDS, NuisanceKind.HIGH_PASS) if estimate.sides_known else BODY_AND_FORCE_KINDS
     body_and_force_pulls = {
-        of: abs(p)
-        for p, of in zip(estimate.pulls, parameters, strict=True)
-        if of.kind in kinds and of.mode_number is None
+        parameter: abs(pull)
+        for pull, parameter in zip(estimate.pulls, parameters, strict=True)
+        if parameter.kind in kinds and parameter.mode_number is None
     }
     largest_pull = max(body_and_force_pulls.values(), default=0.0)
-    single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
-    pull_factor = 1 + largest_pull**2 if single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
+    is_single_body = sum(of.kind == NuisanceKind.FREQUENCY for of in body_and_force_pulls) == 1
+    pull_factor = 1 + largest_pull**2 if is_single_body else largest_pull**2 if largest_pull > USUAL_PULL else 1.0
     variance_factor = max(pull_factor, 1 + mass_pull**2)
-    return replace(
-        estimate,
-        covariance=variance_factor * estimate.covariance,
-        of_tolerances=variance_factor * estimate.of_tolerances,
-        of_drift=variance_factor * estimate.of_drift,
-        of_misfit=variance_factor * estimate.of_misfit,
-    )
+    covariances = {source: variance_factor * part for source, part in estimate.covariances.items()}
+    return replace(estimate, covariances=covariances)
 
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
     """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate."""
-    for k, parameter in enumerate(parameters):
-        pull = max((estimate.pulls[k] for estimate in estimates.values()), key=abs, default=0.0)
+    for parameter_index, parameter in enumerate(parameters):
+        pull = max((estimate.pulls[parameter_index] for estimate in estimates.values()), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
             yield _pull_finding(parameter, pull)
     for name, estimate in estimates.items():
@@ -161,12 +156,12 @@ def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nu
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
-    of = parameter.of + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
+    owner = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
     return Finding(
         cause=CAUSES[parameter.kind],
-        channels=(parameter.of,) if parameter.kind in SENSOR_KINDS else (),
-        of=of,
-        evidence=f"the contacts' fit asks for the {parameter.kind} of {of} to be {pull:+.2g} tolerances off",
+        channels=(parameter.owner,) if parameter.kind in SENSOR_KINDS else (),
+        of=owner,
+        evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
 
@@ -176,10 +171,10 @@ def _estimate_findings(name: str, estimate: JointEstimate) -> Iterator[Finding]:
     damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
     if damping < -NEGATIVE_DAMPING_ERRORS * error:
         yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-    if max(np.abs(estimate.halves)) > HALVES_LIMIT:
+    if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
         yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
-    if estimate.unexplained > UNEXPLAINED_LIMIT:
-        unexplained = f"{100 * estimate.unexplained:.2g} %"
+    if estimate.unexplained_share > UNEXPLAINED_LIMIT:
+        unexplained = f"{100 * estimate.unexplained_share:.2g} %"
         yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 
@@ -187,21 +182,21 @@ def equation_findings(
     names: Sequence[str], estimates: Mapping[str, JointEstimate], spectra: Sequence[Nifo]
 ) -> Iterator[Finding]:
     """Findings on contacts whose stiffness by NIFO of one modal equation contradicts that of the joint fit."""
-    for result in spectra:
+    for nifo in spectra:
         for j, mean_n_per_m, mean_error_n_per_m, deviation_n_per_m in zip(
-            result.contacts, result.mean_n_per_m, result.stiffness_error_n_per_m, result.deviation_n_per_m, strict=True
+            nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         ):
-            name, visible = names[j], result.equation.visibility[j] >= NEARLY_INVISIBLE
-            if name not in estimates or not visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
+            name, is_visible = names[j], nifo.equation.visibility[j] >= NEARLY_INVISIBLE_SHARE
+            if name not in estimates or not is_visible or deviation_n_per_m > STEADY_SHARE * abs(mean_n_per_m):
                 continue
-            stiffness_n_per_m, standard_error = estimates[name].stiffness_n_per_m, estimates[name].error(STIFFNESS)
-            if abs(mean_n_per_m - stiffness_n_per_m) > max(
-                DIFFERENT_SHARE * stiffness_n_per_m,
-                DIFFERENT_ERRORS * float(np.hypot(mean_error_n_per_m, standard_error)),
-            ):
+            estimate = estimates[name]
+            stiffness_n_per_m, standard_error = estimate.stiffness_n_per_m, estimate.error(STIFFNESS_GRADIENT)
+            combined_error = float(np.hypot(mean_error_n_per_m, standard_error))
+            limit_n_per_m = max(CONTRADICTION_SHARE * stiffness_n_per_m, CONTRADICTION_ERRORS * combined_error)
+            if abs(mean_n_per_m - stiffness_n_per_m) > limit_n_per_m:
                 yield _fit_finding(
                     name,
-                    f"{result.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
+                    f"{nifo.equation.name} by itself gives {name} {number(mean_n_per_m)} N/m, all stations "
                     f"together {interval(stiffness_n_per_m, standard_error, 'N/m')} (± 95 %)",
                 )
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from identify.contacts.identification import Identification
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS
+from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.separation import is_unforced
 from identify.pages.wording import percent
 from identify.signals.measured_base import count_on_bodies
@@ -63,7 +63,7 @@ def assumptions(result: Identification) -> Iterator[str]:
     low, high = report.trusted_hz
     yield (
         f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
-        f"{motion.sample_rate_hz / 2 / result.factor:.4g} Hz"
+        f"{motion.sample_rate_hz / 2 / result.decimation:.4g} Hz"
         + (", and the slow motion below is solved for within the noise of the accelerometers." if low else ".")
     )
     if motion.slow_by_gauges:
@@ -71,11 +71,11 @@ def assumptions(result: Identification) -> Iterator[str]:
             "Strain gauges carry the slow motion: the contact forces that they show, and the exciting forces, give the "
             "slow displacements of the linear bodies."
         )
-    for place in result.same_place:
-        if len(place.members) > 1:
-            stops = sum(rig.contacts[j].law.has_stops for j in place.members)
-            told = [
-                *(["the slope within the gap is the spring's"] if stops < len(place.members) else []),
+    for group in result.contact_groups:
+        if len(group.contact_indices) > 1:
+            stops = sum(rig.contacts[j].law.has_stops for j in group.contact_indices)
+            assignment_rules = [
+                *(["the slope within the gap is the spring's"] if stops < len(group.contact_indices) else []),
                 *(
                     ["each stop has the knee that comes nearest to its clearance and stiffness in rig.json"][
                         : stops - 1
@@ -83,8 +83,8 @@ def assumptions(result: Identification) -> Iterator[str]:
                 ),
             ]
             yield (
-                f"{place.contact.name} act between the same places: the record tells the sum of their forces; "
-                f"{' and '.join(told)}."
+                f"{group.contact.name} act between the same places: the record tells the sum of their forces; "
+                f"{' and '.join(assignment_rules)}."
             )
     if is_unforced(motion):
         yield (
@@ -92,8 +92,10 @@ def assumptions(result: Identification) -> Iterator[str]:
             "masses of rig.json."
         )
     if motion.base:
-        alone = "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
-        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{alone}."
+        clause = (
+            "" if count_on_bodies(rig) else "; as no force was measured, stiffnesses rest on the masses of rig.json"
+        )
+        yield f"The base shakes, which {motion.base.sensor.name} measures: all motion is taken relative to it{clause}."
     yield f"The accelerations' noise is taken from {report.noise_from}."
     if result.outcomes.refusals or not _sides_known(result):
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
@@ -103,13 +105,13 @@ def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
         yield f"{name}: {refusal.advice}."
-    dominated: dict[str, list[str]] = {}
+    quantities_by_source: dict[str, list[str]] = {}
     for name, estimate in result.outcomes.estimates.items():
         for quantity, shares in variance_shares(estimate).items():
             for source, share in shares.items():
                 if share >= DOMINANT_SHARE:
-                    dominated.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
-    for source, quantities in dominated.items():
+                    quantities_by_source.setdefault(source, []).append(f"{name}'s {quantity} ({percent(share)})")
+    for source, quantities in quantities_by_source.items():
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
@@ -126,16 +128,12 @@ def recommendations(result: Identification) -> Iterator[str]:
 
 def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:
     """Shares of the variance of clearance and stiffness by source, which sum to one."""
-    covariances = {"tolerances": estimate.of_tolerances, "drift": estimate.of_drift, "law": estimate.of_misfit}
     shares_by_quantity = {}
-    for quantity, gradient in (("clearance", estimate.clearance), ("stiffness", STIFFNESS)):
-        variance = float(gradient @ estimate.covariance @ gradient)
-        shares = (
-            {source: float(gradient @ covariance @ gradient) / variance for source, covariance in covariances.items()}
-            if variance > 0
-            else {}
-        )
-        shares_by_quantity[quantity] = shares | {"scatter": 1.0 - sum(shares.values())}
+    for quantity, gradient in (("clearance", estimate.clearance_gradient), ("stiffness", STIFFNESS_GRADIENT)):
+        variances = {source: float(gradient @ part @ gradient) for source, part in estimate.covariances.items()}
+        variance = sum(variances.values())
+        shares = {source: part / variance for source, part in variances.items()} if variance > 0 else {"scatter": 1.0}
+        shares_by_quantity[quantity] = shares
     return shares_by_quantity
 
 
@@ -148,8 +146,8 @@ def _places(body: str, stations: tuple[Station, ...]) -> str:
     return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
 
 
-def _frequencies(hz: np.ndarray) -> str:
-    return ", ".join(f"{f:.4g}" for f in hz if f > 0) + " Hz"
+def _frequencies(frequencies_hz: np.ndarray) -> str:
+    return ", ".join(f"{f:.4g}" for f in frequencies_hz if f > 0) + " Hz"
 
 
 def _enumeration(words: list[str]) -> str:

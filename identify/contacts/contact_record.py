@@ -1,61 +1,70 @@
 """Record of one contact: relative displacement, separated force, and the nuisance signals of both; closed samples."""
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy.sparse import csr_matrix
 
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.drift import Drift
+from identify.signals.drift import Drift, Spline
 from identify.signals.scores import COUNTED_HZ, quiet_deviation
 
-CLEAR_SHARE = 0.1
+CLOSED_FORCE_SHARE = 0.1
 """A contact is clearly closed where its force exceeds this share of the force's 99.5 % quantile, ..."""
-QUIET_FACTOR, NOISE_FACTOR = 8.0, 5.0
+QUIET_DEVIATIONS, NOISE_DEVIATIONS = 8.0, 5.0
 """... so many standard deviations of the force in the quiet seconds before the excitation, and of the force that the
 sensors' noise makes, which is at most that of the quietest parts."""
 LEAST_CLOSED_SHARE = 1e-3
 """Share of the record for which a stop has to be clearly touched to be determined."""
+
+Rows = TypeVar("Rows", np.ndarray, csr_matrix)
 
 
 @dataclass(frozen=True)
 class ContactRecord:
     """One contact in a record: relative displacement and velocity (m, m/s) and the separated force (N).
 
-    The force is low-passed and sampled at every `factor`-th sample. quiet_n is its standard deviation before the
-    excitation, noise_n that of the sensors' noise in it, unmodelled the share of it that no law explains. drift is None
-    where no slow motion was lost, noise_m the noise of the displacement where strain gauges gave its slow part, else
-    zero. One standard deviation of each nuisance parameter adds its row of nuisance_n to the force; the parameters in
-    `moving` also add their row of nuisance_m to the displacement. noise_in_n and noise_in_m are the multiples of the
-    sensors' noise in these rows. The parameters in `initial` are the modes' initial states of a record that does not
-    begin at rest.
+    The force is low-passed and sampled at every `decimation`-th sample. quiet_deviation_n is its standard deviation
+    before the excitation, noise_n that of the sensors' noise in it, unmodelled_share the share of it that no law
+    explains. drift is None where no slow motion was lost, and drift_spline then has no knots; noise_m is the noise of
+    the displacement where strain gauges gave its slow part, else zero. One standard deviation of each nuisance
+    parameter adds its row of nuisance_n to the force; those with `shifts_eta` also add their row of nuisance_m to the
+    displacement. force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise in these rows.
+    `is_initial_state` marks the modes' initial states of a record that does not begin at rest.
     """
 
     eta_m: Float[np.ndarray, " samples"]
     velocity_m_per_s: Float[np.ndarray, " samples"]
     sample_rate_hz: float
     force_n: Float[np.ndarray, " fewer"]
-    factor: int
-    quiet_n: float
+    decimation: int
+    quiet_deviation_n: float
     noise_n: float
-    unmodelled: float
+    unmodelled_share: float
     drift: Drift | None
+    drift_spline: Spline
     nuisance_n: Float[np.ndarray, "nuisances fewer"]
-    noise_in_n: Float[np.ndarray, " nuisances"]
-    moving: Bool[np.ndarray, " nuisances"]
-    noise_in_m: Float[np.ndarray, " moving"]
+    force_noise_multiple: Float[np.ndarray, " nuisances"]
+    shifts_eta: Bool[np.ndarray, " nuisances"]
+    eta_noise_multiple: Float[np.ndarray, " shifts_eta"]
     nuisance_m: Float[np.ndarray, "moving samples"]
-    initial: Bool[np.ndarray, " nuisances"]
+    is_initial_state: Bool[np.ndarray, " nuisances"]
     noise_m: float = 0.0
+
+    def at_force_samples(self, rows: Rows) -> Rows:
+        """Signal, or rows of a matrix, at the samples of the force."""
+        return rows[:: self.decimation][: self.force_n.size]
 
     def velocity_of(self, displacement_m: Float[np.ndarray, " samples"]) -> Float[np.ndarray, " samples"]:
         """Time derivative by central differences, m/s."""
         return np.asarray(np.gradient(displacement_m, 1 / self.sample_rate_hz))
 
     @property
-    def sample_ratio(self) -> float:
+    def samples_per_error(self) -> float:
         """Weight of a tolerance over that of a sample: the samples per independent error of the model."""
-        return max(1.0, self.sample_rate_hz / self.factor / COUNTED_HZ)
+        return max(1.0, self.sample_rate_hz / self.decimation / COUNTED_HZ)
 
     @property
     def spring_n_per_m(self) -> float:
@@ -71,12 +80,14 @@ class ContactRecord:
         return self.drift is None or self.drift.spring_n_per_m > 0
 
 
-def clearly_closed(record: ContactRecord, share: float = CLEAR_SHARE) -> Bool[np.ndarray, " fewer"]:
+def clearly_closed(record: ContactRecord, force_share: float = CLOSED_FORCE_SHARE) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which the contact is clearly closed."""
     magnitude_n = np.abs(record.force_n)
     noise_n = min(record.noise_n, float(quiet_deviation(record.force_n)))
     return magnitude_n > max(
-        share * float(np.quantile(magnitude_n, 0.995)), QUIET_FACTOR * record.quiet_n, NOISE_FACTOR * noise_n
+        force_share * float(np.quantile(magnitude_n, 0.995)),
+        QUIET_DEVIATIONS * record.quiet_deviation_n,
+        NOISE_DEVIATIONS * noise_n,
     )
 
 
@@ -86,9 +97,10 @@ def touched_stops(record: ContactRecord) -> tuple[bool, bool]:
     Raises ContactRefusedError if the relative displacement is constant, if neither stop is touched, or only one where
     the zero of the relative displacement is unknown.
     """
-    closed = clearly_closed(record)
+    is_closed = clearly_closed(record)
     lower, upper = (
-        bool(np.mean(closed & side) >= LEAST_CLOSED_SHARE) for side in (record.force_n < 0, record.force_n > 0)
+        bool(np.mean(is_closed & is_on_side) >= LEAST_CLOSED_SHARE)
+        for is_on_side in (record.force_n < 0, record.force_n > 0)
     )
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)

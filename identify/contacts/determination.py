@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import compress, permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -10,11 +10,11 @@ from jaxtyping import Bool, Float
 from identify.contacts.contact_record import ContactRecord, touched_stops
 from identify.contacts.initial_guess import initial_pulls, reach_m, spring_guess, without_nuisances, without_spring
 from identify.contacts.joint_fit import JointEstimate, fit_joint
-from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS, FormName, NominalLaws, law_numbers
+from identify.contacts.law_form import ABSENT_STOP_M, STIFFNESS_GRADIENT, FormName, NominalLaws, parameters_of_law
 from identify.contacts.outcomes import NO_OUTCOMES, Outcomes, check_certain
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation
-from identify.linear.joined import Joined
+from identify.linear.joined import ContactGroup
 from identify.signals.refit import refit_until_settled
 from rig.model.description import Rig
 
@@ -28,7 +28,7 @@ GAPLESS_CODES = (RefusalCode.NO_STIFFNESS, RefusalCode.NO_LAW, RefusalCode.UNCER
 """Refusals that a spring which is described as a stop without clearance leads to."""
 SPRING_UNEXPLAINED_SHARE = 0.05
 """Share of the force that a spring may leave where the stops beside it are taken not to be reached."""
-NOMINAL_SPREAD, EXCHANGE_DISTANCE, SMALLEST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
+NOMINAL_SPREAD, EXCHANGE_DISTANCE, LEAST_VALUE = np.array([0.2, 1.0]), 2.0, 1e-12
 """Standard deviations of clearance and stiffness in rig.json, as shares; the distance in them that rules out that two
 contacts are exchanged."""
 COUPLING_ROUNDS = 3
@@ -39,52 +39,47 @@ def determine(separation: Separation, forms: Sequence[FormName] = ()) -> Outcome
     """Outcomes of all contacts. Each force is fitted by itself; where springs couple the slow motions of contacts,
     again without the forces of that coupling. The forms of a law are tried against the dead zone.
     """
-    rig, records, places = separation.rig, separation.records, separation.same_place
+    rig, records, groups = separation.rig, separation.records, separation.contact_groups
     slow_n_per_m = separation.forces.slow_n_per_m
     coupling_n_per_m = slow_n_per_m - np.diag(np.diag(slow_n_per_m))
 
     def refit(outcomes: Outcomes, forms: Sequence[FormName] = ()) -> Outcomes:
-        slow_m = np.array(
-            [_slow_m(rig, place, record, outcomes) for place, record in zip(places, records, strict=True)]
-        )
-        return determine_all(
-            [
-                replace(r, force_n=r.force_n - coupling_n)
-                for r, coupling_n in zip(records, coupling_n_per_m @ slow_m, strict=True)
-            ],
-            forms,
-        )
+        slow_m = [_slow_m(rig, group, record, outcomes) for group, record in zip(groups, records, strict=True)]
+        forces_n = coupling_n_per_m @ np.array(slow_m)
+        pairs = zip(records, forces_n, strict=True)
+        uncoupled_records = [replace(record, force_n=record.force_n - force_n) for record, force_n in pairs]
+        return determine_all(uncoupled_records, forms)
 
     def determine_all(records: Sequence[ContactRecord], forms: Sequence[FormName]) -> Outcomes:
         outcomes = NO_OUTCOMES
-        for place, record in zip(places, records, strict=True):
-            outcomes = outcomes.joined(determine_place(rig, place, record, forms))
+        for group, record in zip(groups, records, strict=True):
+            outcomes |= determine_group(rig, group, record, forms)
         return outcomes
 
     if not np.any(coupling_n_per_m):
         return determine_all(records, forms)
-    settled = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
-    return refit(settled, forms) if forms else settled
+    settled_outcomes = refit_until_settled(determine_all(records, ()), refit, rounds=COUPLING_ROUNDS)
+    return refit(settled_outcomes, forms) if forms else settled_outcomes
 
 
-def _slow_m(rig: Rig, place: Joined, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
+def _slow_m(rig: Rig, group: ContactGroup, record: ContactRecord, outcomes: Outcomes) -> Float[np.ndarray, " fewer"]:
     """Slow relative displacement of a pair of places by the estimate there, m; zero without an estimate."""
     slow_m = np.zeros(len(record.force_n))
-    for j, sign in zip(place.members, place.signs, strict=True):
+    for j, sign in zip(group.contact_indices, group.signs, strict=True):
         estimate = outcomes.estimates.get(rig.contacts[j].name)
         if estimate is not None:
-            drift_m = sign * estimate.drift_m + estimate.pulls[record.moving] @ record.nuisance_m
-            slow_m[:] = drift_m[:: record.factor][: slow_m.size]
+            drift_m = sign * estimate.drift_m + estimate.pulls[record.shifts_eta] @ record.nuisance_m
+            slow_m = record.at_force_samples(drift_m)
     return slow_m
 
 
-def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
+def determine_group(rig: Rig, group: ContactGroup, record: ContactRecord, forms: Sequence[FormName] = ()) -> Outcomes:
     """Outcomes of the contacts between two places."""
-    names, nominal = [rig.contacts[j].name for j in place.members], _nominal_laws(rig, place)
-    springs = [not rig.contacts[j].law.has_stops for j in place.members]
+    names, nominal = [rig.contacts[j].name for j in group.contact_indices], _nominal_laws(rig, group)
+    springs = [not rig.contacts[j].law.has_stops for j in group.contact_indices]
     try:
         if not any(springs):
-            outcomes = _place_outcomes(names, nominal, record, forms)
+            outcomes = _stop_outcomes(names, nominal, record, forms)
         elif len(names) == 1:
             outcomes = _spring_outcome(names[0], nominal, record)
         else:
@@ -92,7 +87,7 @@ def determine_place(rig: Rig, place: Joined, record: ContactRecord, forms: Seque
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
     outcomes = replace(outcomes, refusals=_without_gaps(rig, outcomes.refusals))
-    signs = dict(zip(names, place.signs, strict=True))
+    signs = dict(zip(names, group.signs, strict=True))
     estimates = {
         name: estimate if signs[name] > 0 else estimate.reversed for name, estimate in outcomes.estimates.items()
     }
@@ -110,31 +105,29 @@ def _without_gaps(rig: Rig, refusals: Mapping[str, Refusal]) -> dict[str, Refusa
     }
 
 
-def _nominal_laws(rig: Rig, place: Joined) -> NominalLaws:
+def _nominal_laws(rig: Rig, group: ContactGroup) -> NominalLaws:
     """Nominal laws of the contacts between two places, in the direction of the first contact."""
-    values = [law_numbers(rig.contacts[j].law) for j in place.members]
-    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(values, place.signs, strict=True)])
+    laws = [parameters_of_law(rig.contacts[j].law) for j in group.contact_indices]
+    return np.array([row if sign > 0 else row[[1, 0, 2, 3]] for row, sign in zip(laws, group.signs, strict=True)])
 
 
-def _place_outcomes(
+def _stop_outcomes(
     names: Sequence[str], nominal: NominalLaws, record: ContactRecord, forms: Sequence[FormName]
 ) -> Outcomes:
     """Outcomes of one contact, or of several that share a relative displacement, in the direction of the first.
 
     Raises ContactRefusedError if none is determined, for one reason.
     """
-    sides = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
+    is_touched = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
-        (estimate,) = fit_joint(record, nominal, _present_sides(nominal[0], record, sides)[None], forms)
+        (estimate,) = fit_joint(record, nominal, _present_stops(nominal[0], record, is_touched)[None], forms)
         check_certain(estimate)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
-    nearest = nominal[:, :2].min(axis=0)
-    reach = np.maximum(
-        reach_m(record), np.where(nearest < ABSENT_STOP_M, nearest, 0.0)
-    )  # the nearest is always touched
-    return _outcomes_in_reach(names, nominal, record, sides, reach, np.zeros(len(names), dtype=bool))
+    nearest_m = nominal[:, :2].min(axis=0)  # which is always touched
+    eta_reach_m = np.maximum(reach_m(record), np.where(nearest_m < ABSENT_STOP_M, nearest_m, 0.0))
+    return _outcomes_in_reach(names, nominal, record, is_touched, eta_reach_m, np.zeros(len(names), dtype=bool))
 
 
 def _outcomes_beside_spring(
@@ -159,8 +152,7 @@ def _outcomes_beside_spring(
         outcomes = _stops_beside_spring(names, laws, record, eta_m, are_springs)
     except ContactRefusedError as error:
         outcomes = Outcomes.refused(names, error.refusal)
-    stops = {name for name, is_spring in zip(names, are_springs, strict=True) if not is_spring}
-    if stops & outcomes.estimates.keys():
+    if outcomes.estimates.keys() & set(compress(names, ~are_springs)):
         return outcomes
     return _spring_without_stops(names, nominal, record, are_springs) or outcomes
 
@@ -174,12 +166,12 @@ def _stops_beside_spring(
 ) -> Outcomes:
     """Outcomes of stops with a spring of that law beside them; eta_m is the relative displacement with its drift."""
     (spring,) = laws[are_springs]
-    of_stops = without_spring(without_nuisances(record, initial_pulls(record)), spring)
-    sides = np.array(touched_stops(of_stops))
+    stop_record = without_spring(without_nuisances(record, initial_pulls(record)), spring)
+    is_touched = np.array(touched_stops(stop_record))
     if len(names) > 2:
-        return _outcomes_in_reach(names, laws, record, sides, np.array([-eta_m.min(), eta_m.max()]), are_springs)
+        return _outcomes_in_reach(names, laws, record, is_touched, np.array([-eta_m.min(), eta_m.max()]), are_springs)
     touched = np.zeros((len(names), 2), dtype=bool)
-    touched[~are_springs] = _present_sides(laws[~are_springs][0], of_stops, sides)
+    touched[~are_springs] = _present_stops(laws[~are_springs][0], stop_record, is_touched)
     return _certain_outcomes(names, fit_joint(record, laws, touched))
 
 
@@ -190,9 +182,9 @@ def _certain_outcomes(names: Sequence[str], estimates: Sequence[JointEstimate]) 
         try:
             check_certain(estimate)
         except ContactRefusedError as error:
-            outcomes = outcomes.joined(Outcomes({}, {name: error.refusal}))
+            outcomes |= Outcomes({}, {name: error.refusal})
         else:
-            outcomes = outcomes.joined(Outcomes({name: estimate}, {}))
+            outcomes |= Outcomes({name: estimate}, {})
     return outcomes
 
 
@@ -200,22 +192,21 @@ def _spring_without_stops(
     names: Sequence[str], nominal: NominalLaws, record: ContactRecord, are_springs: Bool[np.ndarray, " contacts"]
 ) -> Outcomes | None:
     """Outcomes of a spring that explains the force without the stops beside it; None if it does not."""
-    number = int(np.argmax(are_springs))
+    spring_index = int(np.argmax(are_springs))
     try:
-        outcomes = _spring_outcome(names[number], nominal[are_springs], record)
+        outcomes = _spring_outcome(names[spring_index], nominal[are_springs], record)
     except ContactRefusedError:
         return None
-    spring = outcomes.estimates[names[number]]
-    if spring.unexplained > SPRING_UNEXPLAINED_SHARE:
+    spring = outcomes.estimates[names[spring_index]]
+    if spring.unexplained_share > SPRING_UNEXPLAINED_SHARE:
         return None
     eta_m = record.eta_m + spring.drift_m
-    reach = np.array([-eta_m.min(), eta_m.max()])
-    unreached = {
-        name: _not_reached(law, reach) if np.all(law[:2] > reach) else refused(RefusalCode.HARDLY_CLOSES).refusal
-        for name, law, is_spring in zip(names, nominal, are_springs, strict=True)
-        if not is_spring
+    eta_reach_m, hardly_closes = np.array([-eta_m.min(), eta_m.max()]), refused(RefusalCode.HARDLY_CLOSES).refusal
+    stops = zip(compress(names, ~are_springs), nominal[~are_springs], strict=True)
+    refusals = {
+        name: _not_reached(law, eta_reach_m) if np.all(law[:2] > eta_reach_m) else hardly_closes for name, law in stops
     }
-    return outcomes.joined(Outcomes({}, unreached))
+    return outcomes | Outcomes({}, refusals)
 
 
 def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> Outcomes:
@@ -230,8 +221,8 @@ def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> O
     return Outcomes({name: estimate}, {})
 
 
-def _present_sides(
-    nominal: Float[np.ndarray, "4"], record: ContactRecord, sides: Bool[np.ndarray, "2"]
+def _present_stops(
+    nominal: Float[np.ndarray, "4"], record: ContactRecord, is_touched: Bool[np.ndarray, "2"]
 ) -> Bool[np.ndarray, "2"]:
     """Sides with a stop. A nominal clearance far beyond the motion says that there is none, and that the force there is
     ringing.
@@ -241,41 +232,35 @@ def _present_sides(
     """
     if not record.sides_known and np.any(nominal[:2] >= ABSENT_STOP_M):
         raise refused(RefusalCode.ONE_STOP_TOUCHED)
-    present = sides & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
-    return present if present.any() and (present.all() or record.sides_known) else sides
+    is_present = is_touched & (nominal[:2] < ABSENT_STOP_RATIO * np.max(np.abs(record.eta_m)))
+    return is_present if is_present.any() and (is_present.all() or record.sides_known) else is_touched
 
 
 def _outcomes_in_reach(
     names: Sequence[str],
     nominal: NominalLaws,
     record: ContactRecord,
-    sides: Bool[np.ndarray, "2"],
-    reach: Float[np.ndarray, "2"],
+    is_touched: Bool[np.ndarray, "2"],
+    eta_reach_m: Float[np.ndarray, "2"],
     are_springs: Bool[np.ndarray, " contacts"],
 ) -> Outcomes:
     """Outcomes of several contacts by one fit, or one refusal for all. A contact with a nominal clearance beyond the
     reach of the motion is left out as not reached if the record does not determine it."""
-    presumed_touched = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * reach) & sides & ~are_springs[:, None]
+    may_touch = (nominal[:, :2] <= UNTOUCHED_STOP_RATIO * eta_reach_m) & is_touched & ~are_springs[:, None]
     first_refusal: Refusal | None = None
     for reach_ratio in (UNTOUCHED_STOP_RATIO, 1.0):
-        in_reach = np.any((nominal[:, :2] <= reach_ratio * reach) & sides, axis=1) | are_springs
-        reached = [name for name, is_in_reach in zip(names, in_reach, strict=True) if is_in_reach]
-        unreached = Outcomes(
-            {},
-            {
-                name: _not_reached(law, reach)
-                for name, is_in_reach, law in zip(names, in_reach, nominal, strict=True)
-                if not is_in_reach
-            },
-        )
+        is_in_reach = np.any((nominal[:, :2] <= reach_ratio * eta_reach_m) & is_touched, axis=1) | are_springs
+        reached_names, farther_names = list(compress(names, is_in_reach)), compress(names, ~is_in_reach)
+        farther_stops = zip(farther_names, nominal[~is_in_reach], strict=True)
+        unreached = Outcomes({}, {name: _not_reached(law, eta_reach_m) for name, law in farther_stops})
         try:
-            estimates = _certain_estimates(nominal[in_reach], presumed_touched[in_reach], record)
+            estimates = _certain_estimates(nominal[is_in_reach], may_touch[is_in_reach], record)
         except ContactRefusedError as error:
             first_refusal = first_refusal or _refusal_of_several(error.refusal)
-            refusals = unreached.joined(Outcomes.refused(reached, first_refusal))
-            continue
-        return unreached.joined(Outcomes(dict(zip(reached, estimates, strict=True)), {}))
-    return refusals
+            outcomes = unreached | Outcomes.refused(reached_names, first_refusal)
+        else:
+            return unreached | Outcomes(dict(zip(reached_names, estimates, strict=True)), {})
+    return outcomes
 
 
 def _refusal_of_several(refusal: Refusal) -> Refusal:
@@ -308,22 +293,25 @@ def _assigned_estimates(estimates: tuple[JointEstimate, ...], nominal: NominalLa
 
     def square_distance(estimate: JointEstimate, law: Float[np.ndarray, "4"]) -> float:
         pairs = np.array(
-            [(estimate.clearance_m, estimate.clearance @ law), (estimate.stiffness_n_per_m, STIFFNESS @ law)]
+            [
+                (estimate.clearance_m, estimate.clearance_gradient @ law),
+                (estimate.stiffness_n_per_m, STIFFNESS_GRADIENT @ law),
+            ]
         )
-        shares = np.log(np.maximum(pairs, SMALLEST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
-        return float(shares @ shares)
+        deviations = np.log(np.maximum(pairs, LEAST_VALUE)) @ [1, -1] / np.log1p(NOMINAL_SPREAD)
+        return float(deviations @ deviations)
 
     assignments = [
         (sum(square_distance(estimate, law) for estimate, law in zip(assignment, nominal, strict=True)), assignment)
         for assignment in permutations(estimates)
         if [e.touched for e in assignment] == [e.touched for e in estimates]
     ]
-    (least_square, best), *alternatives = sorted(assignments, key=lambda pair: pair[0])
+    (least_square, nearest_estimates), *alternatives = sorted(assignments, key=lambda pair: pair[0])
     if alternatives and alternatives[0][0] - least_square < EXCHANGE_DISTANCE**2:
         raise refused(RefusalCode.INTERCHANGEABLE)
-    return best
+    return nearest_estimates
 
 
-def _not_reached(law: Float[np.ndarray, "4"], reach: Float[np.ndarray, "2"]) -> Refusal:
-    stop_mm, reach_mm = 1e3 * float(min(law[:2])), 1e3 * float(reach.max())
+def _not_reached(law: Float[np.ndarray, "4"], eta_reach_m: Float[np.ndarray, "2"]) -> Refusal:
+    stop_mm, reach_mm = 1e3 * float(min(law[:2])), 1e3 * float(eta_reach_m.max())
     return refused(RefusalCode.NOT_REACHED, stop_mm=stop_mm, reach_mm=reach_mm).refusal

@@ -8,38 +8,38 @@ import numpy as np
 from scipy.signal import welch
 
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import attempted
+from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactReport, Segment
-from identify.linear.joined import Joined
-from identify.linear.modal import pushing_force, receptance
+from identify.linear.joined import ContactGroup
+from identify.linear.modal import equivalent_force_n, receptance
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
 from identify.pages.tables import Table
 from identify.pages.wording import COVERED, number
 
-Marks = Mapping[str, tuple[float, float]]
+References = Mapping[str, tuple[float, float]]
 """Reference values by contact: clearance (m) and stiffness (N/m), drawn as dashed lines."""
 OUTPUT_SAMPLES = 1 << 18
 """Samples of the figure of the output with and without the contacts."""
 
 
 def contact_figures(
-    result: Identification, marks: Marks, marks_name: str, notes: list[str] | None = None
+    result: Identification, references: References, reference_name: str, notes: list[str] | None = None
 ) -> dict[str, Picture]:
     """Figures of the paper (4 to 9, 12 to 17) for the main modal equation, and the separated contact forces, by name.
 
-    `marks_name` names the marks: the true values where they are known, else those of rig.json. A figure that cannot be
+    `reference_name` names them: the true values where they are known, else those of rig.json. A figure that cannot be
     drawn is left out, and a note is added.
     """
 
     def drawn_picture(draw: Callable[..., None]) -> Picture:
-        return picture(lambda figure: draw(figure, result, marks, marks_name))
+        return picture(lambda figure: draw(figure, result, references, reference_name))
 
-    missing = {
-        *(() if result.methods.forms else _NIFO_FIGURES),
+    missing_names = {
+        *(() if result.methods.main_spectra else _NIFO_FIGURES),
         *(() if result.methods.main_surfaces else _SURFACE_FIGURES),
     }
-    figures = {name: draw for name, draw in _FIGURES.items() if name not in missing}
-    return attempted([] if notes is None else notes, "the figure", figures, drawn_picture)
+    figures = {name: draw for name, draw in _FIGURES.items() if name not in missing_names}
+    return results_by_name([] if notes is None else notes, "the figure", figures, drawn_picture)
 
 
 def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Picture:
@@ -69,12 +69,12 @@ def segments_figure(report: ContactReport, segments: Sequence[Segment]) -> Pictu
     return picture(draw)
 
 
-def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: str) -> None:
+def _outputs(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 4 and 12: main modal coordinate as measured, and as it would be without contact."""
     equation, rate = result.surface.equation, result.motion.sample_rate_hz
     measured = equation.displacement[:OUTPUT_SAMPLES]
-    low_hz = max(result.weak.frequency_hz[0], result.motion.trusted_hz[0])
-    exciting_force_n = pushing_force(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
+    low_hz = max(result.weak_nifo.frequency_hz[0], result.motion.trusted_hz[0])
+    exciting_force_n = equivalent_force_n(result.rig, equation, result.motion.forces_n[:, :OUTPUT_SAMPLES])
     spectrum = np.fft.rfft(equation.shape_at_force * exciting_force_n, 2 * measured.size)
     line_hz = np.fft.rfftfreq(2 * measured.size, 1 / rate)
     frf = np.where(line_hz >= low_hz, receptance(equation.frequency_hz, equation.damping_ratio, line_hz), 0.0)
@@ -89,7 +89,7 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
     ):
         upper.plot(time[excerpt], 1e3 * signal[excerpt], color=colour, lw=1.1, label=label)
         frequency, density = welch(signal, rate, nperseg=min(signal.size, int(4 * rate)))
-        band = (frequency >= low_hz) & (frequency <= 2 * result.weak.frequency_hz[-1])
+        band = (frequency >= low_hz) & (frequency <= 2 * result.weak_nifo.frequency_hz[-1])
         lower.semilogy(frequency[band], density[band], color=colour, lw=1.1)
     upper.set(xlabel="time, s", ylabel=f"q of {equation.name},\n1e-3 √kg m")
     upper.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
@@ -98,84 +98,97 @@ def _outputs(figure: Any, result: Identification, _marks: Marks, _marks_name: st
     figure.suptitle("Output with and without the contacts")
 
 
-def _surface(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _surface(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 5 and 13: restoring force over two coordinates, averaged in cells."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
-    first_place, *other_places = result.same_place
-    first = result.eta_m[first_place.members[0]][every_nth]
-    if other_places:
-        second = 1e3 * result.eta_m[other_places[0].members[0]][every_nth]
-        label = f"η of {other_places[0].contact.name}, mm"
+    first_group, *other_groups = result.contact_groups
+    first_eta = result.eta_m[first_group.contact_indices[0]][every_nth]
+    if other_groups:
+        second = 1e3 * result.eta_m[other_groups[0].contact_indices[0]][every_nth]
+        label = f"η of {other_groups[0].contact.name}, mm"
     else:
         second, label = surface.equation.velocity[every_nth] * surface.equation.shape_at_contacts[0], "velocity, m/s"
-    count = min(first.size, second.size, surface.measured_force.size)
+    count = min(first_eta.size, second.size, surface.measured_force.size)
     axes = figure.subplots()
     cells = axes.hexbin(
-        1e3 * first[:count], second[:count], C=surface.measured_force[:count], gridsize=70, cmap="RdBu_r", mincnt=3
+        1e3 * first_eta[:count],
+        second[:count],
+        C=surface.measured_force[:count],
+        gridsize=70,
+        cmap="RdBu_r",
+        mincnt=3,
     )
     figure.colorbar(cells, label="restoring force, N/√kg")
-    axes.set(xlabel=f"η of {first_place.contact.name}, mm", ylabel=label)
-    for k, place in enumerate(result.same_place[:2]):
-        _mark_stops(axes, result, place, marks, marks_name, horizontal=k > 0, labelled=k == 0)
+    axes.set(xlabel=f"η of {first_group.contact.name}, mm", ylabel=label)
+    for k, group in enumerate(result.contact_groups[:2]):
+        _mark_stops(axes, result, group, references, reference_name, horizontal=k > 0, labelled=k == 0)
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
     figure.suptitle(f"Restoring force surface, modal equation {surface.equation.name}")
 
 
-def _section(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _section(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 6 and 14: restoring force less the other contacts' shares, over the relative displacement of each
-    place."""
+    pair of places."""
     surface = result.surface
     every_nth = slice(None, None, surface.decimation)
-    axes_row = figure.subplots(1, len(result.same_place), squeeze=False, sharey=True)[0]
-    unexplained = surface.measured_force - surface.fitted_force
-    for axes, place in zip(axes_row, result.same_place, strict=True):
-        first, members = place.members[0], list(place.members)
+    axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
+    unexplained_force = surface.measured_force - surface.fitted_force
+    for axes, group in zip(axes_row, result.contact_groups, strict=True):
+        first, members = group.contact_indices[0], list(group.contact_indices)
         scale = surface.equation.shape_at_contacts[first] or 1.0
         eta = result.eta_m[first][every_nth]
-        count = min(eta.size, unexplained.size)
+        count = min(eta.size, unexplained_force.size)
         thinned = slice(None, None, max(1, count // 6000))
-        fitted = surface.contact_forces[members].sum(axis=0)[:count] / scale
-        force = unexplained[:count] / scale + fitted
-        order = np.argsort(eta[:count])
-        axes.plot(1e3 * eta[order], fitted[order], color=RED, lw=2.5, label="dead zone as fitted")
-        axes.plot(1e3 * eta[:count][thinned], force[thinned], ".", ms=1.5, color=BLUE, alpha=0.5, label="measured")
-        _mark_stops(axes, result, place, marks, marks_name)
-        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
+        fitted_n = surface.contact_forces[members].sum(axis=0)[:count] / scale
+        force = unexplained_force[:count] / scale + fitted_n
+        eta_order = np.argsort(eta[:count])
+        axes.plot(1e3 * eta[eta_order], fitted_n[eta_order], color=RED, lw=2.5, label="dead zone as fitted")
+        axes.plot(
+            1e3 * eta[:count][thinned],
+            force[thinned],
+            ".",
+            ms=1.5,
+            color=BLUE,
+            alpha=0.5,
+            label="measured",
+        )
+        _mark_stops(axes, result, group, references, reference_name)
+        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "lower", markerscale=6)
     figure.suptitle(f"Section of the restoring force, modal equation {surface.equation.name}")
 
 
-def _separated(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _separated(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Contact forces, separated without a law, over their relative displacements, with the estimated laws."""
-    axes_row = figure.subplots(1, len(result.same_place), squeeze=False, sharey=True)[0]
-    every_nth = slice(None, None, result.factor)
-    for axes, place, separated in zip(axes_row, result.same_place, result.separated_n, strict=True):
-        eta = result.eta_m[place.members[0]][every_nth]
-        force = separated[: eta.size]
+    axes_row = figure.subplots(1, len(result.contact_groups), squeeze=False, sharey=True)[0]
+    every_nth = slice(None, None, result.decimation)
+    for axes, group, separated_force_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
+        eta = result.eta_m[group.contact_indices[0]][every_nth]
+        force = separated_force_n[: eta.size]
         axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
-        span = np.linspace(eta.min(), eta.max(), 400)
+        eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
         laws = [
-            sign * estimate.force_n(sign * span, np.zeros_like(span))
-            for sign, j in zip(place.signs, place.members, strict=True)
+            sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
+            for sign, j in zip(group.signs, group.contact_indices, strict=True)
             for name, estimate in result.outcomes.estimates.items()
             if name == result.rig.contacts[j].name
         ]
         if laws:
-            axes.plot(1e3 * span, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
-        _mark_stops(axes, result, place, marks, marks_name)
-        axes.set(xlabel=f"η of {place.contact.name}, mm", title=place.contact.name)
+            axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
+        _mark_stops(axes, result, group, references, reference_name)
+        axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
     _legend_outside(figure, axes_row[0], "upper", markerscale=6)
 
 
-def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figure 15: relative displacements over time and their histograms, with the identified stops."""
     rate = result.motion.sample_rate_hz
-    axes = figure.subplots(len(result.same_place), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
-    for j, place in enumerate(result.same_place):
-        eta = result.eta_m[place.members[0]]
+    axes = figure.subplots(len(result.contact_groups), 2, squeeze=False, width_ratios=(3, 1), sharey="row")
+    for j, group in enumerate(result.contact_groups):
+        eta = result.eta_m[group.contact_indices[0]]
         start = int(0.4 * eta.size)
         excerpt = slice(start, start + int(min(4.0, 0.3 * eta.size / rate) * rate))
         axes[j][0].plot(result.motion.time_s(eta.size)[excerpt], 1e3 * eta[excerpt], color=BLUE, lw=0.8, label="η")
@@ -188,56 +201,58 @@ def _histogram(figure: Any, result: Identification, marks: Marks, marks_name: st
             density=True,
         )
         for panel in axes[j]:
-            _mark_stops(panel, result, place, marks, marks_name, horizontal=True)
-        axes[j][0].set_ylabel(f"η of {place.contact.name}, mm")
+            _mark_stops(panel, result, group, references, reference_name, horizontal=True)
+        axes[j][0].set_ylabel(f"η of {group.contact.name}, mm")
     axes[-1][0].set_xlabel("time, s")
     axes[-1][1].set_xlabel("histogram, 1/mm")
     _legend_outside(figure, axes[0][0], "upper")
 
 
-def _stiffness(figure: Any, result: Identification, marks: Marks, marks_name: str) -> None:
+def _stiffness(figure: Any, result: Identification, references: References, reference_name: str) -> None:
     """Figures 7, 16 and 17: contact stiffness over frequency, and its deviation."""
-    count = len(result.weak.contacts)
+    count = len(result.weak_nifo.contacts)
     if not count:
-        figure.text(0.5, 0.5, f"modal equation {result.weak.equation.name} tells no contact's stiffness", ha="center")
+        figure.text(
+            0.5, 0.5, f"modal equation {result.weak_nifo.equation.name} tells no contact's stiffness", ha="center"
+        )
         return
     axes = figure.subplots(2, count, squeeze=False, sharex=True)
-    for i, j in enumerate(result.weak.contacts):
+    for i, j in enumerate(result.weak_nifo.contacts):
         contact = result.rig.contacts[j]
-        mean_n_per_m = result.weak.mean_n_per_m[i]
-        reference_n_per_m = marks.get(contact.name, (np.nan, mean_n_per_m))[1]
+        mean_n_per_m = result.weak_nifo.mean_n_per_m[i]
+        reference_n_per_m = references.get(contact.name, (np.nan, mean_n_per_m))[1]
         for nifo, colour, label in (
-            (result.paper, GREY, "the paper's form"),
-            (result.weak, BLUE, "weak form"),
+            (result.paper_nifo, GREY, "the paper's form"),
+            (result.weak_nifo, BLUE, "weak form"),
         ):
             values = nifo.stiffness_n_per_m[i].real
             axes[0][i].plot(nifo.frequency_hz, values, color=colour, lw=1.0, label=label)
             deviation = 100 * np.abs(nifo.stiffness_n_per_m[i] / reference_n_per_m - 1)
             axes[1][i].semilogy(nifo.frequency_hz, np.maximum(deviation, 1e-6), color=colour, lw=1.0)
         axes[0][i].axhline(mean_n_per_m, color=RED, lw=1.0, label=f"spectral mean {number(mean_n_per_m, 5)} N/m")
-        if contact.name in marks:
-            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=marks_name)
-        limits = np.quantile(result.weak.stiffness_n_per_m[i].real, [0.02, 0.98])
+        if contact.name in references:
+            axes[0][i].axhline(reference_n_per_m, color="k", ls=":", lw=1.0, label=reference_name)
+        limits = np.quantile(result.weak_nifo.stiffness_n_per_m[i].real, [0.02, 0.98])
         margin = max(np.ptp(limits), 0.02 * abs(mean_n_per_m))
         axes[0][i].set(ylim=(limits[0] - margin, limits[1] + margin), title=contact.name)
         axes[1][i].set(xlabel="frequency, Hz")
         axes[0][i].legend(fontsize=7, loc="lower center", bbox_to_anchor=(0.5, 1.12), ncols=2)
     axes[0][0].set_ylabel("Re k, N/m")
     axes[1][0].set_ylabel("|k / reference - 1|, %")
-    figure.suptitle(f"Contact stiffness, modal equation {result.weak.equation.name}")
+    figure.suptitle(f"Contact stiffness, modal equation {result.weak_nifo.equation.name}")
 
 
-def _frf(figure: Any, result: Identification, _marks: Marks, _marks_name: str) -> None:
+def _frf(figure: Any, result: Identification, _references: References, _reference_name: str) -> None:
     """Figures 8 and 9: FRF of the linear mode alone at the force's place, H phi_F^2, and its phase."""
     upper, middle, lower = figure.subplots(3, 1, sharex=True)
-    weak, paper = result.weak, result.paper
-    per_kg = weak.equation.shape_at_force**2
+    weak, paper = result.weak_nifo, result.paper_nifo
+    shape_square_per_kg = weak.equation.shape_at_force**2
     for frf, frequency, colour, style, label in (
         (paper.frf, paper.frequency_hz, GREY, "-", "NIFO, the paper's form"),
         (weak.frf, weak.frequency_hz, BLUE, "-", "NIFO, weak form"),
         (weak.true_frf(), weak.frequency_hz, "k", ":", "mode of rig.json"),
     ):
-        receptance_m_per_n = per_kg * np.abs(frf)
+        receptance_m_per_n = shape_square_per_kg * np.abs(frf)
         upper.semilogy(frequency, receptance_m_per_n, color=colour, ls=style, lw=1.2, label=label)
         middle.semilogy(frequency, (2 * np.pi * frequency) ** 2 * receptance_m_per_n, color=colour, ls=style, lw=1.2)
         lower.plot(frequency, np.degrees(np.angle(1j * frf)) - 90, color=colour, ls=style, lw=1.2)
@@ -257,23 +272,23 @@ def _legend_outside(figure: Any, axes: Any, edge: str, **style: Any) -> None:
 def _mark_stops(
     axes: Any,
     result: Identification,
-    place: Joined,
-    marks: Marks,
-    marks_name: str,
+    group: ContactGroup,
+    references: References,
+    reference_name: str,
     *,
     horizontal: bool = False,
     labelled: bool = True,
 ) -> None:
-    """Draws the identified stops of a place, and its marks."""
+    """Draws the identified stops of a pair of places, and its reference values."""
     line, labels = axes.axhline if horizontal else axes.axvline, iter(["identified stops"] * labelled)
-    mark_labels = iter([f"stops, {marks_name}"] * labelled)
-    for j, sign in zip(place.members, place.signs, strict=True):
+    reference_labels = iter([f"stops, {reference_name}"] * labelled)
+    for j, sign in zip(group.contact_indices, group.signs, strict=True):
         stop, name = result.stops[j], result.rig.contacts[j].name
         if stop is not None:
             for position_m in compress((-stop.lower_m, stop.upper_m), stop.touched):
                 line(1e3 * sign * position_m, color=GREEN, lw=1.2, label=next(labels, None))
-        for side in result.rig.contact(name).law.sides if name in marks else ():
-            line(1e3 * side * marks[name][0], color="k", ls=":", lw=1.2, label=next(mark_labels, None))
+        for side in result.rig.contact(name).law.sides if name in references else ():
+            line(1e3 * side * references[name][0], color="k", ls=":", lw=1.2, label=next(reference_labels, None))
 
 
 _FIGURES = {
@@ -299,18 +314,18 @@ def curves(result: Identification) -> dict[str, Table]:
     tables = {"motion": _motion_table(result)}
     if result.methods.main_surfaces:
         tables["surface"] = _surface_table(result, names)
-    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.forms else {})
+    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.main_spectra else {})
 
 
 def _motion_table(result: Identification) -> Table:
     """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
-    factor = result.factor
+    factor = result.decimation
     force = result.separated_n
-    eta = result.eta_m[[place.members[0] for place in result.same_place], ::factor]
+    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::factor]
     rows = min(eta.shape[1], force.shape[1])
     table: Table = {"time_s": result.motion.time_s(rows, factor)}
-    for place, displacement, contact_n in zip(result.same_place, eta, force, strict=True):
-        name = place.contact.name
+    for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
+        name = group.contact.name
         table[f"{name} relative displacement m"] = displacement[:rows]
         table[f"{name} contact force N"] = contact_n[:rows]
     return table
@@ -332,11 +347,11 @@ def _surface_table(result: Identification, names: list[str]) -> Table:
 
 def _nifo_table(result: Identification, names: list[str]) -> Table:
     """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
-    table: Table = {"frequency_Hz": result.weak.frequency_hz}
-    for form, nifo in (("weak form", result.weak), ("paper's form", result.paper)):
+    table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
+    for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
         rows = {"FRF s^2": nifo.frf}
         rows |= {f"{names[j]} stiffness N/m": row for j, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)}
         for name, row in rows.items():
-            if nifo.frequency_hz.size == result.weak.frequency_hz.size:
+            if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
                 table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag
     return table

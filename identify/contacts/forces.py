@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from identify.contacts.gauges import Gauges
 from identify.contacts.nuisance_signals import (
+    ForceWeights,
     NuisanceSignals,
-    ToForce,
+    contact_spectra,
     nuisance_signals,
     random_noise,
-    weighted_stations,
 )
 from identify.contacts.observation import (
     SeparationInput,
@@ -35,7 +34,7 @@ from identify.contacts.station_spectra import (
     force_weights,
     has_hidden_modes,
     initial_states,
-    start_left_out_s,
+    start_transient_s,
 )
 from identify.linear.free_motion import InitialStates
 from identify.linear.modal import force_on_mass
@@ -47,15 +46,14 @@ from identify.linear.model import (
     slow_damping,
     slow_stiffness,
 )
-from identify.linear.nuisance import Nuisance, NuisanceKind, Observed, changes_of
+from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.description import Rig
 from rig.model.modes import modes_of
-from rig.model.tolerances import Tolerances
 
-END_LEFT_OUT_S = 2.5
+END_TRANSIENT_S = 2.5
 """End of a record in which the separated forces are wrong, as the beams' ringing is cut off."""
 LEAST_INITIAL_SHARE = 1e-4
 """Least force by an initial state over the contact forces; smaller ones are left out."""
@@ -63,58 +61,48 @@ LEAST_INITIAL_SHARE = 1e-4
 
 @dataclass(frozen=True)
 class ContactForces:
-    """Contact forces (N), low-passed and sampled at the record's rate over `factor`.
+    """Contact forces (N), low-passed and sampled at the record's rate over `decimation`.
 
-    slow is the slow motion of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of
-    the sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness
-    and damping against slow relative displacements, whose forces accelerations do not show.
+    slow_motion is that of held bodies where strain gauges tell it, else None. noise_n is the standard deviation of the
+    sensors' noise in them. slow_n_per_m and slow_n_s_per_m are the stiffness and damping against slow relative
+    displacements, whose forces accelerations do not show.
     """
 
     force_n: Float[np.ndarray, "contacts fewer"]
-    factor: int
+    decimation: int
     noise_n: Float[np.ndarray, " contacts"]
     nuisances: NuisanceSignals
     slow_n_per_m: Float[np.ndarray, "contacts contacts"]
     slow_n_s_per_m: Float[np.ndarray, "contacts contacts"]
-    slow: SlowMotion | None = None
+    slow_motion: SlowMotion | None = None
 
     def without_start(self, samples: int) -> "ContactForces":
         """Contact forces without their first samples."""
         return replace(self, force_n=self.force_n[:, samples:], nuisances=self.nuisances.without_start(samples))
 
 
-def separated_forces(
-    rig: Rig,
-    motion: Kinematics,
-    factor: int,
-    noise: Float[np.ndarray, " stations"],
-    tolerances: Tolerances,
-    gauges: Gauges,
-    from_rest: bool = True,
-) -> ContactForces:
+def separated_forces(record: SeparationInput) -> ContactForces:
     """Contact forces of all bodies by all their stations and strain gauges.
 
-    noise is the standard deviation per sample of each station's acceleration (m/s^2). Where the zero of displacements
-    is known, displacements of bodies that are held replace their slow accelerations; else strain gauges tell the slow
-    forces, and these the slow displacements of held bodies, if that is quiet enough (`SlowMotion.is_quiet`). In a
-    record that does not begin at rest the free motion of every mode is estimated as well, and its remaining uncertainty
-    is a nuisance.
+    Where the zero of displacements is known, displacements of bodies that are held replace their slow accelerations;
+    else strain gauges tell the slow forces, and these the slow displacements of held bodies, if that is quiet enough
+    (`SlowMotion.is_quiet`). In a record that does not begin at rest the free motion of every mode is estimated as well,
+    and its remaining uncertainty is a nuisance.
 
     Raises RigError if the stations or the modes cannot tell the contacts apart.
     """
-    record = SeparationInput(rig, motion, factor, noise, tolerances, gauges, from_rest)
-    if gauges.sensors and not motion.zero_known:
+    if record.gauges.sensors and not record.motion.zero_known:
         try:
-            forces = _separated(record, slow_by_gauges=True)
+            forces = _contact_forces(record, slow_by_gauges=True)
         except RigError:
             forces = None
-        if forces and forces.slow and forces.slow.is_quiet(rig, forces.force_n):
+        if forces and forces.slow_motion and forces.slow_motion.is_quiet(record.rig, forces.force_n):
             return forces
-    return _separated(record, slow_by_gauges=False)
+    return _contact_forces(record, slow_by_gauges=False)
 
 
 @dataclass(frozen=True, eq=False)
-class _Weighted:
+class _WeightedRows:
     """Stations and gauges weighed against each other: weights of the contact forces, what no exciting force explains,
     and the observations behind, of the signals and of their noise alone.
 
@@ -122,143 +110,137 @@ class _Weighted:
     """
 
     responses: tuple[Response, ...]
-    by_input: Complex[np.ndarray, "inputs rows lines"]
+    input_accelerances: Complex[np.ndarray, "inputs rows lines"]
     noise_power: Float[np.ndarray, "rows lines"]
-    observed: Observed
-    noise_alone: Observed
-    to_force: ToForce
-    unexplained: Complex[np.ndarray, "rows lines"]
-    initial: InitialStates | None
+    observed: ObservedSignals
+    noise_alone: ObservedSignals
+    force_weights: ForceWeights
+    unexplained_signals: Complex[np.ndarray, "rows lines"]
+    initial_states: InitialStates | None
     parameters: tuple[Nuisance, ...]
     corner_hz: float
     noise_m: Float[np.ndarray, " contacts"]
 
 
-def _weighted(record: SeparationInput, slow_by_gauges: bool) -> _Weighted:
+def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRows:
     """Weights of the contact forces, again with the hidden and the slow modes where the first forces move some.
 
     Raises RigError as `separated_forces`, and if gauges shall tell the slow motion of a body that floats.
     """
     rig, motion, gauges, lines = record.rig, record.motion, record.gauges, record.lines
-    force_count, padding = len(rig.inputs), lines.length / motion.samples
+    force_count, padding_ratio = len(rig.inputs), lines.padded_samples / motion.samples
     responses = responses_of(rig, ResponseCache(lines.omega, 0), motion.zero_known or slow_by_gauges)
-    floats = {r.body.name: not is_held(r) for r in responses}
-    if slow_by_gauges and any(floats.values()):
+    is_floating = {r.body.name: not is_held(r) for r in responses}
+    if slow_by_gauges and any(is_floating.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
-    in_metres = np.array([[motion.zero_known and not floats[s.body]] for s in motion.stations]) & lines.slow
-    by_input = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
+    in_metres = np.array([[motion.zero_known and not is_floating[s.body]] for s in motion.stations]) & lines.is_slow
+    input_accelerances = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
-    by_inputs = by_input[:force_count] * force_spectra[:, None]
-    observed, gauge_errors, noise_power = observation_of(record, lines, responses, in_metres, by_inputs)
-    measured, sensor_response = observed.explained, observed.sensor_response
-    floor = 1e-12 * float(np.mean(np.abs(measured) ** 2))
-    noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, floor, lines))
+    input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, in_metres, input_accelerations)
+    signals, sensor_response = observed.signals, observed.sensor_response
+    least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
+    noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
     corner_hz = LOWEST_CORNER_HZ if gauges.sensors and not motion.zero_known else 0.0
     observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
     noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
-    initial, noise_m = None, np.zeros(len(rig.contacts))
-    by_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
-    for modes_hidden in (True, False) if by_modes else (False,):
+    states, noise_m = None, np.zeros(len(rig.contacts))
+    has_driven_modes = corner_hz > 0 or any(has_hidden_modes(r, motion) for r in responses)
+    for is_first_pass in (True, False) if has_driven_modes else (False,):
         changes = tuple(change.in_single_precision for change in changes_of(observed))
-        weighed = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # those are at 0 Hz alone
-        errors = StationErrors(noise_power, floor, weighed, lines.correlated_line_count)
-        to_force = force_weights(by_input[force_count:] * sensor_response, errors)
-        unexplained = measured - sensor_response * by_inputs.sum(axis=0)
+        weighed_changes = tuple(c for c in changes if c.parameter.kind is not NuisanceKind.ZERO)  # as that is at 0 Hz
+        errors = StationErrors(noise_power, least_power, weighed_changes, lines.correlated_line_count)
+        weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
+        unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
-            initial = initial_states(responses, motion, in_metres, lines, sensor_response * by_input, errors)
-            unexplained = unexplained - initial.delivered
+            states = initial_states(responses, motion, in_metres, lines, sensor_response * input_accelerances, errors)
+            unexplained_signals = unexplained_signals - states.signals
         if slow_by_gauges:
-            by_contacts = by_input[force_count:]
-            corner_hz, noise_m = quietest_corner(record.signs, by_contacts, to_force, noise_power * padding, lines)
-        if modes_hidden:
-            inputs = np.concatenate([force_spectra, weighted_stations(to_force, unexplained)])
+            by_contacts = input_accelerances[force_count:]
+            corner_hz, noise_m = quietest_corner(record.signs, by_contacts, weights, noise_power * padding_ratio, lines)
+        if is_first_pass:
+            inputs = np.concatenate([force_spectra, contact_spectra(weights, unexplained_signals)])
             observed = with_driven_modes(record, observed, inputs, corner_hz, gauge_errors)
-            inputs = np.concatenate([0 * force_spectra, weighted_stations(to_force, noise_alone.explained)])
+            inputs = np.concatenate([0 * force_spectra, contact_spectra(weights, noise_alone.signals)])
             noise_alone = with_driven_modes(record, noise_alone, inputs, corner_hz, gauge_errors)
-    return _Weighted(
+    return _WeightedRows(
         responses,
-        by_input,
+        input_accelerances,
         noise_power,
         observed,
         noise_alone,
-        to_force,
-        unexplained,
-        initial,
+        weights,
+        unexplained_signals,
+        states,
         tuple(change.parameter for change in changes),
         corner_hz,
         noise_m,
     )
 
 
-def _separated(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
-    """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as `_weighted`."""
-    rig, motion, factor, lines = record.rig, record.motion, record.factor, record.lines
-    weighted, rate = _weighted(record, slow_by_gauges), motion.sample_rate_hz
-    to_force, initial = weighted.to_force, weighted.initial
-    contact_spectra = weighted_stations(to_force, weighted.unexplained)
-    end_left_out_s = END_LEFT_OUT_S if any(b.length_m for b in rig.bodies) else TAPER_S
-    model, slow = None, None
+def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactForces:
+    """Contact forces, and the slow motion of the bodies if gauges shall carry it; raises RigError as
+    `_weighted_rows`."""
+    rig, motion, decimation, lines = record.rig, record.motion, record.decimation, record.lines
+    rows, rate_hz = _weighted_rows(record, slow_by_gauges), motion.sample_rate_hz
+    weights, states = rows.force_weights, rows.initial_states
+    force_spectra = contact_spectra(weights, rows.unexplained_signals)
+    end_transient_s = END_TRANSIENT_S if any(b.length_m for b in rig.bodies) else TAPER_S
+    model, slow_signals = None, None
     if slow_by_gauges:
-        observed, corner_hz = weighted.observed, weighted.corner_hz
-        model = slow_model(rig, motion, lines, corner_hz, weighted.by_input, observed)
-        end_left_out_s = max(end_left_out_s, TAPER_S + 2 / corner_hz)
-        inputs = np.concatenate([lines.spectra(motion.forces_n), contact_spectra])
-        correction = model.correction(inputs, observed.displaced[: len(motion.stations)])
-        slow = slow_motion(correction, lines, motion.samples, weighted.noise_m)
-    kept_samples = (motion.samples - round(end_left_out_s * rate)) // factor
-    nuisance = nuisance_signals(
-        weighted.parameters,
-        weighted.observed,
-        weighted.noise_alone,
-        to_force,
-        record.signs,
-        lines,
-        kept_samples,
-        model,
+        observed, corner_hz = rows.observed, rows.corner_hz
+        model = slow_model(rig, motion, lines, corner_hz, rows.input_accelerances, observed)
+        end_transient_s = max(end_transient_s, TAPER_S + 2 / corner_hz)
+        inputs = np.concatenate([lines.spectra(motion.forces_n), force_spectra])
+        correction = model.correction(inputs, observed.displacements[: len(motion.stations)])
+        slow_signals = slow_motion(correction, lines, motion.samples, rows.noise_m)
+    kept_samples = (motion.samples - round(end_transient_s * rate_hz)) // decimation
+    nuisances = nuisance_signals(
+        rows.parameters, rows.observed, rows.noise_alone, weights, record.signs, lines, kept_samples, model
     )
-    force_n = lines.signals(contact_spectra, kept_samples)
-    slow_n_per_m = slow_stiffness(rig, weighted.responses)
+    force_n = lines.signals(force_spectra, kept_samples)
+    slow_n_per_m = slow_stiffness(rig, rows.responses)
     if rig.bodies[0].is_mass and len(rig.bodies) == len(rig.contacts) == 1:
-        force_n = _force_on_mass(rig, motion, factor)[:, :kept_samples]
-    elif initial:
-        start_sample = min(round(start_left_out_s(rig, slow_n_per_m) * rate / factor), kept_samples - 1)
-        force_by_state = lines.signals(np.einsum("jsf,isf->ijf", to_force, initial.spectra), kept_samples)
-        force_by_state = np.tensordot(initial.root.T, force_by_state, 1)
-        state_rms_n = np.sqrt(np.mean(force_by_state[..., start_sample:] ** 2, axis=(1, 2)))
-        significant = state_rms_n > LEAST_INITIAL_SHARE * force_n.std()
-        nuisance = nuisance.with_record_signals(NuisanceKind.INITIAL_STATE, force_by_state[significant])
+        force_n = _force_on_mass(rig, motion, decimation)[:, :kept_samples]
+    elif states:
+        start_sample = min(round(start_transient_s(rig, slow_n_per_m) * rate_hz / decimation), kept_samples - 1)
+        state_force_n = lines.signals(np.einsum("jsf,isf->ijf", weights, states.unit_spectra), kept_samples)
+        state_force_n = np.tensordot(states.error_root.T, state_force_n, 1)
+        state_rms_n = np.sqrt(np.mean(state_force_n[..., start_sample:] ** 2, axis=(1, 2)))
+        is_significant = state_rms_n > LEAST_INITIAL_SHARE * force_n.std()
+        nuisances = nuisances.with_initial_states(state_force_n[is_significant])
     return ContactForces(
         force_n=force_n,
-        factor=factor,
-        noise_n=_noise_n(to_force, weighted.noise_power, motion, lines),
-        nuisances=nuisance,
+        decimation=decimation,
+        noise_n=_noise_n(weights, rows.noise_power, motion, lines),
+        nuisances=nuisances,
         slow_n_per_m=slow_n_per_m,
-        slow_n_s_per_m=slow_damping(rig, weighted.responses, slow_n_per_m),
-        slow=slow,
+        slow_n_s_per_m=slow_damping(rig, rows.responses, slow_n_per_m),
+        slow_motion=slow_signals,
     )
 
 
 def _noise_n(
-    to_force: ToForce, power: Float[np.ndarray, "rows lines"], motion: Kinematics, lines: SpectralLines
+    weights: ForceWeights, noise_power: Float[np.ndarray, "rows lines"], motion: Kinematics, lines: SpectralLines
 ) -> Float[np.ndarray, " contacts"]:
     """Standard deviation of the sensors' noise in the contact forces, N.
 
     It is white in the measured quantity: differentiated n times it has (2 n + 1) (f / f_N)^(2 n) times its mean power
     at the frequency f.
     """
-    differentiations = np.zeros((len(power), 1))  # gauges stay as they are
-    differentiations[: len(motion.sensors), 0] = [max(0, 2 - s.measures.order) for s in motion.sensors]
-    shape = (2 * differentiations + 1) * (lines.omega / (np.pi * lines.rate_hz)) ** (2 * differentiations)
-    padded_power = power * shape * lines.length / motion.samples  # over the silence behind, too
-    noise_n = weighted_stations(to_force, random_noise(padded_power, 0.0, lines))
-    return np.asarray(lines.signals(noise_n, motion.samples // lines.factor).std(axis=1))
+    orders = np.zeros((len(noise_power), 1))  # gauges stay as they are
+    orders[: len(motion.sensors), 0] = [max(0, 2 - s.measures.order) for s in motion.sensors]
+    colour = (2 * orders + 1) * (lines.omega / (np.pi * lines.rate_hz)) ** (2 * orders)
+    padded_power = noise_power * colour * lines.padded_samples / motion.samples  # over the silence behind, too
+    noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
+    return np.asarray(lines.signals(noise_spectra, motion.samples // lines.decimation).std(axis=1))
 
 
-def _force_on_mass(rig: Rig, motion: Kinematics, factor: int) -> Float[np.ndarray, "contacts fewer"]:
+def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:
     """Contact force F - m a - c v - k x on a single mass, which needs no quiet start; F is the sum of all forces."""
     mass = modes_of(rig, rig.bodies[0])
     inverse_mass = float(mass.shapes(np.zeros(1), 1)[0, 0] ** 2)
     omega, damping_ratio = 2 * np.pi * float(mass.frequencies_hz(1)[0]), float(mass.damping_ratios(1)[0])
-    resisting = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
-    resisting_n = (resisting + omega**2 * motion.displacement_m[:1]) / inverse_mass
-    return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, factor)
+    resisting_m_per_s2 = motion.acceleration_m_per_s2[:1] + 2 * damping_ratio * omega * motion.velocity_m_per_s[:1]
+    resisting_n = (resisting_m_per_s2 + omega**2 * motion.displacement_m[:1]) / inverse_mass
+    return decimated(force_on_mass(rig, rig.bodies[0], motion.forces_n) - resisting_n, decimation)

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Complex, Float
 from msgspec.structs import replace as with_fields
 
 from identify.contacts.station_spectra import SpectralLines
-from identify.linear.model import Response, input_shapes, times
+from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
@@ -37,31 +37,31 @@ CONVERGED_SHARE = 0.4
 class Gauges:
     """Strain gauges of a record that begins at rest, each with its fibre_m.
 
-    strain is their signal less its mean before the force; noise the standard deviation of its noise per sample,
-    zero_error that of the subtracted mean.
+    strain is their signal less its mean before the force; noise_strain the standard deviation of its noise per sample,
+    zero_error_strain that of the subtracted mean.
     """
 
     sensors: tuple[Sensor, ...]
     strain: Float[np.ndarray, "gauges samples"]
-    noise: Float[np.ndarray, " gauges"]
-    zero_error: Float[np.ndarray, " gauges"]
+    noise_strain: Float[np.ndarray, " gauges"]
+    zero_error_strain: Float[np.ndarray, " gauges"]
 
-    def rows(self, lines: SpectralLines, mean_power: float, usable: Bool[np.ndarray, "gauges lines"]) -> "GaugeRows":
+    def rows(self, lines: SpectralLines, mean_power: float, is_usable: Bool[np.ndarray, "gauges lines"]) -> "GaugeRows":
         """Rows of the separation, in a unit in which each gauge has the mean power of the stations' accelerations: all
         errors then have a common floor. Lines that are not usable are zero in the signal and in its response."""
         spectra = lines.spectra(self.strain)
         for i, sensor in enumerate(self.sensors):
-            chain = sensor.response(lines.omega)
-            spectra[i] = np.divide(spectra[i], chain, out=np.zeros_like(chain), where=usable[i])
+            sensor_response = sensor.response(lines.omega)
+            spectra[i] = np.divide(spectra[i], sensor_response, out=np.zeros_like(sensor_response), where=is_usable[i])
         power = np.mean(np.abs(spectra) ** 2, axis=1)
-        unit = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
+        row_scale = np.sqrt(np.divide(mean_power, power, out=np.ones_like(power), where=power > 0))
         samples = self.strain.shape[1]
-        constant = lines.spectra(np.ones(samples)) * (unit * self.zero_error)[:, None]
+        zero_error = lines.spectra(np.ones(samples)) * (row_scale * self.zero_error_strain)[:, None]
         return GaugeRows(
-            measured=unit[:, None] * spectra,
-            response=np.where(usable, -unit[:, None] / lines.omega**2, 0.0).astype(complex),
-            noise_power=np.broadcast_to((samples * (unit * self.noise) ** 2)[:, None], spectra.shape),
-            constant=np.where(usable, constant, 0.0),
+            measured=row_scale[:, None] * spectra,
+            response=np.where(is_usable, -row_scale[:, None] / lines.omega**2, 0.0).astype(complex),
+            noise_power=np.broadcast_to((samples * (row_scale * self.noise_strain) ** 2)[:, None], spectra.shape),
+            zero_error=np.where(is_usable, zero_error, 0.0),
         )
 
     def truncation(
@@ -70,12 +70,12 @@ class Gauges:
         """Share of the highest modes in the signal of each gauge per newton of each exciting or contact force that acts
         on its body, by the indices of force and gauge."""
         shares = {}
-        for body in responses:
-            highest = slice(int(CONVERGED_SHARE * body.count), None)
-            inputs, outputs = input_shapes(rig, body, rig.forces)[:, highest], body.shapes(self.sensors)[:, highest]
-            accelerance = body.accelerance[highest]
+        for body_response in responses:
+            highest = slice(int(CONVERGED_SHARE * body_response.mode_count), None)
+            inputs = input_shapes(rig, body_response, rig.forces)[:, highest]
+            outputs, accelerance = body_response.shapes(self.sensors)[:, highest], body_response.accelerance[highest]
             for i, j in product(*(np.flatnonzero(rows.any(axis=1)).tolist() for rows in (inputs, outputs))):
-                shares[i, j] = response[j] * times((inputs[i] * outputs[j])[None], accelerance)[0]
+                shares[i, j] = response[j] * real_product((inputs[i] * outputs[j])[None], accelerance)[0]
         return shares
 
 
@@ -87,34 +87,34 @@ class GaugeRows:
     measured: Complex[np.ndarray, "gauges lines"]
     response: Complex[np.ndarray, "gauges lines"]
     noise_power: Float[np.ndarray, "gauges lines"]
-    constant: Complex[np.ndarray, "gauges lines"]
+    zero_error: Complex[np.ndarray, "gauges lines"]
 
 
 @dataclass(frozen=True)
 class GaugeErrors:
-    """Errors of gauges that no tolerance states, as rows behind `stations` others; truncation is per newton."""
+    """Errors of gauges that no tolerance states, as rows behind `station_count` others; truncation is per newton."""
 
-    stations: int
-    names: tuple[str, ...]
-    forces: tuple[str, ...]
-    constant: Complex[np.ndarray, "gauges lines"]
+    station_count: int
+    gauge_names: tuple[str, ...]
+    force_names: tuple[str, ...]
+    zero_error: Complex[np.ndarray, "gauges lines"]
     truncation: dict[tuple[int, int], Complex[np.ndarray, " lines"]]
 
     def changes(self, inputs: Complex[np.ndarray, "inputs lines"]) -> tuple[Change, ...]:
         """Changes by one standard deviation of every error, given the exciting and the contact forces."""
-        zeros = [
-            Change(Nuisance(NuisanceKind.ZERO, name), [self.stations + j], self.constant[[j]])
-            for j, name in enumerate(self.names)
+        zero_changes = [
+            Change(Nuisance(NuisanceKind.ZERO, name), [self.station_count + j], self.zero_error[[j]])
+            for j, name in enumerate(self.gauge_names)
         ]
-        left_out = [
+        truncation_changes = [
             Change(
-                Nuisance(NuisanceKind.TRUNCATION, f"{self.names[j]} by {self.forces[i]}"),
-                [self.stations + j],
+                Nuisance(NuisanceKind.TRUNCATION, f"{self.gauge_names[j]} by {self.force_names[i]}"),
+                [self.station_count + j],
                 (share * inputs[i])[None],
             )
             for (i, j), share in self.truncation.items()
         ]
-        return (*zeros, *left_out)
+        return (*zero_changes, *truncation_changes)
 
 
 def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:
@@ -124,36 +124,32 @@ def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauge
     does not begin at rest, unless it is a segment of a longer one. Slow motion may be lost in the noise of the
     accelerometers and yet bend the gauges: where accelerometers tell no quiet start, the force and the gauges do.
     """
-    rig, count = recording.rig, motion.samples
-    are_used = use == "auto" and not rig.base_sensors
-    gauges = [s for s in rig.sensors if are_used and not s.measures.translates]
-    gauges = [s for s in gauges if np.ptp(recording.values_of(s)) > 0]
+    rig, sample_count = recording.rig, motion.samples
+    gauges = [s for s in rig.sensors if not s.measures.translates and np.ptp(recording.values_of(s)) > 0]
+    if use != "auto" or rig.base_sensors:
+        gauges = []
     excited_from = motion.excited_from
     if gauges and not (excited_from or recording.start_s) and all(s.measures.order == 2 for s in motion.sensors):
         excited_from = excitation_start(
             recording.forces_n, (recording.values_of(s) for s in gauges), rig.sample_rate_hz
         )
-    quiet, in_motion = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
-    if not (gauges and (quiet or in_motion)):
-        return no_gauges(motion), motion
-    raw = np.stack([recording.values_of(s)[:count] for s in gauges])
-    if in_motion:  # the segment of a longer record tells the zero by its open contacts alone
-        density = [
+    quiet_samples, is_segment = replace(motion, excited_from=excited_from).quiet_samples, recording.start_s > 0
+    if not (gauges and (quiet_samples or is_segment)):
+        return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0)), motion
+    signals = np.stack([recording.values_of(s)[:sample_count] for s in gauges])
+    if is_segment:  # the segment of a longer record tells the zero by its open contacts alone
+        noise_densities = [
             s.noise_density or spectrogram_noise_density(row, rig.sample_rate_hz)[0]
-            for s, row in zip(gauges, raw, strict=True)
+            for s, row in zip(gauges, signals, strict=True)
         ]
-        noise, zero, zero_error = np.sqrt(rig.sample_rate_hz / 2) * np.array(density), raw.mean(axis=1), raw.std(axis=1)
-        strain = (raw - zero[:, None]) * taper(count, round(TAPER_S * rig.sample_rate_hz))[::-1]
+        noise = np.sqrt(rig.sample_rate_hz / 2) * np.array(noise_densities)
+        zero_offset, zero_error = signals.mean(axis=1), signals.std(axis=1)
+        strain = (signals - zero_offset[:, None]) * taper(sample_count, round(TAPER_S * rig.sample_rate_hz))[::-1]
     else:
-        noise, zero = raw[:, :quiet].std(axis=1), raw[:, :quiet].mean(axis=1)
-        strain, zero_error = raw - zero[:, None], noise / np.sqrt(quiet)
+        noise, zero_offset = signals[:, :quiet_samples].std(axis=1), signals[:, :quiet_samples].mean(axis=1)
+        strain, zero_error = signals - zero_offset[:, None], noise / np.sqrt(quiet_samples)
     gains = np.abs([s.gain for s in gauges])
     sensors = tuple(with_fields(s, fibre_m=rig.fibre_m(s)) for s in gauges)
     channels = (*motion.channels, *(s.name for s in gauges))
-    used = Gauges(sensors, strain, noise / gains, zero_error / gains)
-    return used, replace(motion, excited_from=excited_from, channels=channels)
-
-
-def no_gauges(motion: Kinematics) -> Gauges:
-    """No gauges beside a motion."""
-    return Gauges((), np.empty((0, motion.samples)), np.empty(0), np.empty(0))
+    scaled_gauges = Gauges(sensors, strain, noise / gains, zero_error / gains)
+    return scaled_gauges, replace(motion, excited_from=excited_from, channels=channels)

@@ -15,7 +15,6 @@ from identify.contacts.law_fit import FORMS
 from identify.contacts.outcomes import Outcomes
 from identify.contacts.paper_methods import (
     PaperMethods,
-    SignalsByLaw,
     check_request,
     paper_methods,
     signals_by_law,
@@ -23,8 +22,8 @@ from identify.contacts.paper_methods import (
 )
 from identify.contacts.refusals import Refusal
 from identify.contacts.results import ContactReport
-from identify.linear.joined import Joined
-from identify.linear.modal import NEARLY_INVISIBLE, Transformation
+from identify.linear.joined import ContactGroup
+from identify.linear.modal import NEARLY_INVISIBLE_SHARE, Transformation
 from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
@@ -37,7 +36,7 @@ from rig.model.description import Rig, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
-CLOSED_SHARE_DOUBT = 0.05
+MAX_SHARE_HALF_WIDTH = 0.05
 """Largest half-width of the 95 % interval of a share of time that is reported."""
 
 
@@ -46,29 +45,29 @@ class Identification:
     """Result of an identification: the report, and the signals and estimates behind it.
 
     motion has the forces and the sensors, but not the stations' signals. eta_m includes the drift; separated_n are the
-    contact forces at every `factor`-th sample, one for all contacts of the `same_place`.
+    contact forces at every `decimation`-th sample, one for each of the contact_groups.
     """
 
     report: ContactReport
     rig: Rig
     motion: Kinematics
     eta_m: Float[np.ndarray, "contacts samples"]
-    same_place: tuple[Joined, ...]
-    separated_n: Float[np.ndarray, "places fewer"]
-    factor: int
+    contact_groups: tuple[ContactGroup, ...]
+    separated_n: Float[np.ndarray, "groups fewer"]
+    decimation: int
     outcomes: Outcomes
     methods: PaperMethods
     tolerances: Tolerances
 
     @property
-    def weak(self) -> Nifo:
+    def weak_nifo(self) -> Nifo:
         """NIFO's weak form of the main equation; raises RigError if there is none."""
-        return self._forms[0]
+        return self._main_spectra[0]
 
     @property
-    def paper(self) -> Nifo:
+    def paper_nifo(self) -> Nifo:
         """NIFO in the paper's form; raises RigError if there is none."""
-        return self._forms[1]
+        return self._main_spectra[1]
 
     @property
     def surface(self) -> Surface:
@@ -83,26 +82,12 @@ class Identification:
         return stops_of(self.rig, self.outcomes)
 
     @property
-    def _forms(self) -> tuple[Nifo, ...]:
-        if not self.methods.forms:
+    def _main_spectra(self) -> tuple[Nifo, ...]:
+        if not self.methods.main_spectra:
             raise RigError(
                 "; ".join(self.methods.notes) or "NIFO needs a force, and the exciting force is zero throughout"
             )
-        return self.methods.forms
-
-
-@dataclass(frozen=True)
-class _SeparatedContacts:
-    """Results of the first three stages without the nuisance signals, which take much memory."""
-
-    rig: Rig
-    motion: Kinematics
-    same_place: tuple[Joined, ...]
-    separated_n: Float[np.ndarray, "places fewer"]
-    factor: int
-    outcomes: Outcomes
-    findings: tuple[Finding, ...]
-    signals: SignalsByLaw
+        return self.methods.main_spectra
 
 
 def identify_contact(
@@ -128,49 +113,36 @@ def identify_contact(
     """
     averaging = averaging or Averaging()
     check_request(recording, averaging, equation)
-    rig = recording.rig
-    separated = _separated_contacts(recording, use, tolerances)
+    rig, contacts = recording.rig, checked_contacts(recording, use, tolerances, FORMS)
+    separation, outcomes = contacts.separation, contacts.outcomes
+    condensed_rig, motion, groups = separation.rig, separation.motion, separation.contact_groups
+    separated_n, decimation = separation.forces.force_n, separation.forces.decimation
+    findings, signals = contacts.findings, signals_by_law(separation, outcomes)
+    del contacts, separation  # whose nuisance signals take much memory
     progress(0.5)
-    single_contacts = {place.members[0] for place in separated.same_place if len(place.members) == 1}
     methods = paper_methods(
-        separated.rig,
-        separated.motion,
-        separated.signals,
-        stops_of(rig, separated.outcomes),
-        single_contacts=single_contacts,
+        condensed_rig,
+        motion,
+        signals,
+        stops_of(rig, outcomes),
+        single_contacts={group.contact_indices[0] for group in groups if len(group.contact_indices) == 1},
         averaging=averaging,
         equation=equation,
     )
     progress(0.95)
     names = [contact.name for contact in rig.contacts]
-    findings = separated.findings + tuple(equation_findings(names, separated.outcomes.estimates, methods.spectra))
+    findings += tuple(equation_findings(names, outcomes.estimates, methods.spectra))
     return Identification(
-        report=contact_report(rig, separated.outcomes, methods, findings),
+        report=contact_report(rig, outcomes, methods, findings),
         rig=rig,
         motion=methods.motion,
         eta_m=methods.eta_m,
-        same_place=separated.same_place,
-        separated_n=separated.separated_n,
-        factor=separated.factor,
-        outcomes=separated.outcomes,
+        contact_groups=groups,
+        separated_n=separated_n,
+        decimation=decimation,
+        outcomes=outcomes,
         methods=methods,
         tolerances=tolerances or rig.tolerances or LABORATORY,
-    )
-
-
-def _separated_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> _SeparatedContacts:
-    """Separation, determination and acceptance of a recording's contacts."""
-    contacts = checked_contacts(recording, use, tolerances, FORMS)
-    separation = contacts.separation
-    return _SeparatedContacts(
-        rig=separation.rig,
-        motion=separation.motion,
-        same_place=separation.same_place,
-        separated_n=separation.forces.force_n,
-        factor=separation.forces.factor,
-        outcomes=contacts.outcomes,
-        findings=contacts.findings,
-        signals=signals_by_law(separation, contacts.outcomes),
     )
 
 
@@ -182,7 +154,7 @@ def contact_report(
     eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_contact(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(_estimates(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
@@ -208,17 +180,17 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     lower, upper = estimate.touched
     (lower_m, upper_m, *_), (lower_error_m, upper_error_m, *_) = estimate.values, estimate.errors
 
-    def share(errors_outwards: float) -> float:
-        below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
-        return float(np.mean(below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
+    def share_beyond(errors_outwards: float) -> float:
+        is_below = lower & (eta_m < -lower_m - errors_outwards * lower_error_m)
+        return float(np.mean(is_below | (upper & (eta_m > upper_m + errors_outwards * upper_error_m))))
 
-    return share(0.0) if share(-COVERED) - share(COVERED) < 2 * CLOSED_SHARE_DOUBT else None
+    return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
 
-def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
+def _estimates(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
-        for gradient in (*np.eye(len(estimate.values)), estimate.clearance)
+        for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)
     )
     return results.ContactEstimate(
         name=name,
@@ -229,8 +201,8 @@ def _contact(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samp
         upper_clearance_m=upper if estimate.sides_known and estimate.touched[1] else None,
         closed_share=closed_share(estimate, eta_m),
         law=estimate.form.name,
-        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.shapes else None,
-        reference_depth_m=estimate.form.reference_depth_m if estimate.form.shapes else None,
+        exponent=results.Estimate(estimate.exponent, estimate.exponent_error) if estimate.form.exponent_count else None,
+        reference_depth_m=estimate.form.reference_depth_m if estimate.form.exponent_count else None,
     )
 
 
@@ -241,8 +213,8 @@ def _modes(rig: Rig, spectra: Sequence[Nifo], refusals: Mapping[str, Refusal]) -
 
     def mode_of(nifo: Nifo) -> results.Mode:
         body = nifo.equation.body
-        acting = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
-        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), acting)
+        undetermined_names = tuple(c.name for c in undetermined if body in {s.body for s in contact_stations(c)})
+        return results.Mode(body, nifo.equation.index, *fit_mode(nifo), undetermined_names)
 
     return tuple(mode_of(nifo) for nifo in nifo_in_band)
 
@@ -254,11 +226,10 @@ def _nifo_result(rig: Rig, nifo: Nifo) -> results.NifoResult:
             nifo.contacts, nifo.mean_n_per_m, nifo.stiffness_error_n_per_m, nifo.deviation_n_per_m, strict=True
         )
     )
-    hidden = tuple(
-        c.name for c, share in zip(rig.contacts, nifo.equation.visibility, strict=True) if share < NEARLY_INVISIBLE
-    )
+    shares = zip(rig.contacts, nifo.equation.visibility, strict=True)
+    invisible_names = tuple(contact.name for contact, share in shares if share < NEARLY_INVISIBLE_SHARE)
     band = (float(nifo.frequency_hz[0]), float(nifo.frequency_hz[-1]))
-    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, hidden)
+    return results.NifoResult(nifo.equation.name, band, nifo.resolution_hz, nifo.averages, stiffness, invisible_names)
 
 
 def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Clearance, ...]:
@@ -271,6 +242,5 @@ def _clearances(rig: Rig, stops: Sequence[Stops | None]) -> tuple[results.Cleara
 
 def _transformation_result(transform: Transformation) -> results.TransformationResult:
     modes, stations = transform.inverse_shapes.shape
-    return results.TransformationResult(
-        transform.body.name, stations, modes, transform.condition, tuple(float(x) for x in transform.lost)
-    )
+    shares, condition_number = tuple(transform.truncation_shares.tolist()), transform.condition_number
+    return results.TransformationResult(transform.body.name, stations, modes, condition_number, shares)

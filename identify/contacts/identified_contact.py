@@ -20,8 +20,8 @@ class EstimatedQuantity:
     @property
     def interval(self) -> tuple[float, float]:
         """Both ends of the 95 % interval, value ∓ 1.96 standard errors, in `unit`."""
-        half = COVERED * self.standard_error
-        return self.value - half, self.value + half
+        half_width = COVERED * self.standard_error
+        return self.value - half_width, self.value + half_width
 
     def __str__(self) -> str:
         return interval(self.value, self.standard_error, self.unit)
@@ -58,8 +58,8 @@ def identified_contact(contact: ContactEstimate) -> IdentifiedContact:
         clearance=_with_unit(contact.clearance_m, "m"),
         stiffness=_with_unit(contact.stiffness_n_per_m, "N/m"),
         damping=_with_unit(contact.damping_n_s_per_m, "N s/m"),
-        lower_clearance=_side(contact.lower_clearance_m),
-        upper_clearance=_side(contact.upper_clearance_m),
+        lower_clearance=_side_clearance(contact.lower_clearance_m),
+        upper_clearance=_side_clearance(contact.upper_clearance_m),
         law=contact.law,
     )
 
@@ -68,5 +68,5 @@ def _with_unit(estimate: Estimate, unit: str) -> EstimatedQuantity:
     return EstimatedQuantity(estimate.value, estimate.standard_error, unit)
 
 
-def _side(clearance_m: Estimate | None) -> EstimatedQuantity | None:
+def _side_clearance(clearance_m: Estimate | None) -> EstimatedQuantity | None:
     return None if clearance_m is None else _with_unit(clearance_m, "m")

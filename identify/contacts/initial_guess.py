@@ -14,44 +14,43 @@ from jaxtyping import Float
 from scipy.sparse import csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import spsolve
 
-from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord, clearly_closed, touched_stops
+from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord, clearly_closed, touched_stops
 from identify.contacts.law_form import (
     LAW,
     LawForm,
     LawParameters,
     NominalLaws,
-    Touched,
-    by_stiffness_and_damping,
+    TouchedStops,
     linear_form,
+    unit_forces,
 )
 from identify.contacts.linearization import Guess, ground_force_n
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
-from identify.signals.drift import Spline, spline
 from identify.signals.refit import refit_until_settled
 
 Sides = tuple[bool, bool]
 """(lower, upper): True where that stop is touched."""
-STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
+REGRESSION_STAGES = ((0.5, 30.0), (0.2, 30.0), (0.1, 10.0), (0.03, 3.0), (0.01, 1.0))
 """Error of the displacement where the contact is clearly closed, as a share of its standard deviation, and weight of
 the drift's curvature, stage by stage: at first so stiff that no drift can follow the closures."""
-OUTLIER_SHARES = 3.0
+OUTLIER_SCALE = 3.0
 """Scale of the weights of the next stage, in those errors: samples that ring are outliers (Geman and McClure)."""
 UNTOUCHED_RATIO = 1.1
 """Clearance of a stop that is never touched over the largest relative displacement."""
-KNEE_FORCES = 12
+KNEE_FORCE_COUNT = 12
 """Forces that are tried for each knee, spaced evenly in their logarithm."""
 SOFT_STOP_SHARE = 0.01
 """A soft stop is closed where the force exceeds this share of its 99.5 % quantile."""
 MOST_GUESSES = 4
 """Guesses that are fitted by Gauss-Newton."""
-SPRING_SHARES = np.geomspace(1e-3, 1.0, 16)
+SPRING_STIFFNESS_SHARES = np.geomspace(1e-3, 1.0, 16)
 """Stiffnesses that are tried for a spring beside stops, over the secant of the largest forces."""
 REWEIGHTING_ROUNDS = 30
 LEAST_DEVIATION_SHARE = 1e-3
 """Deviations below this share of the median deviation weigh as much as that share."""
 
 
-def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = None) -> Guess:
+def regressed_guess(record: ContactRecord, sides: Sides | None = None) -> Guess:
     """Law and drift b by the regression eta + b = +-clearance + force / k, linear in clearance, 1 / k and b, over the
     samples at which a stop on these sides, or else on the touched ones, is clearly closed.
 
@@ -62,45 +61,40 @@ def regressed_guess(record: ContactRecord, curve: Spline, sides: Sides | None = 
     """
     touched = touched_stops(record) if sides is None else sides
     for with_drift in (False, True) if record.spring_n_per_m else (True,):
-        *knots, clearance, softness = closed_fit(record, curve, with_drift, sides=touched)
-        if np.isfinite(clearance) and softness > 0:
-            far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-            lower, upper = (max(clearance, 0.0) if is_touched else far_m for is_touched in touched)
-            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
-            return np.array([lower, upper, 1 / softness, 0.0]), np.array(knots) / drift_ratio
+        *knots, clearance, compliance = closed_regression(record, with_drift, sides=touched)
+        if np.isfinite(clearance) and compliance > 0:
+            far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+            lower, upper = (max(clearance, 0.0) if is_touched else far_stop_m for is_touched in touched)
+            drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
+            return np.array([lower, upper, 1 / compliance, 0.0]), np.array(knots) / drift_ratio
     raise refused(RefusalCode.NO_STIFFNESS)
 
 
-def closed_fit(
+def closed_regression(
     record: ContactRecord,
-    curve: Spline,
     with_drift: bool,
-    clear_share: float = CLEAR_SHARE,
-    beyond_n: Sequence[Float[np.ndarray, " fewer"]] = (),
+    force_share: float = CLOSED_FORCE_SHARE,
+    knee_excess_n: Sequence[Float[np.ndarray, " fewer"]] = (),
     sides: Sides = (True, True),
 ) -> Float[np.ndarray, " unknowns"]:
     """Regression on closed samples: drift's knots, clearance, 1 / stiffness, and the decrease of it beyond each
     knee."""
-    magnitude_n = np.abs(record.force_n)
-    drift_at_force = curve.value[:: record.factor][: magnitude_n.size]
-    force = record.force_n
-    closed = clearly_closed(record, clear_share) & np.where(force < 0, *sides)
-    if not with_drift:
-        drift_at_force = csr_matrix(drift_at_force.shape)
-    eta = record.eta_m[:: record.factor][: magnitude_n.size][closed]
-    side = np.sign(force)
-    law_columns = np.stack([side, force, *(-side * beyond for beyond in beyond_n)], axis=1)[closed]
-    columns = hstack([-drift_at_force[closed], law_columns]).tocsr()
+    curve, force_n, sign = record.drift_spline, record.force_n, np.sign(record.force_n)
+    is_closed = clearly_closed(record, force_share) & np.where(force_n < 0, *sides)
+    drift_m = record.at_force_samples(curve.value)[is_closed]
+    eta = record.at_force_samples(record.eta_m)[is_closed]
+    law_columns = np.stack([sign, force_n, *(-sign * excess_n for excess_n in knee_excess_n)], axis=1)[is_closed]
+    columns = hstack([-drift_m if with_drift else csr_matrix(drift_m.shape), law_columns]).tocsr()
     curvature_rows = hstack([curve.curvature, csr_matrix((curve.target.size, law_columns.shape[1]))])
     weights = np.ones(eta.size)
-    for share, curvature_weight in STAGES:
+    for share, curvature_weight in REGRESSION_STAGES:
         scale_m = share * float(np.std(eta))
         rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        target = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
+        right_side = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
         knot_ridge = np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ target)
-        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SHARES * scale_m)) ** 2)
+        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ right_side)
+        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
     return np.asarray(solution)
 
 
@@ -109,12 +103,11 @@ def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
 
     Raises ContactRefusedError as `regressed_guess` does.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    eta = record.eta_m + curve.value @ regressed_guess(record, curve)[1]
+    eta = record.eta_m + record.drift_spline.value @ regressed_guess(record)[1]
     return np.array([-eta.min(), eta.max()])
 
 
-def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> list[Guess]:
+def guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> list[Guess]:
     """Initial guesses, each with and without the drift of its regression; of a spring alone, by least squares. A spring
     beside stops has its nominal stiffness and damping, which `spring_guess` gives.
 
@@ -125,47 +118,51 @@ def guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched:
     """
     sides, form = np.any(touched, axis=0), linear_form(touched)
     if not sides.any():
-        return [_refined_guess(record, curve, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(curve.knots), form)[1]]
-    if form.springs:
+        return [
+            _refined_guess(record, LAW.vector({"stiffness_n_per_m": 1.0}), np.zeros(record.drift_spline.knots), form)[1]
+        ]
+    if form.spring_indices:
         are_stops = touched.any(axis=1)
         (spring,) = nominal[~are_stops]
-        of_stops = guesses(without_spring(record, spring), curve, nominal[are_stops], touched[are_stops])
-        return _with_spring(record, curve, nominal, form, of_stops)
-    law, knots = regressed_guess(record, curve, (bool(sides[0]), bool(sides[1])))
+        stop_guesses = guesses(without_spring(record, spring), nominal[are_stops], touched[are_stops])
+        return _guesses_with_spring(record, nominal, form, stop_guesses)
+    law, knots = regressed_guess(record, (bool(sides[0]), bool(sides[1])))
     candidates = [(law, knots)]
     if len(nominal) > 1:
-        far_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
-        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_m), nominal[:, 2:]])
-        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, curve, nominal, touched)]
-    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if curve.knots]
+        far_stop_m = UNTOUCHED_RATIO * float(np.max(np.abs(record.eta_m)))
+        nominal = np.column_stack([np.where(touched, nominal[:, :2], far_stop_m), nominal[:, 2:]])
+        candidates = [(nominal.ravel(), knots), *_knee_guesses(record, nominal, touched)]
+    candidates += [(law, np.zeros_like(knots)) for law, knots in candidates if knots.size]
     if len(nominal) == 1:
         return candidates
-    return _best_guesses(record, curve, candidates, form)
+    return _best_guesses(record, candidates, form)
 
 
-def _with_spring(
-    record: ContactRecord, curve: Spline, nominal: NominalLaws, form: LawForm, of_stops: Sequence[Guess]
+def _guesses_with_spring(
+    record: ContactRecord, nominal: NominalLaws, form: LawForm, stop_guesses: Sequence[Guess]
 ) -> list[Guess]:
     """Guesses of stops with the spring of `nominal` beside them."""
     candidates: list[Guess] = []
-    for law, knots in of_stops:
+    for law, knots in stop_guesses:
         laws = nominal.copy()
-        laws[np.isin(np.arange(len(laws)), form.springs, invert=True)] = law.reshape(-1, len(LAW))
+        laws[np.isin(np.arange(len(laws)), form.spring_indices, invert=True)] = law.reshape(-1, len(LAW))
         candidates.append((laws.ravel(), knots))
-    return _best_guesses(record, curve, candidates, form)
+    return _best_guesses(record, candidates, form)
 
 
-def _best_guesses(record: ContactRecord, curve: Spline, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
+def _best_guesses(record: ContactRecord, candidates: Sequence[Guess], form: LawForm) -> list[Guess]:
     """Refined guesses of least misfit."""
-    ranked = sorted((_refined_guess(record, curve, *guess, form) for guess in candidates), key=lambda pair: pair[0])
-    return [guess for misfit, guess in ranked[:MOST_GUESSES] if np.isfinite(misfit)]
+    ranked_guesses = sorted((_refined_guess(record, *guess, form) for guess in candidates), key=lambda pair: pair[0])
+    return [guess for misfit, guess in ranked_guesses[:MOST_GUESSES] if np.isfinite(misfit)]
 
 
 def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecord:
     """Record with the force of a spring subtracted. What the drift of the relative displacement adds to that force
     remains, as of a spring to the ground."""
     *_, stiffness, damping = spring.tolist()
-    eta, velocity = (row[:: record.factor][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s))
+    eta, velocity = (
+        row[:: record.decimation][: record.force_n.size] for row in (record.eta_m, record.velocity_m_per_s)
+    )
     drift = record.drift and replace(
         record.drift,
         spring_n_per_m=record.drift.spring_n_per_m + stiffness,
@@ -175,83 +172,80 @@ def without_spring(record: ContactRecord, spring: LawParameters) -> ContactRecor
 
 
 def spring_guess(record: ContactRecord) -> tuple[LawParameters, Float[np.ndarray, " samples"]]:
-    """Spring beside stops, and the relative displacement with its drift, m: of the stiffnesses `SPRING_SHARES`, the one
-    that leaves least of the force beside one stop, then the spring of that least-squares solution once more.
+    """Spring beside stops, and the relative displacement with its drift, m: of the stiffnesses by
+    `SPRING_STIFFNESS_SHARES`, the one that leaves least of the force beside one stop, then the spring of that
+    least-squares solution once more.
 
     Raises ContactRefusedError if no force grows with the relative displacement beyond that of a spring.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    form = LawForm(springs=(1,))
+    form = LawForm(spring_indices=(1,))
     force_n, eta_m = (float(np.quantile(np.abs(row), 0.995)) for row in (record.force_n, record.eta_m))
-    tried_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_SHARES
-    springs = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in tried_n_per_m]
-    least, best = np.inf, None
+    stiffnesses_n_per_m = force_n / max(eta_m, 1e-300) * SPRING_STIFFNESS_SHARES
+    springs = [LAW.vector({"stiffness_n_per_m": float(stiffness)}) for stiffness in stiffnesses_n_per_m]
+    least_misfit, best_guess = np.inf, None
     for number in range(len(springs) + 1):
         if number < len(springs):
             spring = springs[number]
-        elif best is not None:
-            spring = best[0][len(LAW) :]
+        elif best_guess is not None:
+            spring = best_guess[0][len(LAW) :]
         try:
-            law, knots = regressed_guess(without_spring(record, spring), curve)
+            law, knots = regressed_guess(without_spring(record, spring))
         except ContactRefusedError:
             continue
         for drift_knots in (knots, np.zeros_like(knots)):
-            misfit, guess = _refined_guess(record, curve, np.concatenate([law, spring]), drift_knots, form)
-            if misfit < least:
-                least, best = misfit, guess
-    if best is None:
+            misfit, guess = _refined_guess(record, np.concatenate([law, spring]), drift_knots, form)
+            if misfit < least_misfit:
+                least_misfit, best_guess = misfit, guess
+    if best_guess is None:
         raise refused(RefusalCode.NO_STIFFNESS)
-    return best[0][len(LAW) :], record.eta_m + curve.value @ best[1]
+    return best_guess[0][len(LAW) :], record.eta_m + record.drift_spline.value @ best_guess[1]
 
 
 def _refined_guess(
-    record: ContactRecord,
-    curve: Spline,
-    law_parameters: LawParameters,
-    knots: Float[np.ndarray, " knots"],
-    form: LawForm,
+    record: ContactRecord, law_parameters: LawParameters, knots: Float[np.ndarray, " knots"], form: LawForm
 ) -> tuple[float, Guess]:
     """Misfit, and the law with stiffnesses and dampings by least squares. The misfit is infinite if they are not
     determined, or a stiffness is negative."""
-    at_force, laws = (
-        slice(None, record.force_n.size * record.factor, record.factor),
-        law_parameters.reshape(-1, len(LAW)).copy(),
-    )
-    eta = (record.eta_m + curve.value @ knots)[at_force]
-    rate = (record.velocity_m_per_s + curve.rate @ knots)[at_force]
-    columns = np.stack(by_stiffness_and_damping(form, laws.ravel(), eta, rate), axis=1)
-    force = record.force_n - ground_force_n(record, curve) @ knots
-    coefficients, _, rank, _ = np.linalg.lstsq(columns, force, rcond=None)
+    curve, laws = record.drift_spline, law_parameters.reshape(-1, len(LAW)).copy()
+    eta = record.at_force_samples(record.eta_m + curve.value @ knots)
+    rate = record.at_force_samples(record.velocity_m_per_s + curve.rate @ knots)
+    columns = np.stack(unit_forces(form, laws.ravel(), eta, rate), axis=1)
+    force_n = record.force_n - ground_force_n(record) @ knots
+    coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
     is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)
-    return float(np.sum((force - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
+    return float(np.sum((force_n - columns @ coefficients) ** 2)) if is_determined else np.inf, (laws.ravel(), knots)
 
 
-def _knee_guesses(record: ContactRecord, curve: Spline, nominal: NominalLaws, touched: Touched) -> Iterator[Guess]:
+def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedStops) -> Iterator[Guess]:
     """Guesses by the regression with knees, knee by knee assigned in the order of the nominal clearances."""
     magnitude_n = np.abs(record.force_n)
     sides, largest_n = touched.sum(axis=0), float(np.quantile(magnitude_n, 0.9995))
     least_n = magnitude_n[clearly_closed(record, SOFT_STOP_SHARE)].min()
-    knee_forces_n = np.geomspace(least_n, largest_n, KNEE_FORCES + 2)[1:-1]
+    knee_forces_n = np.geomspace(least_n, largest_n, KNEE_FORCE_COUNT + 2)[1:-1]
     for knees_n in combinations(knee_forces_n, int(sides.max()) - 1):
-        beyond_n = [
+        knee_excess_n = [
             np.maximum(magnitude_n - knee_n, 0.0) * (np.where(record.force_n < 0, *sides) > m)
             for m, knee_n in enumerate(knees_n, 1)
         ]
         for with_drift in (False, True) if record.spring_n_per_m else (True,):
-            solution = closed_fit(record, curve, with_drift, SOFT_STOP_SHARE, beyond_n)
-            knots, (clearance, softness, *softer) = solution[: curve.knots], solution[curve.knots :].tolist()
-            sums = 1 / (softness - np.cumsum([0.0, *softer]))
-            if not (np.isfinite(clearance) and np.all(sums > 0) and np.all(np.diff(sums) > 0)):
+            solution = closed_regression(record, with_drift, SOFT_STOP_SHARE, knee_excess_n)
+            knot_count = record.drift_spline.knots
+            knots, (clearance, compliance, *compliance_steps) = solution[:knot_count], solution[knot_count:].tolist()
+            summed_n_per_m = 1 / (compliance - np.cumsum([0.0, *compliance_steps]))
+            if not (np.isfinite(clearance) and np.all(summed_n_per_m > 0) and np.all(np.diff(summed_n_per_m) > 0)):
                 continue
-            clearances = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / sums[:-1])])
-            stiffnesses = np.diff([0.0, *sums])
+            clearances_m = max(clearance, 0.0) + np.cumsum([0.0, *(np.diff([0.0, *knees_n]) / summed_n_per_m[:-1])])
+            stiffnesses_n_per_m = np.diff([0.0, *summed_n_per_m])
             law = nominal.copy()
             for side in range(2):
                 contacts = np.flatnonzero(touched[:, side])
                 contacts = contacts[np.argsort(nominal[contacts, side], kind="stable")]
-                law[contacts, side], law[contacts, 2] = clearances[: contacts.size], stiffnesses[: contacts.size]
-            drift_ratio = 1 + record.spring_n_per_m * softness * with_drift
+                law[contacts, side], law[contacts, 2] = (
+                    clearances_m[: contacts.size],
+                    stiffnesses_n_per_m[: contacts.size],
+                )
+            drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
             yield law.ravel(), knots / drift_ratio
 
 
@@ -266,9 +260,9 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
     squares.
     """
     pulls = np.zeros(len(record.nuisance_n))
-    if not np.any(record.initial):
+    if not np.any(record.is_initial_state):
         return pulls
-    columns = record.nuisance_n[record.initial].astype(float)
+    columns = record.nuisance_n[record.is_initial_state].astype(float)
 
     def reweighted(theta: Float[np.ndarray, " initial"]) -> Float[np.ndarray, " initial"]:
         deviation_n = np.abs(record.force_n - theta @ columns)
@@ -277,7 +271,9 @@ def initial_pulls(record: ContactRecord) -> Float[np.ndarray, " nuisances"]:
         prior = np.eye(len(columns)) / median_n
         return np.linalg.solve(weighted @ columns.T + prior, weighted @ record.force_n)
 
-    pulls[record.initial] = refit_until_settled(pulls[record.initial], reweighted, rounds=REWEIGHTING_ROUNDS)
+    pulls[record.is_initial_state] = refit_until_settled(
+        pulls[record.is_initial_state], reweighted, rounds=REWEIGHTING_ROUNDS
+    )
     return pulls
 
 

@@ -1,7 +1,7 @@
 """Joint fit of clearances, stiffness and damping of one contact, or of several that share a relative displacement, with
 the drift of that displacement and the nuisance parameters of rig.json; estimates with their covariance."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -11,24 +11,24 @@ from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
 from identify.contacts.initial_guess import guesses, initial_pulls, without_nuisances
-from identify.contacts.law_fit import chosen_form, first_fit, misfit_covariance, tie_of
+from identify.contacts.law_fit import chosen_form, first_fit, free_parameters, misfit_covariance
 from identify.contacts.law_form import (
     DEAD_ZONE,
     LAW,
     SPRING,
-    STIFFNESS,
+    STIFFNESS_GRADIENT,
     FormName,
     LawForm,
     LawParameters,
     NominalLaws,
     Signal,
-    Touched,
+    TouchedStops,
     linear_form,
 )
 from identify.contacts.linearization import State, drift_signals
 from identify.contacts.refusals import RefusalCode, refused
 from identify.pages.wording import COVERED
-from identify.signals.drift import Spline, spline
+from identify.signals.drift import Spline
 from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
 
 DRIFT_PULL_LIMIT = 25.0
@@ -36,58 +36,62 @@ DRIFT_PULL_LIMIT = 25.0
 WANDER_LIMIT = 3.0
 """Noise, integrated twice between two closures, over the median penetration: beyond it the closures cannot be
 placed."""
-NOISE_LIMIT = 1.5
+NOISE_RATIO_LIMIT = 1.5
 """Largest noise of a separated force over that of the sensors in it."""
 PAUSE_SHARE = 0.05
 """Share of the times between closures, the longest, that `WANDER_LIMIT` spares: a pause splits the record in two."""
+
+Covariance = Float[np.ndarray, "4 4"]
+"""Covariance of the parameters of `LAW`."""
 
 
 @dataclass(frozen=True)
 class JointEstimate:
     """Estimate of one contact: values of the parameters of `LAW` with their covariance.
 
-    of_tolerances, of_drift and of_misfit are the parts of the covariance from the tolerances of rig.json, from the slow
-    motion that accelerometers miss, and from the misfit of the law's form; the rest is the record's own scatter.
+    covariances are the parts of the covariance by source: "scatter" of the record, "tolerances" of rig.json, "drift",
+    the slow motion that accelerometers miss, and "law", the misfit of the law's form.
     sides_known: lower and upper clearance are distinguished; touched: the record determines (lower, upper). drift_m and
     drift_m_per_s were added to the relative displacement and velocity. pulls are the nuisance parameters in standard
-    deviations. unexplained is the share of the contact force's root mean square that the fit leaves beyond the sensors'
-    noise; halves are the differences of clearance and stiffness between the record's halves in standard errors. The
-    stiffness of a power law is the force over the depth at the reference depth of its form.
+    deviations. unexplained_share is the share of the contact force's root mean square that the fit leaves beyond the
+    sensors' noise; half_differences are those of clearance and stiffness between the record's halves in standard
+    errors. The stiffness of a power law is the force over the depth at the reference depth of its form.
     """
 
     values: LawParameters
-    covariance: Float[np.ndarray, "4 4"]
-    of_tolerances: Float[np.ndarray, "4 4"]
-    of_drift: Float[np.ndarray, "4 4"]
-    of_misfit: Float[np.ndarray, "4 4"]
+    covariances: Mapping[str, Covariance]
     sides_known: bool
     touched: tuple[bool, bool]
     drift_m: Float[np.ndarray, " samples"]
     drift_m_per_s: Float[np.ndarray, " samples"]
     pulls: Float[np.ndarray, " nuisances"]
-    unexplained: float = 0.0
-    halves: tuple[float, float] = (0.0, 0.0)
+    unexplained_share: float = 0.0
+    half_differences: tuple[float, float] = (0.0, 0.0)
     form: LawForm = DEAD_ZONE
     exponent: float = 1.0
     exponent_error: float = 0.0
 
     @property
+    def covariance(self) -> Covariance:
+        return sum(self.covariances.values(), np.zeros((len(LAW), len(LAW))))
+
+    @property
     def law_parameters(self) -> LawParameters:
         """Parameters as the form takes them: values, then the exponent of a power law."""
-        return np.concatenate([self.values, np.full(self.form.shapes, self.exponent)])
+        return np.concatenate([self.values, np.full(self.form.exponent_count, self.exponent)])
 
     def force_n(self, eta_m: Signal, rate_m_per_s: Signal) -> Signal:
         return self.form.force_n(self.law_parameters, eta_m, rate_m_per_s)
 
     def spring_m(self, eta_m: Signal) -> Signal:
         """Force over stiffness, m: the depth, or for a power law depth |depth / d|^(p - 1)."""
-        unit = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
-        return self.form.force_n(unit, eta_m, np.zeros_like(eta_m))
+        unit_parameters = np.concatenate([self.values[:2], [1.0, 0.0], self.law_parameters[len(LAW) :]])
+        return self.form.force_n(unit_parameters, eta_m, np.zeros_like(eta_m))
 
     @property
-    def clearance(self) -> LawParameters:
+    def clearance_gradient(self) -> LawParameters:
         """Clearance as a linear function of the parameters: half the total play, or that of the only touched stop."""
-        return _clearance(self.touched)
+        return _clearance_gradient(self.touched)
 
     @property
     def is_spring(self) -> bool:
@@ -96,15 +100,15 @@ class JointEstimate:
 
     @property
     def clearance_m(self) -> float:
-        return float(self.clearance @ self.values)
+        return float(self.clearance_gradient @ self.values)
 
     @property
     def clearance_error_m(self) -> float:
-        return self.error(self.clearance)
+        return self.error(self.clearance_gradient)
 
     @property
     def stiffness_n_per_m(self) -> float:
-        return float(STIFFNESS @ self.values)
+        return float(STIFFNESS_GRADIENT @ self.values)
 
     @property
     def errors(self) -> LawParameters:
@@ -112,38 +116,35 @@ class JointEstimate:
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def error(self, gradient: LawParameters) -> float:
-        """Standard error of a linear function of the parameters, such as `STIFFNESS`."""
+        """Standard error of a linear function of the parameters, such as `STIFFNESS_GRADIENT`."""
         return float(np.sqrt(gradient @ self.covariance @ gradient))
 
     def own_error(self, gradient: LawParameters) -> float:
         """Standard error of a linear function by the record's own scatter and drift, which differ in other records."""
-        return float(np.sqrt(gradient @ (self.covariance - self.of_tolerances - self.of_misfit) @ gradient))
+        return float(np.sqrt(gradient @ (self.covariances["scatter"] + self.covariances["drift"]) @ gradient))
 
     @property
     def reversed(self) -> "JointEstimate":
         """Estimate with the relative displacement counted in the other direction."""
-        swapped = np.eye(len(LAW))[[1, 0, 2, 3]]
+        swap_matrix = np.eye(len(LAW))[[1, 0, 2, 3]]
         lower, upper = self.touched
         return replace(
             self,
-            values=swapped @ self.values,
-            covariance=swapped @ self.covariance @ swapped,
-            of_tolerances=swapped @ self.of_tolerances @ swapped,
-            of_drift=swapped @ self.of_drift @ swapped,
-            of_misfit=swapped @ self.of_misfit @ swapped,
+            values=swap_matrix @ self.values,
+            covariances={source: swap_matrix @ part @ swap_matrix for source, part in self.covariances.items()},
             touched=(upper, lower),
             drift_m=-self.drift_m,
             drift_m_per_s=-self.drift_m_per_s,
         )
 
 
-def _clearance(touched: tuple[bool, bool]) -> LawParameters:
+def _clearance_gradient(touched: tuple[bool, bool]) -> LawParameters:
     lower, upper = np.array(touched) / max(sum(touched), 1)
     return LAW.vector({"lower_clearance_m": lower, "upper_clearance_m": upper})
 
 
 def fit_joint(
-    record: ContactRecord, nominal: NominalLaws, touched: Touched, forms: Sequence[FormName] = ()
+    record: ContactRecord, nominal: NominalLaws, touched: TouchedStops, forms: Sequence[FormName] = ()
 ) -> tuple[JointEstimate, ...]:
     """Joint estimates of all contacts of a record by one fit.
 
@@ -153,7 +154,9 @@ def fit_joint(
         residual = (force - theta' nuisance_n
                     - low-pass[sum of k dz(eta + h b - theta' nuisance_m; lower, upper) + c (eta' + h b') beyond the
                     gap, over the contacts]) / g
-                   - spring b - damper b',  g = 1 - theta' noise_in_n, h = 1 - theta' noise_in_m
+                   - spring b - damper b',  g = 1 - theta' n, h = 1 - theta' m
+
+    with the force_noise_multiple n and the eta_noise_multiple m.
 
     The prior of b'' is the measured slow acceleration, within the noise of the accelerometers. Where the zero of the
     relative displacement is unknown, lower = upper = half the total play. A contact of which neither side is touched is
@@ -168,12 +171,11 @@ def fit_joint(
     Raises ContactRefusedError if the contact is hardly ever closed, the fit does not converge, or several contacts
     cannot be told apart.
     """
-    curve = spline(record.eta_m.size, record.sample_rate_hz, record.drift)
-    form = linear_form(touched)
-    sides_known = record.sides_known or bool(form.springs)
-    tie, start_pulls = tie_of(touched, sides_known), initial_pulls(record)
-    candidates = guesses(without_nuisances(record, start_pulls), curve, nominal, touched)
-    fit = first_fit(record, curve, tie, candidates, start_pulls, form)
+    curve, form = record.drift_spline, linear_form(touched)
+    sides_known = record.sides_known or bool(form.spring_indices)
+    free_to_laws, start_pulls = free_parameters(touched, sides_known), initial_pulls(record)
+    candidates = guesses(without_nuisances(record, start_pulls), nominal, touched)
+    fit = first_fit(record, free_to_laws, candidates, start_pulls, form)
     if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
         raise refused(RefusalCode.DRIFT_TOO_LARGE)
     _check_bridged(record, fit.state)
@@ -181,24 +183,27 @@ def fit_joint(
     forms = forms if is_single and touched.any() else ()
     fit = chosen_form(fit, forms)
     state = fit.state
-    derivatives, equations, to_law = fit.linearized
-    pull_count, free = state.pulls.size, to_law.shape[1]
-    by_knots, by_dense = equations.solved(np.zeros((curve.knots, free)), np.eye(pull_count + free, free, -pull_count))
-    in_law = np.concatenate([by_dense[:pull_count], to_law @ by_dense[pull_count:]])
-    influence = derivatives.times(by_knots, in_law) * fit.weights[:, None] ** 2  # of residuals on parameters
-    degrees_of_freedom = PARTS - free  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
-    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
-    part_starts = informative_parts(influence @ to_law[LAW.names.index("stiffness_n_per_m")])
-    by_parts = part_scores(influence, state.residual, part_starts)
-    of_rows = (
-        small_sample_factor * by_parts,
-        record.sample_ratio * by_dense[:pull_count],
-        curve.curvature @ by_knots,
+    scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
+    pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
+    knots_by_free, dense_by_free = equations.solved(
+        np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    of_scatter, of_tolerances, of_drift = (to_law @ (x.T @ x) @ to_law.T for x in of_rows)
-    of_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else np.zeros_like(of_scatter)
-    covariance = of_scatter + of_tolerances + of_drift + of_misfit
-    drift_m, drift_m_per_s = drift_signals(record, curve, state.knots, state.pulls)
+    dense_in_laws = np.concatenate([dense_by_free[:pull_count], scaled_to_laws @ dense_by_free[pull_count:]])
+    influence = derivatives.columns(knots_by_free, dense_in_laws) * fit.weights[:, None] ** 2  # by residuals
+    degrees_of_freedom = PARTS - free_count  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
+    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
+    part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
+    by_parts = part_scores(influence, state.residual_n, part_starts)
+    rows_by_source = {
+        "scatter": small_sample_factor * by_parts,
+        "tolerances": record.samples_per_error * dense_by_free[:pull_count],
+        "drift": curve.curvature @ knots_by_free,
+    }
+    covariances = {source: scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for source, x in rows_by_source.items()}
+    law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]
+    covariances["law"] = law_misfit
+    covariance = np.asarray(sum(covariances.values()))
+    drift_m, drift_m_per_s = drift_signals(record, state.knots, state.pulls)
     if not is_single:
         _check_separable(state.law_parameters, covariance, touched, record.eta_m + drift_m)
 
@@ -206,42 +211,39 @@ def fit_joint(
         block = slice(first, first + len(LAW))
         return JointEstimate(
             values=state.law_parameters[block],
-            covariance=covariance[block, block],
-            of_tolerances=of_tolerances[block, block],
-            of_drift=of_drift[block, block],
-            of_misfit=of_misfit[block, block],
+            covariances={source: part[block, block] for source, part in covariances.items()},
             sides_known=sides_known,
             touched=(lower, upper),
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
-            unexplained=_unexplained(record, state),
-            halves=_halves(by_parts @ to_law[block].T, (_clearance((lower, upper)), STIFFNESS)),
-            form=SPRING if not (lower or upper) else replace(state.form, springs=()),
+            unexplained_share=_unexplained_share(record, state),
+            half_differences=_half_differences(
+                by_parts @ scaled_to_laws[block].T, [_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT]
+            ),
+            form=SPRING if not (lower or upper) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
-            exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.shapes else 0.0,
+            exponent_error=float(np.sqrt(covariance[-1, -1])) if state.form.exponent_count else 0.0,
         )
 
     return tuple(estimate_at(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
 
 
-def _unexplained(record: ContactRecord, state: State) -> float:
+def _unexplained_share(record: ContactRecord, state: State) -> float:
     """Root mean square of the residual beyond the sensors' noise, as a share of the force's.
 
-    The noise is that of the quietest parts, at most `NOISE_LIMIT` times the sensors', and three standard deviations of
-    its variance in a part of n samples, sqrt(2 / n) of it.
+    The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
+    deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
-    noise_n = min(float(quiet_deviation(state.residual)), NOISE_LIMIT * record.noise_n)
-    noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual.size))
+    noise_n = min(float(quiet_deviation(state.residual_n)), NOISE_RATIO_LIMIT * record.noise_n)
+    noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual_n.size))
     residual_square, force_square = (
-        max(float(np.var(signal_n)) - noise, 0.0) for signal_n in (state.residual, record.force_n)
+        max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (state.residual_n, record.force_n)
     )
     return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
 
 
-def _halves(
-    by_parts: Float[np.ndarray, "parts 4"], gradients: tuple[LawParameters, LawParameters]
-) -> tuple[float, float]:
+def _half_differences(by_parts: Float[np.ndarray, "parts 4"], gradients: list[LawParameters]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
     influence = by_parts @ np.stack(gradients, axis=1)
     scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
@@ -258,13 +260,14 @@ def _curvature_pull(curve: Spline, state: State) -> float:
 def _check_bridged(record: ContactRecord, state: State) -> None:
     """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
     penetrations."""
-    if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.springs:
+    if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
-    closed = clearly_closed(record)
-    between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * record.factor / record.sample_rate_hz
-    between_s = np.sort(between_s)[: round((1 - PAUSE_SHARE) * between_s.size)]
-    wander_m = record.drift.noise_density * np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
-    depth_m = float(np.median(np.abs(record.force_n[closed]))) / state.stiffness_n_per_m
+    is_closed = clearly_closed(record)
+    closing_samples = np.flatnonzero(np.diff(is_closed.astype(int)) == 1)
+    open_times_s = np.sort(np.diff(closing_samples) * record.decimation / record.sample_rate_hz)
+    open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
+    wander_m = record.drift.noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
+    depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m
     if wander_m > WANDER_LIMIT * depth_m:
         raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
 
@@ -272,17 +275,17 @@ def _check_bridged(record: ContactRecord, state: State) -> None:
 def _check_separable(
     law_parameters: LawParameters,
     covariance: Float[np.ndarray, "laws laws"],
-    touched: Touched,
+    touched: TouchedStops,
     eta_m: Float[np.ndarray, " samples"],
 ) -> None:
     """Raises ContactRefusedError if a stop is hardly ever reached, or two knees differ by less than their 95 %
     interval."""
     laws = law_parameters.reshape(-1, len(LAW))
     for side, sign in enumerate((-1, 1)):
-        touching = np.flatnonzero(touched[:, side])
-        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching):
+        touching_contacts = np.flatnonzero(touched[:, side])
+        if any(np.mean(sign * eta_m > laws[i, side]) < LEAST_CLOSED_SHARE for i in touching_contacts):
             raise refused(RefusalCode.NOT_SEPARABLE)
-        for i, j in combinations(touching, 2):
+        for i, j in combinations(touching_contacts, 2):
             difference = np.zeros_like(law_parameters)
             difference[[len(LAW) * i + side, len(LAW) * j + side]] = 1, -1
             if abs(difference @ law_parameters) < COVERED * np.sqrt(difference @ covariance @ difference):

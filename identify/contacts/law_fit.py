@@ -19,7 +19,7 @@ from scipy.linalg import block_diag
 from scipy.stats import f
 
 from identify.contacts.contact_record import ContactRecord
-from identify.contacts.law_form import FormName, LawForm, Touched
+from identify.contacts.law_form import FormName, LawForm, TouchedStops
 from identify.contacts.linearization import (
     BorderedEquations,
     Guess,
@@ -32,7 +32,6 @@ from identify.contacts.linearization import (
     state_at,
 )
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
-from identify.signals.drift import Spline
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.refit import refit_until_settled
 from identify.signals.scores import PARTS, part_scores
@@ -45,61 +44,113 @@ Weights = Float[np.ndarray, " fewer"]
 
 @dataclass(frozen=True)
 class LawFit:
-    """Fit of a record: its final state and weights. `tie` maps the free parameters of a dead zone to the laws."""
+    """Fit of a record: its state and weights. free_to_laws maps the free parameters of a dead zone to the laws."""
 
     record: ContactRecord
-    curve: Spline
-    tie: Float[np.ndarray, "laws free"]
+    free_to_laws: Float[np.ndarray, "laws free"]
     state: State
     weights: Weights
 
     @property
-    def squares(self) -> Float[np.ndarray, " fewer"]:
+    def weighted_squares(self) -> Float[np.ndarray, " fewer"]:
         """Squares of the weighted residuals."""
-        return np.asarray((self.weights * self.state.residual) ** 2)
+        return np.asarray((self.weights * self.state.residual_n) ** 2)
 
     @property
-    def linearized(self) -> tuple[Jacobian, BorderedEquations, Float[np.ndarray, "numbers sizes"]]:
-        """Jacobian and normal equations at the final state, and the matrix from their free parameters to the law."""
-        to_law = _to_law(self.state, self.tie)
-        derivatives = jacobian(self.record, self.curve, self.state)
-        equations, *_ = normal_equations(self.record, self.state, derivatives, self.curve, to_law, self.weights)
-        return derivatives, equations, to_law
+    def scaled_to_laws(self) -> Float[np.ndarray, "numbers sizes"]:
+        """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is
+        free."""
+        lower, upper, stiffness, _ = self.state.form.contact_parameters(self.state.law_parameters).T
+        clearance_m = np.maximum(np.minimum(lower, upper), 1e-9)
+        scales = np.stack([clearance_m, clearance_m, stiffness, 1e-3 * stiffness], axis=1).ravel()
+        linear = self.free_to_laws * np.max(self.free_to_laws * scales[:, None], axis=0)
+        exponent_count = self.state.form.exponent_count
+        return np.asarray(block_diag(linear, EXPONENT_STEP * np.eye(exponent_count)) if exponent_count else linear)
+
+    @property
+    def linearized(self) -> tuple[Jacobian, BorderedEquations]:
+        """Jacobian and normal equations at the state."""
+        derivatives = jacobian(self.record, self.state)
+        return derivatives, normal_equations(self.record, self.state, derivatives, self.scaled_to_laws, self.weights)
+
+    @property
+    def least_cost(self) -> "LawFit":
+        """Fit at the state of least cost for its weights, by Gauss-Newton."""
+        state, *_ = gauss_newton(
+            self._with_cost(self.state), self._step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
+        )
+        return replace(self, state=state)
+
+    def _step_from(self, state: State) -> Step[State]:
+        fit = replace(self, state=state)
+        scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
+        knots, dense = equations.solved(equations.knot_gradient, equations.dense_gradient)
+        cost_decrease = np.sum(equations.knot_gradient * knots) + np.sum(equations.dense_gradient * dense)
+
+        def state_after(share: float) -> State | None:
+            law = state.law_parameters + share * scaled_to_laws @ dense[state.pulls.size :, 0]
+            if not state.form.is_within_bounds(law):
+                return None
+            pulls = state.pulls + share * dense[: state.pulls.size, 0]
+            return self._with_cost(state_at(self.record, state.form, law, state.knots + share * knots[:, 0], pulls))
+
+        return Step(state_after, float(cost_decrease))
+
+    def _with_cost(self, state: State) -> State:
+        """State with its cost: weighted squares of residuals and of the priors."""
+        curve = self.record.drift_spline
+        residual_square = np.sum((self.weights * state.residual_n) ** 2)
+        curvature_square = np.sum((curve.curvature @ state.knots - curve.target) ** 2)
+        pull_square = self.record.samples_per_error * np.sum(state.pulls**2)
+        return replace(state, cost=float(residual_square + curvature_square + pull_square))
+
+    @property
+    def reweighted(self) -> "LawFit":
+        """Fit with weights from the scatter of the residuals."""
+        return replace(self, weights=residual_weights(self.record, self.state, _open_deviation_n(self.state)))
 
     @property
     def settled(self) -> "LawFit":
         """Fit with weights renewed from the scatter of the residuals until they settle."""
 
-        def refit(fit: LawFit) -> LawFit:
-            state = _minimum(fit.record, fit.curve, fit.state, fit.tie, fit.weights)
-            return replace(fit, state=state, weights=weights_of(fit.record, state, _scatter(state)))
-
         def weights_agree(before: LawFit, after: LawFit) -> bool:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
-        first = replace(self, weights=weights_of(self.record, self.state, _scatter(self.state)))
-        return refit_until_settled(first, refit, weights_agree, rounds=WEIGHT_ROUNDS)
+        return refit_until_settled(
+            self.reweighted, lambda fit: fit.least_cost.reweighted, weights_agree, rounds=WEIGHT_ROUNDS
+        )
 
     def with_form(self, form: LawForm) -> "LawFit":
         """Fit of another form with the same weights, from this state and an exponent of one."""
-        contact_values = self.state.form.contacts(self.state.law_parameters).ravel()
-        law_parameters = np.concatenate([contact_values, np.ones(form.shapes)])
-        start = state_at(self.record, self.curve, form, law_parameters, self.state.knots, self.state.pulls)
-        return replace(self, state=_minimum(self.record, self.curve, start, self.tie, self.weights))
+        contact_values = self.state.form.contact_parameters(self.state.law_parameters).ravel()
+        law_parameters = np.concatenate([contact_values, np.ones(form.exponent_count)])
+        start = state_at(self.record, form, law_parameters, self.state.knots, self.state.pulls)
+        return replace(self, state=start).least_cost
+
+    @property
+    def motion(self) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
+        """Relative displacement with drift and nuisance signals, m, and its rate, m/s."""
+        return corrected_motion(self.record, self.state.knots, self.state.pulls)
+
+    def depth_m(self, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
+        """Penetration of the first contact's stops, m."""
+        lower, upper, _, _ = self.state.form.contact_parameters(self.state.law_parameters)[0]
+        return np.asarray(eta_m - np.clip(eta_m, -lower, upper))
 
 
-def tie_of(touched: Touched, sides_known: bool) -> Float[np.ndarray, "laws free"]:
+def free_parameters(touched: TouchedStops, sides_known: bool) -> Float[np.ndarray, "laws free"]:
     """Matrix from the free parameters to the laws: stops that are not touched have none, nor has a spring. Where the
     zero of the relative displacement is unknown, it is the middle of the first contact's play."""
-    free = np.column_stack([touched, np.ones_like(touched)]).ravel()
-    tie = np.eye(free.size)[:, free]
-    return tie if sides_known or not touched[0].any() else np.column_stack([tie[:, 0] + tie[:, 1], tie[:, 2:]])
+    is_free = np.column_stack([touched, np.ones_like(touched)]).ravel()
+    to_laws = np.eye(is_free.size)[:, is_free]
+    if sides_known or not touched[0].any():
+        return to_laws
+    return np.column_stack([to_laws[:, 0] + to_laws[:, 1], to_laws[:, 2:]])
 
 
 def first_fit(
     record: ContactRecord,
-    curve: Spline,
-    tie: Float[np.ndarray, "laws free"],
+    free_to_laws: Float[np.ndarray, "laws free"],
     guesses: list[Guess],
     pulls: Pulls,
     form: LawForm,
@@ -108,143 +159,92 @@ def first_fit(
 
     Raises ContactRefusedError if no guess leads to a minimum.
     """
-    rough_n = 0.02 * float(np.std(record.force_n))
-    states, refusal = list[State](), refused(RefusalCode.NO_LAW)
+    initial_noise_n = 0.02 * float(np.std(record.force_n))
+    fits, refusal = list[LawFit](), refused(RefusalCode.NO_LAW)
     for law, knots in guesses:
-        start = state_at(record, curve, form, law, knots, pulls)
+        start = state_at(record, form, law, knots, pulls)
+        weights = residual_weights(record, start, initial_noise_n)
         try:
-            states.append(_minimum(record, curve, start, tie, weights_of(record, start, rough_n)))
+            fits.append(LawFit(record, free_to_laws, start, weights).least_cost)
         except ContactRefusedError as error:
             refusal = error
-    if not states:
+    if not fits:
         raise refusal
-    state = min(states, key=lambda state: float(np.sum(state.residual**2)))
-    return LawFit(record, curve, tie, state, np.ones_like(state.residual)).settled
+    return min(fits, key=lambda fit: float(np.sum(fit.state.residual_n**2))).settled
 
 
-def _minimum(
-    record: ContactRecord, curve: Spline, state: State, tie: Float[np.ndarray, "laws free"], weights: Weights
-) -> State:
-    """State of least cost for these weights, by Gauss-Newton."""
-
-    def step_from(current: State) -> Step[State]:
-        to_law = _to_law(current, tie)
-        equations, *right_hand_side = normal_equations(
-            record, current, jacobian(record, curve, current), curve, to_law, weights
-        )
-        knots, dense = equations.solved(*right_hand_side)
-
-        def state_after(share: float) -> State | None:
-            law = current.law_parameters + share * to_law @ dense[current.pulls.size :, 0]
-            if not current.form.is_possible(law):
-                return None
-            pulls = current.pulls + share * dense[: current.pulls.size, 0]
-            return _with_cost(
-                record,
-                curve,
-                state_at(record, curve, current.form, law, current.knots + share * knots[:, 0], pulls),
-                weights,
-            )
-
-        return Step(state_after, float(np.sum(right_hand_side[0] * knots) + np.sum(right_hand_side[1] * dense)))
-
-    return gauss_newton(
-        _with_cost(record, curve, state, weights), step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS
-    )[0]
-
-
-def _with_cost(record: ContactRecord, curve: Spline, state: State, weights: Weights) -> State:
-    """State with its cost: weighted squares of residuals and of the priors."""
-    prior = curve.curvature @ state.knots - curve.target
-    squares = np.sum((weights * state.residual) ** 2) + np.sum(prior**2) + record.sample_ratio * np.sum(state.pulls**2)
-    return replace(state, cost=float(squares))
-
-
-def _to_law(state: State, tie: Float[np.ndarray, "laws free"]) -> Float[np.ndarray, "numbers sizes"]:
-    """Matrix from the free parameters, scaled to condition the normal equations, to the law; an exponent is free."""
-    lower, upper, stiffness, _ = state.form.contacts(state.law_parameters).T
-    gap = np.maximum(np.minimum(lower, upper), 1e-9)
-    sizes = np.stack([gap, gap, stiffness, 1e-3 * stiffness], axis=1).ravel()
-    scaled = tie * np.max(tie * sizes[:, None], axis=0)
-    return np.asarray(block_diag(scaled, EXPONENT_STEP * np.eye(state.form.shapes)) if state.form.shapes else scaled)
-
-
-def _scatter(state: State) -> float:
+def _open_deviation_n(state: State) -> float:
     """Standard deviation of the residual while all stops are open; of the whole residual if they never are."""
-    of_stops_n_per_m = np.abs(state.by_eta - state.springs_n_per_m)
-    open_residual = state.residual[of_stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
-    return float(np.std(open_residual)) if np.any(open_residual) else float(np.std(state.residual))
+    stops_n_per_m = np.abs(state.tangent_n_per_m - state.spring_n_per_m)
+    open_residual_n = state.residual_n[stops_n_per_m < 1e-3 * state.stiffness_n_per_m]
+    return float(np.std(open_residual_n)) if np.any(open_residual_n) else float(np.std(state.residual_n))
 
 
-def weights_of(record: ContactRecord, state: State, open_n: float) -> Weights:
+def residual_weights(record: ContactRecord, state: State, open_deviation_n: float) -> Weights:
     """Weights 1 / standard deviation of each residual: of the force while open, of the share of it that no law
     explains, and of the displacement's noise, where the drift's knots do not follow it, times the stiffness."""
     unfollowed_m = np.hypot(record.noise_m, 0.0 if record.drift is None else record.drift.unfollowed_m)
-    unmodelled_n = record.unmodelled * np.hypot(record.force_n, np.std(record.force_n))
-    return np.asarray(1 / np.sqrt(open_n**2 + (state.by_eta * unfollowed_m) ** 2 + unmodelled_n**2))
+    unmodelled_n = record.unmodelled_share * np.hypot(record.force_n, np.std(record.force_n))
+    return np.asarray(1 / np.sqrt(open_deviation_n**2 + (state.tangent_n_per_m * unfollowed_m) ** 2 + unmodelled_n**2))
 
 
 FORMS: tuple[FormName, ...] = ("power law", "cannot pull")
-ODDS = 1000.0
+LEAST_ODDS = 1000.0
 CONSISTENCY_LIMIT = 3.0
-CONFIDENCE = 0.99
-BANDS, LOWEST_LINE = 24, 8
+MISFIT_CONFIDENCE = 0.99
+BAND_COUNT, LOWEST_BAND_LINES = 24, 8
 """Number of bands, and lines in the lowest one: bands widen with frequency."""
-LEAST_SAMPLES = 10 * PARTS
+LEAST_HALF_SAMPLES = 10 * PARTS
 """Samples that either half of a split needs."""
 
 
-def chosen_form(fit: LawFit, names: Sequence[FormName]) -> LawFit:
+def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
     """Fit of the preferred form, settled; the fit of the dead zone if no form is preferred."""
-    if not names:
+    if not form_names:
         return fit
-    form = LawForm(reference_depth_m=_typical_depth_m(fit))
+    form = LawForm(reference_depth_m=_rounded_depth_m(fit))
     if not form.reference_depth_m:
         return fit
-    chosen, least_squares = None, np.inf
-    for name in names:
+    preferred_fit, least_squares = None, np.inf
+    for name in form_names:
         try:
             alternative = fit.with_form(replace(form, name=name))
         except ContactRefusedError:
             continue
-        if is_preferred(fit, alternative) and alternative.squares.sum() < least_squares:
-            chosen, least_squares = alternative, float(alternative.squares.sum())
+        if is_preferred_form(fit, alternative) and alternative.weighted_squares.sum() < least_squares:
+            preferred_fit, least_squares = alternative, float(alternative.weighted_squares.sum())
     try:
-        return chosen.settled if chosen else fit
+        return preferred_fit.settled if preferred_fit else fit
     except ContactRefusedError:
         return fit
 
 
-def is_preferred(simple: LawFit, alternative: LawFit) -> bool:
+def is_preferred_form(dead_zone_fit: LawFit, alternative: LawFit) -> bool:
     """True if the alternative form meets both criteria against the dead zone."""
-    samples = max(2.0, simple.weights.size / simple.record.sample_ratio)
-    likelihood_gain, consistency = evidence(simple, alternative, samples)
+    samples = max(2.0, dead_zone_fit.weights.size / dead_zone_fit.record.samples_per_error)
+    likelihood_gain, consistency = form_evidence(dead_zone_fit, alternative, samples)
     return bool(
-        likelihood_gain > alternative.state.form.shapes * np.log(samples) + 2 * np.log(ODDS)
+        likelihood_gain > alternative.state.form.exponent_count * np.log(samples) + 2 * np.log(LEAST_ODDS)
         and consistency > CONSISTENCY_LIMIT
     )
 
 
-def evidence(simple: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
+def form_evidence(dead_zone_fit: LawFit, alternative: LawFit, samples: float) -> tuple[float, float]:
     """Left-hand sides of both criteria, the second divided by std_i(d_i) / sqrt(16)."""
-    spectrum_before, spectrum_after = (np.fft.rfft(fit.weights * fit.state.residual) for fit in (simple, alternative))
-    edges = np.geomspace(LOWEST_LINE, spectrum_before.size, BANDS + 1).astype(int)
+    spectra = [np.fft.rfft(fit.weights * fit.state.residual_n) for fit in (dead_zone_fit, alternative)]
+    line_count = spectra[0].size
+    edges = np.geomspace(LOWEST_BAND_LINES, line_count, BAND_COUNT + 1).astype(int)
     band_starts = np.unique(np.r_[0, edges[1:-1]])
-    count = np.diff(np.r_[band_starts, spectrum_before.size])
-    squares_before, squares_after = (
-        np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in (spectrum_before, spectrum_after)
-    )
+    line_counts = np.diff(np.r_[band_starts, line_count])
+    squares_before, squares_after = (np.add.reduceat(np.abs(spectrum) ** 2, band_starts) for spectrum in spectra)
     if not np.all((squares_before > 0) & (squares_after > 0)):
         return 0.0, 0.0
-    likelihood_gain = samples * float(count @ np.log(squares_before / squares_after)) / spectrum_before.size
-    usual_amplitude = np.repeat(np.sqrt(squares_before / count), count)
-    squares = [
-        np.fft.irfft(spectrum / usual_amplitude, simple.weights.size) ** 2
-        for spectrum in (spectrum_before, spectrum_after)
-    ]
+    likelihood_gain = samples * float(line_counts @ np.log(squares_before / squares_after)) / line_count
+    usual_amplitude = np.repeat(np.sqrt(squares_before / line_counts), line_counts)
+    squares = [np.fft.irfft(spectrum / usual_amplitude, dead_zone_fit.weights.size) ** 2 for spectrum in spectra]
     part_gains = np.array([segment.sum() for segment in np.array_split(squares[0] - squares[1], PARTS)])
-    scatter = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
-    return likelihood_gain, float(part_gains.mean()) / scatter if scatter > 0 else 0.0
+    gain_error = float(part_gains.std(ddof=1)) / np.sqrt(PARTS)
+    return likelihood_gain, float(part_gains.mean()) / gain_error if gain_error > 0 else 0.0
 
 
 def misfit_covariance(
@@ -261,75 +261,64 @@ def misfit_covariance(
     """
     law_parameters = fit.state.law_parameters
     covariance = np.zeros((law_parameters.size, law_parameters.size))
-    to_law = fit.linearized[2]
-    for halves in _splits(fit):
-        half_scores = [_half_scores(fit, derivatives.by_law @ to_law, samples, part_starts) for samples in halves]
-        if any(scores is None for scores in half_scores):
+    by_free = derivatives.by_law @ fit.scaled_to_laws
+    for halves in _closed_splits(fit):
+        first, second = (_half_scores(fit, by_free, is_in_half, part_starts) for is_in_half in halves)
+        if first is None or second is None:
             continue
-        first, second = (scores for scores in half_scores if scores is not None)
-        difference, excess = _excess(first - second)
-        law_error = to_law @ difference / 2
+        difference, excess = _misfit_excess(first - second)
+        law_error = fit.scaled_to_laws @ difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
-def _excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+def _misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
     """Sum D of the parts' scores, and the excess max(0, 1 - T0^2 / T^2)."""
-    count, free = scores.shape
+    parts, free = scores.shape
     difference = scores.sum(axis=0)
     scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)
     scatter = (scores - scores.mean(axis=0)) / scale
-    covariance = count / (count - 1) * scatter.T @ scatter
+    covariance = parts / (parts - 1) * scatter.T @ scatter
     t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
-    bound = free * (count - 1) / (count - free) * float(f.ppf(CONFIDENCE, free, count - free))
-    return difference, max(0.0, 1 - bound / max(t_square, 1e-300))
+    t_square_limit = free * (parts - 1) / (parts - free) * float(f.ppf(MISFIT_CONFIDENCE, free, parts - free))
+    return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
-def _splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:
+def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:
     """Splits of the closed samples, as masks: (deep, shallow), and (growing depth, falling depth)."""
     record, state = fit.record, fit.state
-    eta, rate = (row[:: record.factor][: state.residual.size] for row in _motion(fit))
-    depth = _depth_m(fit, eta)
-    closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
-    deep = np.abs(depth) > np.median(np.abs(depth[closed])) if closed.any() else closed
-    grows = depth * rate > 0
-    return [(closed & deep, closed & ~deep), (closed & grows, closed & ~grows)]
+    eta, rate = (record.at_force_samples(row) for row in fit.motion)
+    depth = fit.depth_m(eta)
+    is_closed = state.form.slopes(state.law_parameters, eta, rate)[0] > 0
+    is_deep = np.abs(depth) > np.median(np.abs(depth[is_closed])) if is_closed.any() else is_closed
+    is_growing = depth * rate > 0
+    return [(is_closed & is_deep, is_closed & ~is_deep), (is_closed & is_growing, is_closed & ~is_growing)]
 
 
 def _half_scores(
     fit: LawFit,
     by_free: Float[np.ndarray, "fewer free"],
-    samples: Bool[np.ndarray, " fewer"],
+    is_in_half: Bool[np.ndarray, " fewer"],
     part_starts: Int[np.ndarray, " parts"],
 ) -> Float[np.ndarray, "parts free"] | None:
     """Change of the free parameters by these samples alone, part by part of the record; None if undetermined."""
-    if samples.sum() < LEAST_SAMPLES:
+    if is_in_half.sum() < LEAST_HALF_SAMPLES:
         return None
-    weights = np.where(samples, fit.weights, 0.0)[:, None] ** 2
+    weights = np.where(is_in_half, fit.weights, 0.0)[:, None] ** 2
     normal = by_free.T @ (weights * by_free)
     if not np.linalg.cond(normal) < 1e10:
         return None
     influence = weights * by_free @ np.linalg.inv(normal)
-    return part_scores(influence, fit.state.residual, part_starts)
+    return part_scores(influence, fit.state.residual_n, part_starts)
 
 
-def _typical_depth_m(fit: LawFit) -> float:
+def _rounded_depth_m(fit: LawFit) -> float:
     """Root mean square of the depth while the contact is closed, m, rounded to 1, 2 or 5 times a power of ten, so that
     all records of a machine have the same."""
-    depth = _depth_m(fit, _motion(fit)[0])
+    depth = fit.depth_m(fit.motion[0])
     if not depth.any():
         return 0.0
     typical_m = float(np.sqrt(np.mean(depth[depth != 0] ** 2)))
-    power = float(10 ** np.floor(np.log10(typical_m)))
-    return min(
-        (round_number * power for round_number in (1.0, 2.0, 5.0, 10.0)), key=lambda d: abs(np.log(d / typical_m))
-    )
-
-
-def _motion(fit: LawFit) -> tuple[Float[np.ndarray, " samples"], Float[np.ndarray, " samples"]]:
-    return corrected_motion(fit.record, fit.curve, fit.state.knots, fit.state.pulls)
-
-
-def _depth_m(fit: LawFit, eta_m: Float[np.ndarray, " some"]) -> Float[np.ndarray, " some"]:
-    lower, upper, _, _ = fit.state.form.contacts(fit.state.law_parameters)[0]
-    return np.asarray(eta_m - np.clip(eta_m, -lower, upper))
+    power_of_ten = float(10 ** np.floor(np.log10(typical_m)))
+    rounded_m = [number * power_of_ten for number in (1.0, 2.0, 5.0, 10.0)]
+    return min(rounded_m, key=lambda depth_m: abs(np.log(depth_m / typical_m)))

@@ -8,11 +8,11 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.slow_motion import SlowModel
 from identify.contacts.station_spectra import SpectralLines
-from identify.linear.model import times
-from identify.linear.nuisance import THE_RECORD, Nuisance, NuisanceKind, Observed, changes_of
+from identify.linear.model import real_product
+from identify.linear.nuisance import RECORD_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
 from identify.signals.drift import KNOT_S
 
-ToForce = Complex[np.ndarray, "contacts rows lines"]
+ForceWeights = Complex[np.ndarray, "contacts rows lines"]
 
 
 @dataclass(frozen=True)
@@ -20,26 +20,25 @@ class NuisanceSignals:
     """Signals that one standard deviation of each nuisance parameter adds to the contact forces and to the relative
     displacements, in single precision.
 
-    noise_in_n and noise_in_m are the multiples of the sensors' noise of forces and displacements that they contain.
+    force_noise_multiple and eta_noise_multiple are the multiples of the sensors' noise of forces and displacements
+    that they contain.
     """
 
     parameters: tuple[Nuisance, ...]
     force_n: Float[np.ndarray, "nuisances contacts fewer"]
     eta_m: Float[np.ndarray, "nuisances contacts fewer"]
-    noise_in_n: Float[np.ndarray, "nuisances contacts"]
-    noise_in_m: Float[np.ndarray, "nuisances contacts"]
+    force_noise_multiple: Float[np.ndarray, "nuisances contacts"]
+    eta_noise_multiple: Float[np.ndarray, "nuisances contacts"]
 
-    def with_record_signals(
-        self, kind: NuisanceKind, force_n: Float[np.ndarray, "more contacts fewer"]
-    ) -> "NuisanceSignals":
-        """Signals with further ones of parameters of the record itself, which change no displacement."""
-        no_noise = np.zeros(force_n.shape[:2])
+    def with_initial_states(self, force_n: Float[np.ndarray, "more contacts fewer"]) -> "NuisanceSignals":
+        """Signals with the contact forces by initial states, which change no displacement."""
+        kind, no_noise = NuisanceKind.INITIAL_STATE, np.zeros(force_n.shape[:2])
         return NuisanceSignals(
-            (*self.parameters, *(Nuisance(kind, THE_RECORD, i + 1) for i in range(len(force_n)))),
+            (*self.parameters, *(Nuisance(kind, RECORD_NAME, i + 1) for i in range(len(force_n)))),
             np.concatenate([self.force_n, force_n.astype(np.float32)]),
             np.concatenate([self.eta_m, np.zeros(force_n.shape, np.float32)]),
-            np.concatenate([self.noise_in_n, no_noise]),
-            np.concatenate([self.noise_in_m, no_noise]),
+            np.concatenate([self.force_noise_multiple, no_noise]),
+            np.concatenate([self.eta_noise_multiple, no_noise]),
         )
 
     def without_start(self, samples: int) -> "NuisanceSignals":
@@ -49,62 +48,62 @@ class NuisanceSignals:
 
 def nuisance_signals(
     parameters: tuple[Nuisance, ...],
-    observed: Observed,
-    noise: Observed,
-    to_force: ToForce,
+    observed: ObservedSignals,
+    noise_alone: ObservedSignals,
+    weights: ForceWeights,
     signs: Float[np.ndarray, "contacts stations"],
     lines: SpectralLines,
     samples: int,
-    slow: SlowModel | None = None,
+    slow_model: SlowModel | None = None,
 ) -> NuisanceSignals:
     """Nuisance signals of the parameters of `changes_of(observed)` over some samples.
 
-    `noise` is the observation of the sensors' noise alone; the stations are the first rows of both. With a slow model,
+    `noise_alone` is the observation of the sensors' noise; the stations are the first rows of both. With a slow model,
     what a parameter adds to the contact forces moves the stations slowly.
     """
-    stations = signs.shape[1]
-    signs = np.pad(signs, ((0, 0), (0, to_force.shape[1] - stations)))
+    row_count, station_count = weights.shape[1], signs.shape[1]
+    signs = np.pad(signs, ((0, 0), (0, row_count - station_count)))
     shape = (len(parameters), len(signs), samples)
     force_n, eta_m = np.empty(shape, np.float32), np.zeros(shape, np.float32)
-    noise_in_n, noise_in_m = np.zeros(shape[:2]), np.zeros(shape[:2])
-    noise_force, noise_motion = weighted_stations(to_force, noise.explained), times(signs, noise.displaced)
-    for i, (change, noise_change) in enumerate(zip(changes_of(observed), changes_of(noise), strict=True)):
-        to_force_there, signs_there = to_force[:, change.sensors], signs[:, change.sensors]
-        force_spectra = weighted_stations(to_force_there, change.delivered)
+    force_multiple, eta_multiple = np.zeros(shape[:2]), np.zeros(shape[:2])
+    noise_forces = contact_spectra(weights, noise_alone.signals)
+    noise_etas = real_product(signs, noise_alone.displacements)
+    for i, (change, noise_change) in enumerate(zip(changes_of(observed), changes_of(noise_alone), strict=True)):
+        sensor_weights, sensor_signs = weights[:, change.sensors], signs[:, change.sensors]
+        force_spectra = contact_spectra(sensor_weights, change.signals)
         force_n[i] = lines.signals(force_spectra, samples)
-        noise_in_n[i] = _noise_share(noise_force, weighted_stations(to_force_there, noise_change.delivered))
-        displaced = np.zeros_like(change.delivered) if change.displaced is None else change.displaced
-        if slow is not None:
-            everywhere = np.zeros((stations, displaced.shape[1]), dtype=complex)
-            rows = [(row, sensor) for row, sensor in enumerate(change.sensors) if sensor < stations]
-            for row, sensor in rows:
-                everywhere[sensor] = displaced[row]
-            moved = slow.change(change.parameter, force_spectra, everywhere)
-            eta_m[i] = lines.signals(times(signs[:, :stations], moved), samples)
-        elif change.displaced is not None and np.any(signs_there):
-            eta_m[i] = lines.signals(times(signs_there, displaced), samples)
-        if change.displaced is not None and noise_change.displaced is not None and np.any(signs_there):
-            noise_in_m[i] = _noise_share(noise_motion, times(signs_there, noise_change.displaced))
-    return NuisanceSignals(parameters, force_n, eta_m, noise_in_n, noise_in_m)
+        force_multiple[i] = _noise_multiple(noise_forces, contact_spectra(sensor_weights, noise_change.signals))
+        displacements = np.zeros_like(change.signals) if change.displacements is None else change.displacements
+        if slow_model is not None:
+            row_motion = np.zeros((row_count, displacements.shape[1]), dtype=complex)
+            row_motion[change.sensors] = displacements
+            station_motion = row_motion[:station_count]
+            motion_change = slow_model.displacement_change(change.parameter, force_spectra, station_motion)
+            eta_m[i] = lines.signals(real_product(signs[:, :station_count], motion_change), samples)
+        elif change.displacements is not None and np.any(sensor_signs):
+            eta_m[i] = lines.signals(real_product(sensor_signs, displacements), samples)
+        if change.displacements is not None and noise_change.displacements is not None and np.any(sensor_signs):
+            eta_multiple[i] = _noise_multiple(noise_etas, real_product(sensor_signs, noise_change.displacements))
+    return NuisanceSignals(parameters, force_n, eta_m, force_multiple, eta_multiple)
 
 
 def random_noise(
-    power: Float[np.ndarray, "stations lines"], floor: float, lines: SpectralLines
+    power: Float[np.ndarray, "stations lines"], least_power: float, lines: SpectralLines
 ) -> Complex[np.ndarray, "stations lines"]:
     """Spectra of noise with this power and random phases; zero where the drift's knots can follow it."""
     phase = np.random.default_rng(0).uniform(0, 2 * np.pi, power.shape)
-    followed = lines.omega < 2 * np.pi * 0.5 / KNOT_S
-    return np.asarray(np.sqrt(np.maximum(power, floor)) * np.exp(1j * phase) * ~followed)
+    is_drift_line = lines.omega < 2 * np.pi * 0.5 / KNOT_S
+    return np.asarray(np.sqrt(np.maximum(power, least_power)) * np.exp(1j * phase) * ~is_drift_line)
 
 
-def weighted_stations(
-    to_force: Complex[np.ndarray, "contacts some lines"], spectra: Complex[np.ndarray, "some lines"]
+def contact_spectra(
+    weights: Complex[np.ndarray, "contacts some lines"], spectra: Complex[np.ndarray, "some lines"]
 ) -> Complex[np.ndarray, "contacts lines"]:
     """Spectra of the contact forces: the weighted sum over the stations."""
-    return np.asarray(np.einsum("jsf,sf->jf", to_force, spectra))
+    return np.asarray(np.einsum("jsf,sf->jf", weights, spectra))
 
 
-def _noise_share(
+def _noise_multiple(
     noise: Complex[np.ndarray, "contacts lines"], nuisance: Complex[np.ndarray, "contacts lines"]
 ) -> Float[np.ndarray, " contacts"]:
     """Multiple of the noise that is nearest to the nuisance, by least squares."""

@@ -9,15 +9,20 @@ from scipy.fft import next_fast_len
 
 from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
-from identify.contacts.station_spectra import SpectralLines, full_motion, observed_motion, sensed_accelerations
-from identify.linear.model import Response
-from identify.linear.nuisance import Observed, ObservedBase
+from identify.contacts.station_spectra import (
+    SpectralLines,
+    driven_body_motion,
+    observed_body_motion,
+    sensed_accelerations,
+)
+from identify.linear.model import Response, has_high_passed_springs
+from identify.linear.nuisance import ObservedBase, ObservedSignals
 from identify.signals.kinematics import Kinematics
-from identify.signals.measured_base import MeasuredBase, count_on_bodies
+from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 
-RING_S = 12.0
+RINGING_S = 12.0
 """Time in which the beams' ringing decays."""
 
 
@@ -28,8 +33,8 @@ class SeparationInput:
 
     rig: Rig
     motion: Kinematics
-    factor: int
-    noise: Float[np.ndarray, " stations"]
+    decimation: int
+    noise_m_per_s2: Float[np.ndarray, " stations"]
     tolerances: Tolerances
     gauges: Gauges
     from_rest: bool
@@ -38,8 +43,8 @@ class SeparationInput:
     def lines(self) -> SpectralLines:
         """Lines of the record padded with the time in which the beams' ringing decays."""
         rate_hz = self.motion.sample_rate_hz
-        samples = -(-(self.motion.samples + round(RING_S * rate_hz)) // self.factor)
-        return SpectralLines(self.factor * next_fast_len(samples, real=True), self.factor, rate_hz)
+        samples = -(-(self.motion.samples + round(RINGING_S * rate_hz)) // self.decimation)
+        return SpectralLines(self.decimation * next_fast_len(samples, real=True), self.decimation, rate_hz)
 
     @property
     def signs(self) -> Float[np.ndarray, "contacts stations"]:
@@ -53,8 +58,8 @@ def observation_of(
     lines: SpectralLines,
     responses: tuple[Response, ...],
     in_metres: Bool[np.ndarray, "stations lines"],
-    by_inputs: Complex[np.ndarray, "inputs rows lines"],
-) -> tuple[Observed, GaugeErrors, Float[np.ndarray, "rows lines"]]:
+    input_accelerations: Complex[np.ndarray, "inputs rows lines"],
+) -> tuple[ObservedSignals, GaugeErrors, Float[np.ndarray, "rows lines"]]:
     """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
     gauges beside the tolerances; the power of the noise.
 
@@ -65,95 +70,85 @@ def observation_of(
     accelerations = (
         lines.spectra(motion.acceleration_m_per_s2) if record.from_rest else sensed_accelerations(motion, lines)
     )
-    measured = np.where(in_metres, displacements, accelerations)
-    response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
-    loosened = any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
-    usable = ~lines.slow | np.array([[not (loosened or s.high_pass_hz)] for s in gauges.sensors], bool).reshape(-1, 1)
-    rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), usable)
-    observed = Observed(
+    station_signals = np.where(in_metres, displacements, accelerations)
+    station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
+    is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
+    gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
+    observed_base = None
+    if base := motion.base:
+        acceleration, displacement = (lines.spectra(x) for x in (base.acceleration_m_per_s2, base.displacement_m))
+        observed_base = ObservedBase(
+            base.sensor, base.displaced_by, acceleration, displacement, input_accelerations[-1]
+        )
+    observed = ObservedSignals(
         sensors=(*motion.sensors, *gauges.sensors),
         displaced_by=(*motion.displaced_by, *gauges.sensors),
         tolerances=record.tolerances,
         omega=lines.omega,
-        sensor_response=np.concatenate([response, rows.response]),
-        explained=np.concatenate([measured, rows.measured]),
-        by_force=by_inputs[: count_on_bodies(rig)],
-        displaced=np.concatenate([displacements, np.zeros_like(rows.measured)]),
-        bodies=tuple(observed_motion(rig, r, motion, measured / response) for r in responses),
-        base=_observed_base(motion.base, lines, by_inputs[-1]) if motion.base else None,
+        sensor_response=np.concatenate([station_response, gauge_rows.response]),
+        signals=np.concatenate([station_signals, gauge_rows.measured]),
+        force_accelerations=input_accelerations[: count_on_bodies(rig)],
+        displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
+        bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
+        base=observed_base,
     )
-    truncation = gauges.truncation(rig, responses, rows.response)
-    errors = GaugeErrors(
-        len(measured),
-        tuple(s.name for s in gauges.sensors),
-        (*rig.force_names, *(contact.name for contact in rig.contacts)),
-        rows.constant,
-        truncation,
-    )
-    noise_power = (samples * record.noise**2)[:, None] * np.abs(response) ** 2
-    return observed, errors, np.concatenate([noise_power, rows.noise_power])
-
-
-def _observed_base(
-    base: MeasuredBase, lines: SpectralLines, by_base: Complex[np.ndarray, "stations lines"]
-) -> ObservedBase:
-    """Spectra of a measured base, with the accelerations of the stations that it causes."""
-    return ObservedBase(
-        sensor=base.sensor,
-        displaced_by=base.displaced_by,
-        acceleration=lines.spectra(base.acceleration_m_per_s2),
-        displacement=lines.spectra(base.displacement_m),
-        by_base=by_base,
-    )
+    gauge_names = tuple(s.name for s in gauges.sensors)
+    input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
+    truncation = gauges.truncation(rig, responses, gauge_rows.response)
+    errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
+    noise_power = (samples * record.noise_m_per_s2**2)[:, None] * np.abs(station_response) ** 2
+    return observed, errors, np.concatenate([noise_power, gauge_rows.noise_power])
 
 
 def noise_observation(
-    rig: Rig, motion: Kinematics, observed: Observed, noise: Complex[np.ndarray, "rows lines"]
-) -> Observed:
+    rig: Rig, motion: Kinematics, observed: ObservedSignals, noise: Complex[np.ndarray, "rows lines"]
+) -> ObservedSignals:
     """Observation of the sensors' noise alone."""
-    stations = len(motion.stations)
-    accelerations = noise[:stations] / observed.sensor_response[:stations]
-    displaced = np.zeros_like(observed.displaced)
-    displaced[:stations] = -accelerations / observed.omega**2
+    station_count = len(motion.stations)
+    accelerations = noise[:station_count] / observed.sensor_response[:station_count]
+    displacements = np.zeros_like(observed.displacements)
+    displacements[:station_count] = -accelerations / observed.omega**2
     return replace(
         observed,
-        explained=noise,
-        by_force=np.zeros_like(observed.by_force),
-        displaced=displaced,
-        bodies=tuple(observed_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
-        base=observed.base and observed.base.silent,
+        signals=noise,
+        force_accelerations=np.zeros_like(observed.force_accelerations),
+        displacements=displacements,
+        bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
+        base=observed.base and observed.base.at_rest,
     )
 
 
 def with_driven_modes(
     record: SeparationInput,
-    observed: Observed,
+    observed: ObservedSignals,
     inputs: Complex[np.ndarray, "inputs lines"],
     corner_hz: float,
     errors: GaugeErrors,
-) -> Observed:
+) -> ObservedSignals:
     """Observation with the hidden modes, all held ones below a corner, and the errors of gauges, driven by the exciting
     and the contact forces."""
     rig, motion = record.rig, record.motion
-    stations, force_count = len(motion.stations), len(rig.inputs)
-    accelerations = observed.explained[:stations] / observed.sensor_response[:stations]
-    motions = (
-        full_motion(rig, b.response, motion, accelerations, inputs[:force_count], inputs[force_count:])
-        for b in observed.bodies
+    station_count, force_count = len(motion.stations), len(rig.inputs)
+    accelerations = observed.signals[:station_count] / observed.sensor_response[:station_count]
+    forces, contact_forces = inputs[:force_count], inputs[force_count:]
+    bodies = tuple(
+        driven_body_motion(rig, body.response, motion, accelerations, forces, contact_forces)
+        for body in observed.bodies
     )
-    driven = replace(observed, bodies=tuple(motions), further=errors.changes(inputs))
-    return with_slow_modes(rig, driven, inputs, corner_hz) if corner_hz else driven
+    driven_observed = replace(observed, bodies=bodies, further_changes=errors.changes(inputs))
+    return with_slow_modes(rig, driven_observed, inputs, corner_hz) if corner_hz else driven_observed
 
 
 def with_modes_at_rest(
     record: SeparationInput,
-    observed: Observed,
+    observed: ObservedSignals,
     forces: Complex[np.ndarray, "forces lines"],
     corner_hz: float,
     errors: GaugeErrors,
-) -> Observed:
+) -> ObservedSignals:
     """Observation in which held modes rest below a corner, and exciting forces alone act on gauges, as long as no
     contact force is known."""
     inputs = np.concatenate([forces, np.zeros((len(record.rig.contacts), observed.omega.size))])
-    resting = replace(observed, further=errors.changes(inputs))
-    return with_slow_modes(record.rig, resting, 0 * inputs, corner_hz) if corner_hz else resting
+    resting_observed = replace(observed, further_changes=errors.changes(inputs))
+    return with_slow_modes(record.rig, resting_observed, 0 * inputs, corner_hz) if corner_hz else resting_observed

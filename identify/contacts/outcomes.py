@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS
+from identify.contacts.law_form import STIFFNESS_GRADIENT
 from identify.contacts.refusals import Refusal, RefusalCode, refused
 
 UNCERTAIN_SHARE = 0.1
@@ -23,7 +23,7 @@ class Outcomes:
         """Outcomes of contacts that are all refused for one reason."""
         return Outcomes({}, dict.fromkeys(names, refusal))
 
-    def joined(self, further: "Outcomes") -> "Outcomes":
+    def __or__(self, further: "Outcomes") -> "Outcomes":
         """Outcomes with those of further contacts."""
         return Outcomes({**self.estimates, **further.estimates}, {**self.refusals, **further.refusals})
 
@@ -33,8 +33,8 @@ NO_OUTCOMES = Outcomes({}, {})
 
 def check_certain(estimate: JointEstimate) -> None:
     """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
-    without_misfit = replace(estimate, covariance=estimate.covariance - estimate.of_misfit)
-    stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS))
+    without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
+    stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS_GRADIENT))
     clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
     for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
         if not standard_error < UNCERTAIN_SHARE * value:

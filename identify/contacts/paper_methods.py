@@ -5,7 +5,6 @@ No estimate of the joint fit rests on them. A method that fails is left out, and
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -18,8 +17,8 @@ from identify.linear.modal import (
     ModalEquation,
     Transformation,
     correctable_samples,
+    equivalent_force_n,
     modal_equations,
-    pushing_force,
     transformation,
 )
 from identify.paper.nifo import Form, Nifo, nifo
@@ -33,9 +32,9 @@ from rig.recording import Recording
 
 LOWEST_HZ = 0.5
 """Lowest frequency of NIFO: a free body's response below it is drift."""
-CLEAR_OF_CORNER = 4.0
+CORNER_RATIO = 4.0
 """Lowest frequency of NIFO on integrated accelerations over the corner frequency, clear of the blocks' leakage."""
-EQUATIONS = 4
+MAX_EQUATIONS = 4
 """Modal equations of each body, or as many as it has modes or stations."""
 
 Item = TypeVar("Item")
@@ -58,8 +57,8 @@ class PaperMethods:
     """Results of the paper's methods; notes say which could not be computed, and why.
 
     motion and eta_m are the inputs, transformations those of the bodies. histogram has the stops of each contact, None
-    where the density does not show them. main_equation is the one that the figures show; forms are its NIFO in the weak
-    form and in the paper's, empty without NIFO, as of a record without a force.
+    where the density does not show them. main_equation is the one that the figures show; main_spectra are its NIFO in
+    the weak form and in the paper's, empty without NIFO, as of a record without a force.
     """
 
     motion: Kinematics
@@ -69,7 +68,7 @@ class PaperMethods:
     histogram: tuple[Stops | None, ...]
     spectra: tuple[Nifo, ...]
     main_equation: str
-    forms: tuple[Nifo, ...]
+    main_spectra: tuple[Nifo, ...]
     notes: tuple[str, ...]
 
     @property
@@ -78,14 +77,14 @@ class PaperMethods:
         return tuple(s for s in self.surfaces if s.equation.name == self.main_equation)
 
 
-def attempted(
-    notes: list[str], description: str, items: Mapping[str, Item], make: Callable[[Item], Result]
+def results_by_name(
+    notes: list[str], description: str, items: Mapping[str, Item], compute: Callable[[Item], Result]
 ) -> dict[str, Result]:
     """Results of `make` for each item, by its name; a note for each item where it fails numerically."""
     results = {}
     for name, item in items.items():
         try:
-            results[name] = make(item)
+            results[name] = compute(item)
         except (ValueError, ArithmeticError) as error:  # RigError and LinAlgError are ValueErrors
             notes.append(f"{description} of {name} cannot be made: {error}")
     return results
@@ -94,7 +93,9 @@ def attempted(
 def check_request(recording: Recording, averaging: Averaging, equation: str | None) -> None:
     """Raises RigError if there is no such equation, or if the requested blocks do not fit the record."""
     rig = recording.rig
-    names = [f"{body.name} {i}" for body in driven_bodies(rig) for i in range(1, 1 + min(EQUATIONS, body.max_modes))]
+    names = [
+        f"{body.name} {i}" for body in driven_bodies(rig) for i in range(1, 1 + min(MAX_EQUATIONS, body.max_modes))
+    ]
     if equation not in (None, *names):
         raise RigError(f"no modal equation {equation!r} with a measured force; there are {', '.join(names)}")
     if averaging != Averaging():
@@ -112,21 +113,21 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
-    force, depth = np.zeros_like(eta), np.zeros_like(eta)
-    for place, record in zip(separation.same_place, separation.records, strict=True):
+    force_n, penetration_m = np.zeros_like(eta), np.zeros_like(eta)
+    for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
-        signs = dict(zip((names[j] for j in place.members), place.signs, strict=True))
-        determined = [name for name in signs if name in outcomes.estimates]
-        if determined:
-            estimate, sign = outcomes.estimates[determined[0]], signs[determined[0]]
+        signs = dict(zip((names[j] for j in group.contact_indices), group.signs, strict=True))
+        estimated_names = [name for name in signs if name in outcomes.estimates]
+        if estimated_names:
+            estimate, sign = outcomes.estimates[estimated_names[0]], signs[estimated_names[0]]
             eta_m, rate = eta_m + sign * estimate.drift_m, rate + sign * estimate.drift_m_per_s
-        for j, sign in zip(place.members, place.signs, strict=True):
+        for j, sign in zip(group.contact_indices, group.signs, strict=True):
             eta[j] = sign * eta_m
-            if names[j] in determined:
+            if names[j] in estimated_names:
                 estimate = outcomes.estimates[names[j]]
-                depth[j] = evaluated(estimate.spring_m, eta[j][None], record.sample_rate_hz)
-                force[j] = estimate.force_n(eta[j], sign * rate)
-    return SignalsByLaw(eta, force, depth)
+                penetration_m[j] = evaluated(estimate.spring_m, eta[j][None], record.sample_rate_hz)
+                force_n[j] = estimate.force_n(eta[j], sign * rate)
+    return SignalsByLaw(eta, force_n, penetration_m)
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
@@ -135,8 +136,8 @@ def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
 
 
 def _stops(estimate: JointEstimate) -> Stops:
-    (lower, upper, _, _), (of_lower, of_upper, _, _) = estimate.values.tolist(), estimate.errors.tolist()
-    return Stops(lower, upper, of_lower, of_upper, estimate.clearance_error_m, estimate.touched)
+    (lower, upper, _, _), (lower_error, upper_error, _, _) = estimate.values.tolist(), estimate.errors.tolist()
+    return Stops(lower, upper, lower_error, upper_error, estimate.clearance_error_m, estimate.touched)
 
 
 def paper_methods(
@@ -158,39 +159,43 @@ def paper_methods(
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
     samples = correctable_samples(motion)
-    eta, depth = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
+    eta, penetration_m = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
     blocks_by_body = _blocks(rig, motion, samples, averaging, notes)
-    bodies = {body.name: body for body in rig.bodies}
-    transformations = attempted(notes, "the modal transformation", bodies, lambda b: transformation(rig, b, motion))
-    of_bodies = attempted(
-        notes,
-        "the modal equations",
-        {name: bodies[name] for name in transformations},
-        partial(_equations, rig, motion, signals.force_n),
-    )
-    equations = {e.name: e for of_body in of_bodies.values() for e in of_body}
+    whole_motion, bodies = motion, {body.name: body for body in rig.bodies}
+
+    def body_transformation(body: Body) -> Transformation:
+        return transformation(rig, body, whole_motion)
+
+    def body_equations(transform: Transformation) -> tuple[ModalEquation, ...]:
+        return modal_equations(rig, whole_motion, transform.body, MAX_EQUATIONS, signals.force_n)
+
+    transformations = results_by_name(notes, "the modal transformation", bodies, body_transformation)
+    equation_rows = results_by_name(notes, "the modal equations", transformations, body_equations)
+    equations = {e.name: e for row in equation_rows.values() for e in row}
     motion = motion.segment(slice(samples)).without_rows
-    forced = {name: e for name, e in equations.items() if e.shape_at_force != 0}
-    acting = {name: e for name, e in forced.items() if e.body in blocks_by_body}
+    driven_equations = {name: e for name, e in equations.items() if e.shape_at_force != 0}
+    nifo_equations = {name: e for name, e in driven_equations.items() if e.body in blocks_by_body}
 
     def by_nifo(modal: ModalEquation, form: Form = "weak") -> Nifo:
-        return nifo(modal, pushing_force(rig, modal, motion.forces_n), depth, blocks_by_body[modal.body], form)
+        force_n = equivalent_force_n(rig, modal, motion.forces_n)
+        return nifo(modal, force_n, penetration_m, blocks_by_body[modal.body], form)
 
     def by_surface(modal: ModalEquation) -> Surface:
-        return fit_surface(modal, pushing_force(rig, modal, motion.forces_n), eta, coarse, stops)
+        return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, decimation, stops)
 
-    coarse = _decimation(rig, motion)
-    spectra = attempted(notes, "NIFO", acting, by_nifo)
-    surfaces = attempted(notes, "the restoring force surface", equations, by_surface)
-    single = {
+    decimation = _surface_decimation(rig, motion)
+    spectra = results_by_name(notes, "NIFO", nifo_equations, by_nifo)
+    surfaces = results_by_name(notes, "the restoring force surface", equations, by_surface)
+    single_signals = {
         rig.contacts[j].name: (eta[j, motion.excited_from :], stop.touched)
         for j, stop in enumerate(stops)
         if stop and j in single_contacts
     }
-    histogram = attempted(notes, "the histogram", single, _by_histogram)
-    main = _main_equation(spectra, forced, equation, notes)
-    main_spectra = {main: spectra[main]} if main in spectra else {}
-    paper = attempted(notes, "the paper's form of NIFO", main_spectra, lambda weak: by_nifo(weak.equation, "paper"))
+    histogram = results_by_name(notes, "the histogram", single_signals, _histogram_stops)
+    main_name = _main_equation(spectra, driven_equations, equation, notes)
+    main_spectra = {main_name: spectra[main_name]} if main_name in spectra else {}
+    main_equations = {name: spectrum.equation for name, spectrum in main_spectra.items()}
+    paper_spectra = results_by_name(notes, "the paper's form of NIFO", main_equations, lambda e: by_nifo(e, "paper"))
     return PaperMethods(
         motion=motion,
         eta_m=eta,
@@ -198,63 +203,55 @@ def paper_methods(
         surfaces=tuple(surfaces.values()),
         histogram=tuple(histogram.get(contact.name) for contact in rig.contacts),
         spectra=tuple(spectra.values()),
-        main_equation=main,
-        forms=(*main_spectra.values(), *paper.values()) if paper else (),
+        main_equation=main_name,
+        main_spectra=(*main_spectra.values(), *paper_spectra.values()) if paper_spectra else (),
         notes=tuple(notes),
     )
 
 
-def _equations(
-    rig: Rig, motion: Kinematics, force_n: Float[np.ndarray, "contacts samples"], body: Body
-) -> tuple[ModalEquation, ...]:
-    return modal_equations(rig, motion, body, EQUATIONS, force_n)
-
-
 def _blocks(rig: Rig, motion: Kinematics, samples: int, averaging: Averaging, notes: list[str]) -> dict[str, Blocks]:
     """Blocks of NIFO by body, in the band of the forces on it; none for a body without force."""
-    acting = {}
+    body_forces_n = {}
     for body in driven_bodies(rig):
-        acts = [station.body == body.name or rig.is_on_ground(station) for station in rig.inputs]
-        if np.any(forces_n := motion.forces_n[acts]):
-            acting[body.name] = forces_n
+        is_acting = [station.body == body.name or rig.is_on_ground(station) for station in rig.inputs]
+        if np.any(forces_n := motion.forces_n[is_acting]):
+            body_forces_n[body.name] = forces_n
 
     def body_blocks(forces_n: Float[np.ndarray, "forces samples"]) -> Blocks:
-        low, high = force_band(forces_n, motion.sample_rate_hz)
-        band = averaging.band_hz or (
-            max(low, CLEAR_OF_CORNER * motion.trusted_hz[0], LOWEST_HZ),
-            min(high, motion.trusted_hz[1]),
-        )
-        return blocks(samples, motion.sample_rate_hz, averaging, band)
+        low_hz, high_hz = force_band(forces_n, motion.sample_rate_hz)
+        lowest_hz, highest_hz = motion.trusted_hz
+        band_hz = averaging.band_hz or (max(low_hz, CORNER_RATIO * lowest_hz, LOWEST_HZ), min(high_hz, highest_hz))
+        return blocks(samples, motion.sample_rate_hz, averaging, band_hz)
 
-    return attempted(notes, "NIFO of the equations", acting, body_blocks)
+    return results_by_name(notes, "NIFO of the equations", body_forces_n, body_blocks)
 
 
-def _by_histogram(of: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
+def _histogram_stops(signal: tuple[Float[np.ndarray, " samples"], tuple[bool, bool]]) -> Stops | None:
     """Stops by the histogram of a relative displacement, which touches the given sides; None if too uncertain, as of a
     decay, which rests most of the time."""
-    eta_m, touched = of
+    eta_m, touched = signal
     stops = replace(clearance_from_occurrence(eta_m), touched=touched)
     return stops if stops.clearance_error_m < UNCERTAIN_SHARE * stops.clearance_m else None
 
 
-def _decimation(rig: Rig, motion: Kinematics) -> int:
+def _surface_decimation(rig: Rig, motion: Kinematics) -> int:
     """Decimation of a surface, to four fifths of the lowest natural frequency that the stations do not resolve."""
-    limits = [motion.trusted_hz[1]]
+    limits_hz = [motion.trusted_hz[1]]
     for body in rig.bodies:
-        stations = sum(s.body == body.name for s in motion.stations)
-        if body.length_m > 0 and stations < body.max_modes:
-            modes = min(max(stations, body.rigid_modes) + 1, body.max_modes)
-            limits.append(0.8 * float(body.frequencies_hz(modes)[-1]))
-    return max(1, int(motion.sample_rate_hz / 2 / min(limits)))
+        station_count = sum(s.body == body.name for s in motion.stations)
+        if body.length_m > 0 and station_count < body.max_modes:
+            mode_number = min(max(station_count, body.rigid_modes) + 1, body.max_modes)
+            limits_hz.append(0.8 * float(body.frequencies_hz(mode_number)[-1]))
+    return max(1, int(motion.sample_rate_hz / 2 / min(limits_hz)))
 
 
 def _main_equation(
-    spectra: Mapping[str, Nifo], forced: Mapping[str, ModalEquation], requested: str | None, notes: list[str]
+    spectra: Mapping[str, Nifo], driven_equations: Mapping[str, ModalEquation], requested: str | None, notes: list[str]
 ) -> str:
     """Name of the requested equation, or of the one whose stiffnesses deviate least over frequency; without NIFO, of
     the first with a force. Empty if there is none."""
-    usable = spectra or forced
-    if requested in usable:
+    equations = spectra or driven_equations
+    if requested in equations:
         return str(requested)
     if requested is not None:
         notes.append(f"the modal equation {requested} cannot be made; the figures show another one")
@@ -263,4 +260,4 @@ def _main_equation(
         weak = spectra[name]
         return -len(weak.contacts), float(np.max(weak.deviation_n_per_m / np.abs(weak.mean_n_per_m), initial=0.0))
 
-    return min(spectra, key=deviation) if spectra else next(iter(forced), "")
+    return min(spectra, key=deviation) if spectra else next(iter(driven_equations), "")

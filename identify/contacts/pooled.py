@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from identify.contacts.identification import identify_contact
-from identify.contacts.observation import RING_S
+from identify.contacts.observation import RINGING_S
 from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -46,24 +46,24 @@ def identify_long(
     """
     if not SHORTEST_S <= segment_s < np.inf:
         raise RigError(f"segments of {segment_s:g} s: give {SHORTEST_S:g} s or more, of which contacts can be told")
-    identified: list[Segment] = []
+    identified_segments: list[Segment] = []
     reason = ""
     size = path.stat().st_size if path.exists() else 0
-    for recording in segments(path, segment_s + RING_S, RING_S):
+    for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         try:
             report = identify_contact(
                 recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances
             ).report
-            identified.append(
-                Segment(recording.start_s + (RING_S if recording.start_s else 0.0), recording.end_s, report)
+            identified_segments.append(
+                Segment(recording.start_s + (RINGING_S if recording.start_s else 0.0), recording.end_s, report)
             )
         except RigError as error:
             reason = str(error)
         rows = sum(len(s.channels.names) for s in recording.signals.values())
         progress(min(1.0, 8 * rows * recording.end_s * recording.rig.sample_rate_hz / size))
-    if not identified:
+    if not identified_segments:
         raise RigError(f"{path}: no segment of {segment_s:g} s can be identified ({reason})")
-    return pooled_report([s.report for s in identified]), tuple(identified)
+    return pooled_report([s.report for s in identified_segments]), tuple(identified_segments)
 
 
 def longest_segment_s(path: Path) -> float:
@@ -71,13 +71,13 @@ def longest_segment_s(path: Path) -> float:
 
     Raises RigError where that leaves less than SHORTEST_S, as of samples by the million a second.
     """
-    per_s, bound = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
-    memory_limit_s = bound / (MEMORY_COPIES * LAST_SEGMENT_RATIO * per_s) - RING_S
+    byte_rate, bound_bytes = bytes_per_second(path), memory_bound_bytes(path.stat().st_size)
+    memory_limit_s = bound_bytes / (MEMORY_COPIES * LAST_SEGMENT_RATIO * byte_rate) - RINGING_S
     if memory_limit_s < SHORTEST_S:
         raise RigError(
-            f"{path}: its channels have {per_s / 1e6:.3g} MB a second, of which {SHORTEST_S + RING_S:g} s at once take "
-            f"more memory than {bound / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format csv --map MAP, "
-            "then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
+            f"{path}: its channels have {byte_rate / 1e6:.3g} MB a second, of which {SHORTEST_S + RINGING_S:g} s at "
+            f"once take more memory than {bound_bytes / 1e6:.0f} MB; sample at a lower rate: rig export FILE --format "
+            "csv --map MAP, then a lower sample_rate_hz in its rig.json, resample = true in MAP, and rig import"
         )
     return min(SEGMENT_S, memory_limit_s)
 
@@ -85,12 +85,12 @@ def longest_segment_s(path: Path) -> float:
 def pooled_report(reports: Sequence[ContactReport]) -> ContactReport:
     """Report of several of the same rig: estimates pooled, numbers without an error averaged, block counts added."""
     merged = _merged_structs(_with_usual_law(reports))
-    answered = {c.name for c in merged.contacts}
+    answered_names = {c.name for c in merged.contacts}
     findings = {(f.cause, f.channels, f.of): f for r in reversed(reports) for f in reversed(r.findings)}
     equations = [r.main_equation for r in reports]
     return msgspec.structs.replace(
         merged,
-        unanswered=tuple(u for u in merged.unanswered if u.name not in answered),
+        unanswered=tuple(u for u in merged.unanswered if u.name not in answered_names),
         findings=tuple(findings.values())[::-1],
         main_equation=max(equations, key=equations.count),
         notes=tuple(dict.fromkeys(note for r in reports for note in r.notes)),
@@ -101,10 +101,10 @@ def _with_usual_law(reports: Sequence[ContactReport]) -> list[ContactReport]:
     """Reports with only those contacts whose law is the one of most segments: parameters of different laws cannot be
     pooled."""
     laws = [(c.name, c.law, c.reference_depth_m) for r in reports for c in r.contacts]
-    usual = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
+    usual_laws = {name: max(laws, key=lambda law: (law[0] == name, laws.count(law))) for name, *_ in laws}
     return [
         msgspec.structs.replace(
-            r, contacts=tuple(c for c in r.contacts if (c.name, c.law, c.reference_depth_m) == usual[c.name])
+            r, contacts=tuple(c for c in r.contacts if (c.name, c.law, c.reference_depth_m) == usual_laws[c.name])
         )
         for r in reports
     ]
@@ -127,11 +127,11 @@ def pooled_estimate(estimates: Sequence[Estimate]) -> Estimate:
     weights = errors**-2 / np.sum(errors**-2)
     mean, count, mean_variance = weights @ values, 1 / (weights @ weights), weights @ errors**2
     scatter = count / (count - 1) * weights @ (values - mean) ** 2
-    shared = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
+    shared_variance = max(0.0, mean_variance - scatter * max(0.0, 1 - np.sqrt(2 / count)))
     own_errors = [e.own_error for e in estimates if e.own_error is not None]
     return Estimate(
         float(mean),
-        float(np.sqrt(max(scatter / count, min(scatter / count + shared, mean_variance)))),
+        float(np.sqrt(max(scatter / count, min(scatter / count + shared_variance, mean_variance)))),
         float(np.sqrt(max(scatter / count, weights**2 @ np.square(own_errors))))
         if len(own_errors) == len(estimates)
         else None,

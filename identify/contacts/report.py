@@ -10,7 +10,7 @@ import numpy as np
 
 from identify.contacts.assumptions import assumptions, recommendations, variance_shares
 from identify.contacts.identification import Identification
-from identify.contacts.paper_methods import attempted
+from identify.contacts.paper_methods import results_by_name
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, identified_rig
 from identify.pages import page
 from identify.pages.machine import rig_drawing
@@ -55,9 +55,9 @@ def write_results(
     from identify.contacts.figures import contact_figures
 
     make_folder(out)
-    marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
+    references = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
     notes: list[str] = []
-    figures = contact_figures(result, marks, laws_name, notes)
+    figures = contact_figures(result, references, laws_name, notes)
     result = replace(result, report=msgspec.structs.replace(result.report, notes=(*result.report.notes, *notes)))
     for name, picture in figures.items():
         picture.save(out / f"{name}.png")
@@ -77,18 +77,19 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    identified, count = len(report.contacts), len(result.rig.contacts)
+    identified_count, contact_count = len(report.contacts), len(result.rig.contacts)
+    verdict = f"{identified_count} of {contact_count} contacts identified"
+    if identified_count == contact_count:
+        verdict = "identified"
+    if report.findings:
+        verdict = "not to be relied on"
     findings = page.list_html(f.sentence for f in report.findings)
     page.write(
         path,
         title=title,
         answer=page.Answer(
-            "red" if not identified else "green" if identified == count and not report.findings else "yellow",
-            "not to be relied on"
-            if report.findings
-            else "identified"
-            if identified == count
-            else f"{identified} of {count} contacts identified",
+            "red" if not identified_count else "green" if verdict == "identified" else "yellow",
+            verdict,
             [_sentence(result)],
         ),
         top_blocks=[
@@ -105,7 +106,7 @@ def write_page(
                 if (other_figures := _figures({n: p for n, p in figures.items() if n != DECISIVE_FIGURE}))
                 else []
             ),
-            *([("How sure is it?", _variance_table(result))] if identified else []),
+            *([("How sure is it?", _variance_table(result))] if identified_count else []),
             ("What was assumed", page.list_html(assumptions(result))),
             ("Beside it: the paper's methods", _methods(result)),
         ],
@@ -174,7 +175,7 @@ def _values(result: Identification, laws: Laws, laws_name: str) -> str:
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
     """Row of each quantity: identified value, reference value, difference."""
-    first = "stiffness" if contact.is_spring else "clearance"
+    first_quantity = "stiffness" if contact.is_spring else "clearance"
     for name, estimate, reference_value, unit, scale in (
         ("clearance", contact.clearance_m, law.clearance_m, "mm", 1e3),
         ("lower clearance", contact.lower_clearance_m, law.lower_clearance_m, "mm", 1e3),
@@ -186,7 +187,7 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
             is_comparable = reference_value and np.isfinite(reference_value)
             difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if is_comparable else ""
             yield (
-                contact.name if name == first else "",
+                contact.name if name == first_quantity else "",
                 f"{name}, {unit}",
                 _interval(estimate, "1", scale),
                 number(scale * reference_value) if np.isfinite(reference_value) else "no stop",
@@ -204,7 +205,7 @@ def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> li
     """HTML of the figures with their captions, and notes on those that failed."""
     notes: list[str] = []
     named = {name: (name, figures[name]) for name in _CAPTIONS if name in figures}
-    html = attempted(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
+    html = results_by_name(notes, "the figure", named, lambda pair: page.figure(*pair, _CAPTIONS[pair[0]], height_px))
     return [*([page.list_html(notes)] if notes else []), *html.values()]
 
 
@@ -235,8 +236,8 @@ def _nifo_rows(report: ContactReport) -> Iterator[tuple[str, ...]]:
     for nifo in report.nifo:
         for s in nifo.stiffness:
             deviation = f"{100 * s.rms_deviation_n_per_m / abs(s.mean_n_per_m.value):.2g} %"
-            hidden = "nearly invisible" if s.contact in nifo.nearly_invisible else ""
-            yield nifo.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, hidden
+            visibility_note = "nearly invisible" if s.contact in nifo.nearly_invisible else ""
+            yield nifo.equation, s.contact, f"{number(s.mean_n_per_m.value)} N/m", deviation, visibility_note
     for nifo in report.nifo:
         for name in nifo.nearly_invisible:
             if name not in {s.contact for s in nifo.stiffness}:

@@ -7,7 +7,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from identify.checks.findings import Finding
-from identify.contacts.law_form import EXPONENTS, FormName
+from identify.contacts.law_form import EXPONENT_RANGE, FormName
 from identify.contacts.refusals import Refusal, RefusalCode, RemedyCode
 from identify.pages.wording import interval, number
 from rig.limits import SCHEMA_VERSION
@@ -209,7 +209,7 @@ def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
     if estimate.upper_clearance_m is not None:
         upper = estimate.upper_clearance_m.value
     if isinstance(law, DeadZone):
-        exponent = 1.0 if estimate.exponent is None else float(np.clip(estimate.exponent.value, *EXPONENTS))
+        exponent = 1.0 if estimate.exponent is None else float(np.clip(estimate.exponent.value, *EXPONENT_RANGE))
         depth_m = estimate.reference_depth_m or law.reference_depth_m
         law = replace(law, exponent=exponent, reference_depth_m=depth_m, pulls=estimate.law != "cannot pull")
     return replace(

@@ -11,13 +11,13 @@ from identify.checks.masses import mass_pull
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.forces import ContactForces, separated_forces
 from identify.contacts.gauges import gauges_of
-from identify.contacts.observation import RING_S
-from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode, refused
-from identify.contacts.station_spectra import start_left_out_s
-from identify.linear.joined import Joined, joined, joined_contacts
-from identify.linear.modal import relative_displacements, relative_velocities
+from identify.contacts.observation import RINGING_S, SeparationInput
+from identify.contacts.refusals import RefusalCode, RemedyCode, refused
+from identify.contacts.station_spectra import start_transient_s
+from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
+from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
-from identify.signals.drift import KNOT_S, Drift
+from identify.signals.drift import KNOT_S, Drift, spline
 from identify.signals.kinematics import Kinematics, Use, kinematics
 from identify.signals.noise import BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
@@ -26,22 +26,22 @@ from rig.model.modes import condensed
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
-BAND_RATIO = 4.0
+FORCE_BAND_RATIO = 4.0
 """Highest frequency of the separated contact forces over that of the exciting force."""
-LEAST_BAND_HZ = 64.0
+LEAST_FORCE_BAND_HZ = 64.0
 """Least highest frequency of the separated contact forces where strain gauges show slow ones: at both ends of a record
 the low-pass rings over some periods of its corner, by what the force has there."""
-FOLLOWED_HZ = 0.5 / KNOT_S
+DRIFT_BAND_HZ = 0.5 / KNOT_S
 """Highest frequency that the knots of the drift follow."""
 LEAST_NOISE_DENSITY = 1e-5
 """Least noise of an accelerometer, m/s^2/sqrt(Hz): below it other errors than noise make the drift."""
-SHORTEST_S = 1.0
+LEAST_RECORD_S = 1.0
 """Least usable length of a record."""
 WELCH_SEGMENT_S, NOISE_POWER_RATIO = 1.0, 4.0
 """Length of Welch's segments, and power over that of the noise that counts as motion."""
 ROUNDING_SHARE = 1e-7
 """Least noise of a contact force over the exciting force: less is rounding, in a record without noise."""
-UNMODELLED_PARTS = ("loads", "base_motion", "force_sensor", "dampers", "tones")
+UNMODELLED_FIELDS = ("loads", "base_motion", "force_sensor", "dampers", "tones")
 """Fields of a rig that the linear model of the identification leaves out; so it does the cubic part of springs."""
 
 
@@ -49,14 +49,14 @@ UNMODELLED_PARTS = ("loads", "base_motion", "force_sensor", "dampers", "tones")
 class Separation:
     """Measured motion of a rig, and the contact forces that follow from it.
 
-    forces and records have one entry for each pair of places, `same_place` the contacts of each. mass_pull is how many
-    tolerances the mass of a rig's single mass is off while its contacts are open.
+    forces and records have one entry for each pair of places, whose contacts are in contact_groups. mass_pull is how
+    many tolerances the mass of a rig's single mass is off while its contacts are open.
     """
 
     rig: Rig
     motion: Kinematics
     forces: ContactForces
-    same_place: tuple[Joined, ...]
+    contact_groups: tuple[ContactGroup, ...]
     records: tuple[ContactRecord, ...]
     mass_pull: float
 
@@ -70,23 +70,25 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     """
     rig = recording.rig
     gauges, motion = gauges_of(recording, use, kinematics(recording, use))
-    excited_hz = vibrates_to_hz(motion) if is_unforced(motion) else driven_to_hz(motion)
-    least_hz = LEAST_BAND_HZ if gauges.sensors else 0.0
-    high_hz = min(max(BAND_RATIO * excited_hz, least_hz), motion.trusted_hz[1])
-    factor = max(1, int(motion.sample_rate_hz / 2 / high_hz))
-    noise, pull = acceleration_noise(motion, rig), mass_pull(rig, motion, tolerances)
-    joined_rig = joined(rig)
+    highest_excited_hz = highest_vibration_hz(motion) if is_unforced(motion) else highest_driven_hz(motion)
+    least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
+    band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
+    decimation = max(1, int(motion.sample_rate_hz / 2 / band_end_hz))
+    noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
         _check_displacements(rig, motion)
-    forces = separated_forces(joined_rig, motion, factor, noise, tolerances, gauges, from_rest)
-    if forces.slow:
-        motion = forces.slow.added_to(motion)
+    pull = mass_pull(rig, motion, tolerances)
+    forces = separated_forces(
+        SeparationInput(group_rig, motion, decimation, noise_m_per_s2, tolerances, gauges, from_rest)
+    )
+    if forces.slow_motion:
+        motion = forces.slow_motion.added_to(motion)
         _check_displacements(rig, motion)
     if recording.start_s > 0 or not from_rest:
-        motion, forces = _without_start(recording, joined_rig, motion, forces, from_rest)
-    records = _records(joined_rig, motion, noise, forces, tolerances)
-    return Separation(rig, motion, forces, joined_contacts(rig), records, pull)
+        motion, forces = _without_start(recording, group_rig, motion, forces, from_rest)
+    records = _contact_records(group_rig, motion, noise_m_per_s2, forces, tolerances)
+    return Separation(rig, motion, forces, contact_groups(rig), records, pull)
 
 
 def separate_described(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
@@ -104,7 +106,7 @@ def is_unforced(motion: Kinematics) -> bool:
     return not np.any(motion.forces_n)
 
 
-def driven_to_hz(motion: Kinematics) -> float:
+def highest_driven_hz(motion: Kinematics) -> float:
     """Highest frequency, Hz, of the exciting force or, without one, of the displacements.
 
     Raises ContactRefusedError if neither a force nor a motion was recorded.
@@ -115,54 +117,50 @@ def driven_to_hz(motion: Kinematics) -> float:
     return max(force_band(row, motion.sample_rate_hz)[1] for row in rows)
 
 
-def vibrates_to_hz(motion: Kinematics) -> float:
+def highest_vibration_hz(motion: Kinematics) -> float:
     """Highest frequency, Hz, at which the displacements of a record without a force exceed the noise, which is taken
     from the highest frequencies. By windowed segments, as a record that begins in motion would leak.
 
     Raises ContactRefusedError if no motion was recorded.
     """
-    highest = driven_to_hz(motion)
-    moving = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
-    length = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
-    hz, power = welch(moving, motion.sample_rate_hz, nperseg=length)
-    low, high = (share * motion.sample_rate_hz for share in BAND)
-    noise = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
-    exceeds_noise = power > NOISE_POWER_RATIO * noise
+    highest_moving_hz = highest_driven_hz(motion)
+    displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
+    segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
+    hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
+    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in BAND)
+    noise_power = np.median(power[:, (hz > noise_low_hz) & (hz < noise_high_hz)], axis=1, keepdims=True)
+    exceeds_noise = power > NOISE_POWER_RATIO * noise_power
     highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
-    return float(min(highest, highest_hz.max()))
+    return float(min(highest_moving_hz, highest_hz.max()))
 
 
 def _without_start(
-    recording: Recording, joined_rig: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
+    recording: Recording, group_rig: Rig, motion: Kinematics, forces: ContactForces, from_rest: bool
 ) -> tuple[Kinematics, ContactForces]:
     """Motion and contact forces without the start, in which the beams ring of what was before.
 
     Raises ContactRefusedError if too little is left.
     """
     rate_hz, samples = motion.sample_rate_hz, forces.force_n.shape[1]
-    at_start_s = RING_S if from_rest else start_left_out_s(joined_rig, forces.slow_n_per_m)
-    skipped = round(at_start_s * rate_hz / forces.factor)
-    if (samples - skipped) * forces.factor < SHORTEST_S * rate_hz:
-        raise _too_short(recording, at_start_s, samples * forces.factor, motion.zero_known)
-    return motion.segment(slice(skipped * forces.factor, None)), forces.without_start(skipped)
-
-
-def _too_short(recording: Recording, at_start_s: float, last_sample: int, zero_known: bool) -> ContactRefusedError:
-    without_displacements = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
-    return refused(
-        RefusalCode.TOO_SHORT,
-        RemedyCode.RECORD_LONGER_OR_FROM_REST if zero_known else without_displacements,
-        duration_s=recording.duration_s,
-        at_start_s=at_start_s,
-        at_end_s=recording.duration_s - last_sample / recording.rig.sample_rate_hz,
-    )
+    start_s = RINGING_S if from_rest else start_transient_s(group_rig, forces.slow_n_per_m)
+    skipped_samples = round(start_s * rate_hz / forces.decimation)
+    if (samples - skipped_samples) * forces.decimation < LEAST_RECORD_S * rate_hz:
+        displacement_remedy = RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS
+        raise refused(
+            RefusalCode.TOO_SHORT,
+            RemedyCode.RECORD_LONGER_OR_FROM_REST if motion.zero_known else displacement_remedy,
+            duration_s=recording.duration_s,
+            at_start_s=start_s,
+            at_end_s=recording.duration_s - samples * forces.decimation / recording.rig.sample_rate_hz,
+        )
+    return motion.segment(slice(skipped_samples * forces.decimation, None)), forces.without_start(skipped_samples)
 
 
 def check_described(rig: Rig) -> None:
     """Raises ContactRefusedError if the rig has no contact, or a field that the linear model leaves out."""
     if not rig.contacts:
         raise refused(RefusalCode.NO_CONTACTS, rig=rig.name)
-    for field in UNMODELLED_PARTS:
+    for field in UNMODELLED_FIELDS:
         if getattr(rig, field) not in ((), None, ForceSensor()):
             if field == "base_motion" and rig.base_sensors:
                 continue
@@ -189,51 +187,49 @@ def _check_displacements(rig: Rig, motion: Kinematics) -> None:
                 )
 
 
-def _records(
+def _contact_records(
     rig: Rig,
     motion: Kinematics,
-    noise: Float[np.ndarray, " stations"],
+    noise_m_per_s2: Float[np.ndarray, " stations"],
     forces: ContactForces,
     tolerances: Tolerances,
 ) -> tuple[ContactRecord, ...]:
     """Contact record of each pair of places."""
-    samples = forces.force_n.shape[1] * forces.factor
-    samples = min(samples, motion.samples)
-    eta, velocity = relative_displacements(rig, motion), relative_velocities(rig, motion)
-    records = []
-    quiet = forces.force_n[:, : motion.excited_from // forces.factor]
-    quiet_n = quiet.std(axis=1) if quiet.shape[1] else np.zeros(len(rig.contacts))
-    quiet_n = np.maximum(quiet_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
+    samples = min(forces.force_n.shape[1] * forces.decimation, motion.samples)
+    eta_m = relative_motion(rig, motion, motion.displacement_m)
+    velocity_m_per_s = relative_motion(rig, motion, motion.velocity_m_per_s)
+    records, nuisances = [], forces.nuisances
+    is_initial_state = np.array([p.kind == NuisanceKind.INITIAL_STATE for p in nuisances.parameters], dtype=bool)
+    quiet_force_n = forces.force_n[:, : motion.excited_from // forces.decimation]
+    quiet_deviation_n = quiet_force_n.std(axis=1) if quiet_force_n.shape[1] else np.zeros(len(rig.contacts))
+    quiet_deviation_n = np.maximum(quiet_deviation_n, ROUNDING_SHARE * motion.forces_n.std(axis=1).max())
     for j in range(len(rig.contacts)):
-        displacements_m = forces.nuisances.eta_m[:, j]
-        moving = np.any(displacements_m, axis=1)
-        drift = drift_of(rig, motion, j, noise, tolerances, samples)
-        nuisance_m = oversampled(displacements_m[moving], forces.factor)[:, :samples].astype(np.float32)
+        displacements_m = nuisances.eta_m[:, j]
+        shifts_eta = np.any(displacements_m, axis=1)
+        drift = drift_of(rig, motion, j, noise_m_per_s2, tolerances, samples)
+        if drift:
+            spring_n_per_m, damper_n_s_per_m = float(forces.slow_n_per_m[j, j]), float(forces.slow_n_s_per_m[j, j])
+            drift = replace(drift, spring_n_per_m=spring_n_per_m, damper_n_s_per_m=damper_n_s_per_m)
+        nuisance_m = oversampled(displacements_m[shifts_eta], forces.decimation)[:, :samples].astype(np.float32)
         records.append(
             ContactRecord(
-                eta_m=eta[j, :samples],
-                velocity_m_per_s=velocity[j, :samples],
+                eta_m=eta_m[j, :samples],
+                velocity_m_per_s=velocity_m_per_s[j, :samples],
                 sample_rate_hz=motion.sample_rate_hz,
                 force_n=forces.force_n[j],
-                factor=forces.factor,
-                quiet_n=float(quiet_n[j]),
+                decimation=forces.decimation,
+                quiet_deviation_n=float(quiet_deviation_n[j]),
                 noise_n=float(forces.noise_n[j]),
-                unmodelled=tolerances.unmodelled_contact,
-                noise_m=float(forces.slow.noise_m[j]) if forces.slow else 0.0,
-                drift=drift
-                and replace(
-                    drift,
-                    spring_n_per_m=float(forces.slow_n_per_m[j, j]),
-                    damper_n_s_per_m=float(forces.slow_n_s_per_m[j, j]),
-                ),
-                nuisance_n=forces.nuisances.force_n[:, j],
-                noise_in_n=forces.nuisances.noise_in_n[:, j],
-                noise_in_m=forces.nuisances.noise_in_m[moving, j],
-                moving=moving,
+                unmodelled_share=tolerances.unmodelled_contact,
+                noise_m=float(forces.slow_motion.noise_m[j]) if forces.slow_motion else 0.0,
+                drift=drift,
+                drift_spline=spline(samples, motion.sample_rate_hz, drift),
+                nuisance_n=nuisances.force_n[:, j],
+                force_noise_multiple=nuisances.force_noise_multiple[:, j],
+                eta_noise_multiple=nuisances.eta_noise_multiple[shifts_eta, j],
+                shifts_eta=shifts_eta,
                 nuisance_m=nuisance_m,
-                initial=np.array(
-                    [p.kind == NuisanceKind.INITIAL_STATE for p in forces.nuisances.parameters], dtype=bool
-                ),
+                is_initial_state=is_initial_state,
             )
         )
     return tuple(records)
@@ -243,7 +239,7 @@ def drift_of(
     rig: Rig,
     motion: Kinematics,
     contact_index: int,
-    noise: Float[np.ndarray, " stations"],
+    noise_m_per_s2: Float[np.ndarray, " stations"],
     tolerances: Tolerances,
     sample_count: int,
 ) -> Drift | None:
@@ -254,28 +250,29 @@ def drift_of(
     if motion.zero_known:
         return None
     stations = contact_stations(rig.contacts[contact_index])
-    missing = [s for s in stations if motion.row(s) is None]
-    if missing:
+    unmeasured_stations = [s for s in stations if motion.row(s) is None]
+    if unmeasured_stations:
         raise refused(
             RefusalCode.NO_ACCELEROMETER,
             contact=rig.contacts[contact_index].name,
-            position_m=missing[0].position_m,
-            body=missing[0].body,
+            position_m=unmeasured_stations[0].position_m,
+            body=unmeasured_stations[0].body,
         )
-    slow = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
-    densities = [_density(motion, s, noise, tolerances) for s in stations]
+    slow_m_per_s2 = [motion.lost_m_per_s2[motion.stations.index(s)] for s in stations]
+    densities = [_error_density(motion, s, noise_m_per_s2, tolerances) for s in stations]
     if motion.base and len(stations) == 1:
-        error = tolerances.of_sensor(motion.base.sensor.name).gain * _slow(motion.base.acceleration_m_per_s2, motion)
-        densities.append(float(np.sqrt(np.mean(error**2) / FOLLOWED_HZ)))
+        gain_error = tolerances.of_sensor(motion.base.sensor.name).gain
+        error_m_per_s2 = gain_error * _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+        densities.append(float(np.sqrt(np.mean(error_m_per_s2**2) / DRIFT_BAND_HZ)))
     return Drift(
-        acceleration_m_per_s2=(slow[0] - (slow[1] if len(slow) > 1 else 0.0))[:sample_count],
+        acceleration_m_per_s2=(slow_m_per_s2[0] - (slow_m_per_s2[1] if len(slow_m_per_s2) > 1 else 0.0))[:sample_count],
         noise_density=max(float(np.hypot.reduce(densities)), LEAST_NOISE_DENSITY),
         spring_n_per_m=0.0,
     )
 
 
-def _density(
-    motion: Kinematics, station: Station, noise: Float[np.ndarray, " stations"], tolerances: Tolerances
+def _error_density(
+    motion: Kinematics, station: Station, noise_m_per_s2: Float[np.ndarray, " stations"], tolerances: Tolerances
 ) -> float:
     """One-sided density of a station's acceleration error in the band of the drift, m/s^2/sqrt(Hz).
 
@@ -284,19 +281,21 @@ def _density(
     row = motion.stations.index(station)
     body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
     body_stations.sort(key=lambda i: motion.stations[i].position_m)
-    slow = np.stack([_slow(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]])
-    in_space = slow[body_stations.index(row)]
+    slow_m_per_s2 = np.stack(
+        [_slow_acceleration(acceleration, motion) for acceleration in motion.acceleration_m_per_s2[body_stations]]
+    )
+    absolute_m_per_s2 = slow_m_per_s2[body_stations.index(row)]
     if motion.base:
-        in_space = in_space + _slow(motion.base.acceleration_m_per_s2, motion)
-    error = tolerances.gain**2 * np.mean(in_space**2)
+        absolute_m_per_s2 = absolute_m_per_s2 + _slow_acceleration(motion.base.acceleration_m_per_s2, motion)
+    error_power = tolerances.gain**2 * np.mean(absolute_m_per_s2**2)
     if len(body_stations) > 1:
-        slope = np.gradient(slow, [motion.stations[i].position_m for i in body_stations], axis=0)[
+        slope = np.gradient(slow_m_per_s2, [motion.stations[i].position_m for i in body_stations], axis=0)[
             body_stations.index(row)
         ]
-        error += tolerances.position_m**2 * np.mean(slope**2)
-    return float(np.sqrt(2 * noise[row] ** 2 / motion.sample_rate_hz + error / FOLLOWED_HZ))
+        error_power += tolerances.position_m**2 * np.mean(slope**2)
+    return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 
-def _slow(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
+def _slow_acceleration(acceleration: Float[np.ndarray, " samples"], motion: Kinematics) -> Float[np.ndarray, " fewer"]:
     """Acceleration in the band of the drift."""
-    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * FOLLOWED_HZ))))
+    return decimated(acceleration, max(1, int(motion.sample_rate_hz / (2 * DRIFT_BAND_HZ))))

@@ -19,7 +19,7 @@ from jaxtyping import Complex, Float
 
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, ResponseCache, input_shapes, responses_of
-from identify.linear.nuisance import Nuisance, Observed, changes_of
+from identify.linear.nuisance import Nuisance, ObservedSignals, changes_of
 from identify.signals.kinematics import CORNER_HZ, Kinematics, integrated
 from rig.model.description import Rig
 
@@ -44,32 +44,34 @@ def low_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.n
 @dataclass(frozen=True)
 class SlowModel:
     """Slow displacement of the stations per newton of each force, and its changes by one standard deviation of the
-    nuisance parameters at given forces; `share` is L at every station whose displacement is integrated."""
+    nuisance parameters at given forces; low_pass_gain is L at every station whose displacement is integrated."""
 
-    share: Float[np.ndarray, "stations slow"]
-    by_input: Complex[np.ndarray, "inputs stations slow"]
-    changes: Mapping[Nuisance, Complex[np.ndarray, "stations slow"]]
+    low_pass_gain: Float[np.ndarray, "stations slow"]
+    input_displacements: Complex[np.ndarray, "inputs stations slow"]
+    nuisance_changes: Mapping[Nuisance, Complex[np.ndarray, "stations slow"]]
 
     def correction(
-        self, inputs: Complex[np.ndarray, "inputs lines"], displaced: Complex[np.ndarray, "stations lines"]
+        self, inputs: Complex[np.ndarray, "inputs lines"], displacements: Complex[np.ndarray, "stations lines"]
     ) -> Complex[np.ndarray, "stations slow"]:
         """Slow displacement by exciting and contact forces, less the integrated one."""
-        lines = slice(self.share.shape[1])
-        return np.asarray(np.einsum("isl,il->sl", self.by_input, inputs[:, lines]) - self.share * displaced[:, lines])
+        lines = slice(self.low_pass_gain.shape[1])
+        by_forces = np.einsum("isl,il->sl", self.input_displacements, inputs[:, lines])
+        return np.asarray(by_forces - self.low_pass_gain * displacements[:, lines])
 
-    def change(
+    def displacement_change(
         self,
         parameter: Nuisance,
         contact_forces: Complex[np.ndarray, "contacts lines"],
-        displaced: Complex[np.ndarray, "stations lines"],
+        displacements: Complex[np.ndarray, "stations lines"],
     ) -> Complex[np.ndarray, "stations lines"]:
         """Change of the stations' displacement by a parameter, given its changes of the contact forces and of the
         integrated displacement."""
-        count = self.share.shape[1]
-        lines = slice(count)
-        by_contacts = self.by_input[-len(contact_forces) :]
-        slow = np.einsum("isl,il->sl", by_contacts, contact_forces[:, lines]) - self.changes.get(parameter, 0.0)
-        return np.concatenate([(1 - self.share) * displaced[:, lines] + slow, displaced[:, count:]], axis=1)
+        count = self.low_pass_gain.shape[1]
+        by_contacts = self.input_displacements[-len(contact_forces) :]
+        slow_displacements = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
+        slow_displacements = slow_displacements - self.nuisance_changes.get(parameter, 0.0)
+        integrated_motion = (1 - self.low_pass_gain) * displacements[:, :count]
+        return np.concatenate([integrated_motion + slow_displacements, displacements[:, count:]], axis=1)
 
 
 def slow_model(
@@ -78,35 +80,35 @@ def slow_model(
     lines: SpectralLines,
     corner_hz: float,
     by_input: Complex[np.ndarray, "inputs rows lines"],
-    observed: Observed,
+    observed: ObservedSignals,
 ) -> SlowModel:
     """Slow model of a rig; `by_input` are the accelerations per newton, those of the stations first; `observed` has the
     motion of the modes."""
-    stations, count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
-    omega = lines.omega[:count]
+    station_count, slow_count = len(motion.stations), int(np.count_nonzero(lines.omega < 2 * np.pi * corner_hz))
+    omega = lines.omega[:slow_count]
     is_integrated = [float(s.measures.order > 0) for s in motion.displaced_by]
-    share = np.outer(is_integrated, low_pass(omega, corner_hz))
+    low_pass_gain = np.outer(is_integrated, low_pass(omega, corner_hz))
     exact_sensors = msgspec.structs.replace(
         observed.tolerances, gain=0.0, position_m=0.0, delay_s=0.0, high_pass_hz=0.0, sensors={}
     )
-    nothing = np.zeros((stations, count), dtype=complex)
+    no_motion = np.zeros((station_count, slow_count), dtype=complex)
     responses = responses_of(rig, ResponseCache(omega, 0), zero_known=True)
-    at_stations = Observed(
+    station_signals = ObservedSignals(
         sensors=motion.sensors,
         displaced_by=motion.sensors,
         tolerances=exact_sensors,
         omega=omega,
-        sensor_response=(share / -(omega**2)).astype(complex),
-        explained=nothing,
-        by_force=observed.by_force[:, :stations, :count],
-        displaced=nothing,
+        sensor_response=(low_pass_gain / -(omega**2)).astype(complex),
+        signals=no_motion,
+        force_accelerations=observed.force_accelerations[:, :station_count, :slow_count],
+        displacements=no_motion,
         bodies=tuple(
-            replace(body, response=response, acceleration=body.acceleration[:, :count])
+            replace(body, response=response, acceleration=body.acceleration[:, :slow_count])
             for body, response in zip(observed.bodies, responses, strict=True)
         ),
     )
-    changes = {change.parameter: change.at_all_sensors(stations) for change in changes_of(at_stations)}
-    return SlowModel(share, by_input[:, :stations, :count] * at_stations.sensor_response, changes)
+    changes = {change.parameter: change.at_all_sensors(station_count) for change in changes_of(station_signals)}
+    return SlowModel(low_pass_gain, by_input[:, :station_count, :slow_count] * station_signals.sensor_response, changes)
 
 
 @dataclass(frozen=True)
@@ -144,10 +146,10 @@ def slow_motion(
     noise_m: Float[np.ndarray, " contacts"],
 ) -> SlowMotion:
     """Slow motion over some samples, at the rate of the record."""
-    turning = 1j * lines.omega[: correction.shape[-1]]
+    i_omega = 1j * lines.omega[: correction.shape[-1]]
     real_at_zero = np.concatenate([correction[:, :1].real, correction[:, 1:]], axis=1)
     displacement, velocity = (
-        np.fft.irfft(rows, lines.length)[:, :samples] for rows in (real_at_zero, turning * correction)
+        np.fft.irfft(rows, lines.padded_samples)[:, :samples] for rows in (real_at_zero, i_omega * correction)
     )
     return SlowMotion(displacement, velocity, noise_m)
 
@@ -155,43 +157,44 @@ def slow_motion(
 def quietest_corner(
     signs: Float[np.ndarray, "contacts stations"],
     by_contacts: Complex[np.ndarray, "contacts rows lines"],
-    to_force: Complex[np.ndarray, "contacts rows lines"],
-    power: Float[np.ndarray, "rows lines"],
+    weights: Complex[np.ndarray, "contacts rows lines"],
+    noise_power: Float[np.ndarray, "rows lines"],
     lines: SpectralLines,
 ) -> tuple[float, Float[np.ndarray, " contacts"]]:
     """Corner of L, Hz, with the least noise of the relative displacements, and that noise's standard deviation (m).
 
-    power is that of the sensors' noise over the padded record: that of accelerometers integrated twice above the
+    noise_power is that of the sensors over the padded record: that of accelerometers integrated twice above the
     corner, and what all sensors make of the contact forces below it.
     """
     stations = signs.shape[1]
-    integrated_power = np.einsum("cs,sl->cl", signs**2, power[:stations]) / lines.omega**4
+    integrated_power = np.einsum("cs,sl->cl", signs**2, noise_power[:stations]) / lines.omega**4
     by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
-    modelled_power = np.einsum("crl,rl->cl", np.abs(np.einsum("cjl,jrl->crl", by_contacts_m, to_force)) ** 2, power)
+    by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
+    modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)
     highest_hz = min(HIGHEST_CORNER_HZ, lines.omega[-1] / (2 * np.pi))
-    steps = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
-    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(steps)
+    corner_count = int(np.log(max(highest_hz / LOWEST_CORNER_HZ, 1.0)) / np.log(CORNER_STEP)) + 1
+    corners_hz = LOWEST_CORNER_HZ * CORNER_STEP ** np.arange(corner_count)
     noise_m = []
     for corner_hz in corners_hz:
-        slow = low_pass(lines.omega, float(corner_hz))
-        squares = slow**2 * modelled_power + (1 - slow) ** 2 * integrated_power
-        noise_m.append(np.sqrt(2 * squares.sum(axis=1)) / lines.length)
-    best = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
-    return float(corners_hz[best]), noise_m[best]
+        low_pass_gain = low_pass(lines.omega, float(corner_hz))
+        combined_power = low_pass_gain**2 * modelled_power + (1 - low_pass_gain) ** 2 * integrated_power
+        noise_m.append(np.sqrt(2 * combined_power.sum(axis=1)) / lines.padded_samples)
+    quietest = int(np.argmin(np.sum(np.array(noise_m) ** 2 / np.min(noise_m, axis=0) ** 2, axis=1)))
+    return float(corners_hz[quietest]), noise_m[quietest]
 
 
 def with_slow_modes(
-    rig: Rig, observed: Observed, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
-) -> Observed:
+    rig: Rig, observed: ObservedSignals, inputs: Complex[np.ndarray, "inputs lines"], corner_hz: float
+) -> ObservedSignals:
     """Observation in which the modes that springs hold move, below a corner, by the exciting and the contact forces:
     accelerometers do not show it."""
-    slow = int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))
+    slow_count = int(np.count_nonzero(observed.omega < 2 * np.pi * corner_hz))
     bodies = []
     for body in observed.bodies:
         response, acceleration = body.response, body.acceleration.copy()
         count, dynamics = len(acceleration), response.dynamics
-        held = [m for m in np.flatnonzero(dynamics.natural_hz[:count]).tolist() if m not in dynamics.high_passed]
-        modal_force = input_shapes(rig, response, rig.forces)[:, held].T @ inputs[:, :slow]
-        acceleration[held, :slow] = response.accelerance[held, :slow] * modal_force
+        held_modes = [m for m in np.flatnonzero(dynamics.natural_hz[:count]).tolist() if m not in dynamics.high_passed]
+        modal_force = input_shapes(rig, response, rig.forces)[:, held_modes].T @ inputs[:, :slow_count]
+        acceleration[held_modes, :slow_count] = response.accelerance[held_modes, :slow_count] * modal_force
         bodies.append(replace(body, acceleration=acceleration))
     return replace(observed, bodies=tuple(bodies))

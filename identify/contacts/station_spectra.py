@@ -11,16 +11,16 @@ from scipy.ndimage import uniform_filter1d
 
 from identify.linear.free_motion import InitialStates, estimated_states, free_motions, free_spectra
 from identify.linear.modal import transformation
-from identify.linear.model import Response, input_shapes, times
+from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import BodyMotion, Change, elastic_modes
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from rig.errors import RigError
 from rig.model.description import Rig
 
-SMOOTHED_HZ = 1.0
+ERROR_SMOOTHING_HZ = 1.0
 """Band over which the stations' errors are averaged."""
-LOWEST_LINE = 1e-3
+ZERO_LINE_NUMBER = 1e-3
 CHUNK_LINES = 1024
 """Lines that are processed at once."""
 LEAST_VARIANCE_SHARE = 1e-9
@@ -29,47 +29,48 @@ CONDITION_LIMIT = 1e12
 """Condition number of the normal equations up to which contact forces are separable."""
 BAND_MARGIN = 1.25
 """Modes up to this multiple of the band's end have tolerances; those beyond are taken as exact."""
-START_LEFT_OUT_S = 0.5
+START_TRANSIENT_S = 0.5
 """Start of a record that does not begin at rest, in which fast modes ring of what was before."""
 
 
 @dataclass(frozen=True)
 class SpectralLines:
-    """Spectral lines of a record padded with silence to `length` samples, up to the band of forces at every
-    `factor`-th."""
+    """Spectral lines of a record padded with silence to `padded_samples`, up to the band of forces at every
+    `decimation`-th."""
 
-    length: int
-    factor: int
+    padded_samples: int
+    decimation: int
     rate_hz: float
-    tapered: bool = True
+    is_tapered: bool = True
 
     @property
     def omega(self) -> Float[np.ndarray, " lines"]:
         """Angular frequencies, rad/s; the lowest is slightly above zero, as displacements are accelerations /
         -omega^2."""
-        lines = np.maximum(np.arange(self.length // self.factor // 2 + 1), LOWEST_LINE)
-        return np.asarray(2 * np.pi * lines * self.rate_hz / self.length)
+        lines = np.maximum(np.arange(self.padded_samples // self.decimation // 2 + 1), ZERO_LINE_NUMBER)
+        return np.asarray(2 * np.pi * lines * self.rate_hz / self.padded_samples)
 
     @property
-    def slow(self) -> Bool[np.ndarray, " lines"]:
+    def is_slow(self) -> Bool[np.ndarray, " lines"]:
         """Lines below the corner frequency of the kinematics."""
         return self.omega < 2 * np.pi * CORNER_HZ
 
     def spectra(self, signals: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows lines"]:
         """Spectra of signals with a tapered end and silence behind it, so that ringing does not wrap to the start."""
-        if self.tapered:
+        if self.is_tapered:
             signals = signals * taper(signals.shape[-1], round(TAPER_S * self.rate_hz))
-        return np.asarray(np.fft.rfft(signals, self.length)[..., : self.omega.size])
+        return np.asarray(np.fft.rfft(signals, self.padded_samples)[..., : self.omega.size])
 
     def signals(self, spectra: Complex[np.ndarray, "*rows lines"], samples: int) -> Float[np.ndarray, "*rows fewer"]:
-        """First samples of the signals of spectra, at every `factor`-th sample."""
+        """First samples of the signals of spectra, at every `decimation`-th sample."""
         real_at_zero = np.concatenate([spectra[..., :1].real, spectra[..., 1:]], axis=-1)
-        return np.asarray(np.fft.irfft(real_at_zero, self.length // self.factor)[..., :samples] / self.factor)
+        signals = np.fft.irfft(real_at_zero, self.padded_samples // self.decimation)[..., :samples]
+        return np.asarray(signals / self.decimation)
 
     @property
     def correlated_line_count(self) -> int:
         """Number of neighbouring lines over which errors are averaged."""
-        return max(1, round(SMOOTHED_HZ * self.length / self.rate_hz))
+        return max(1, round(ERROR_SMOOTHING_HZ * self.padded_samples / self.rate_hz))
 
 
 @dataclass(frozen=True)
@@ -77,36 +78,36 @@ class StationErrors:
     """Errors of the stations: variance of the sensors' noise on each line, at least a floor, and the changes by one
     standard deviation of every tolerance at the measured response, averaged over `correlated_line_count`."""
 
-    noise: Float[np.ndarray, "stations lines"]
-    floor: float
+    noise_power: Float[np.ndarray, "stations lines"]
+    least_power: float
     changes: tuple[Change, ...]
     correlated_line_count: int
 
     def covariance(self, start: int, stop: int) -> Complex[np.ndarray, "some stations stations"]:
         """Covariance of the stations' errors on the lines from `start` to before `stop`."""
-        station_count, line_count = self.noise.shape
-        first, last = max(start - self.correlated_line_count, 0), min(stop + self.correlated_line_count, line_count)
-        interior = slice(start - first, stop - first)
+        station_count, line_count = self.noise_power.shape
+        width = self.correlated_line_count
+        first_line, last_line = max(start - width, 0), min(stop + width, line_count)
+        chunk_lines = slice(start - first_line, stop - first_line)
         covariance = np.zeros((station_count, station_count, stop - start), dtype=complex)
         index = np.arange(station_count)
-        covariance[index, index] = self.noise[:, start:stop] + max(LEAST_VARIANCE_SHARE * self._mean, self.floor)
+        least_power = max(LEAST_VARIANCE_SHARE * self._mean_variance, self.least_power)
+        covariance[index, index] = self.noise_power[:, start:stop] + least_power
         for change in self.changes:
-            rows, delivered = np.array(change.sensors), change.delivered[:, first:last]
-            products = uniform_filter1d(
-                delivered[:, None] * delivered[None].conj(), self.correlated_line_count, axis=-1
-            )
-            covariance[rows[:, None], rows[None]] += products[..., interior]
+            rows, signals = np.array(change.sensors), change.signals[:, first_line:last_line]
+            products = uniform_filter1d(signals[:, None] * signals[None].conj(), width, axis=-1)
+            covariance[rows[:, None], rows[None]] += products[..., chunk_lines]
         return np.ascontiguousarray(np.transpose(covariance, (2, 0, 1)))
 
     @cached_property
-    def _mean(self) -> float:
+    def _mean_variance(self) -> float:
         """Mean variance over stations and lines."""
-        changed = sum(np.linalg.norm(change.delivered) ** 2 for change in self.changes)
-        return float(np.sum(self.noise) + changed) / self.noise.size
+        tolerance_power = sum(np.linalg.norm(change.signals) ** 2 for change in self.changes)
+        return float(np.sum(self.noise_power) + tolerance_power) / self.noise_power.size
 
-    def chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
+    def line_chunks(self, start: int = 0) -> Iterator[tuple[slice, Complex[np.ndarray, "_ stations stations"]]]:
         """Lines from `start` on, chunk by chunk, with their covariance."""
-        line_count = self.noise.shape[1]
+        line_count = self.noise_power.shape[1]
         for first in range(start, line_count, CHUNK_LINES):
             last = min(first + CHUNK_LINES, line_count)
             yield slice(first, last), self.covariance(first, last)
@@ -119,18 +120,18 @@ def force_weights(
 
     Raises RigError if the stations cannot tell the contact forces apart.
     """
-    to_contacts, condition = to_free_inputs(by_contacts, errors.chunks())
+    to_contacts, condition = to_free_inputs(by_contacts, errors.line_chunks())
     if not condition <= CONDITION_LIMIT:
         raise RigError("the sensors cannot tell the contact forces apart; measure more stations on the bodies")
     return to_contacts
 
 
-def observed_motion(
+def observed_body_motion(
     rig: Rig, response: Response, motion: Kinematics, accelerations: Complex[np.ndarray, "stations lines"]
 ) -> BodyMotion:
     """Modal accelerations of a body that its stations determine; those of higher modes are left out."""
     transform = transformation(rig, response.body, motion)
-    modal_accelerations = times(transform.inverse_shapes, accelerations[list(transform.rows)])
+    modal_accelerations = real_product(transform.inverse_shapes, accelerations[list(transform.station_rows)])
     return BodyMotion(response, modal_accelerations, elastic_modes(response, len(modal_accelerations)))
 
 
@@ -139,7 +140,7 @@ def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     return _modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
 
 
-def full_motion(
+def driven_body_motion(
     rig: Rig,
     response: Response,
     motion: Kinematics,
@@ -154,14 +155,15 @@ def full_motion(
     and are subtracted from the stations' accelerations before the others are determined.
     """
     observed_mode_count = len(transformation(rig, response.body, motion).inverse_shapes)
-    modal_force = times(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
-    hidden = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
-    visible = accelerations - times(response.shapes(motion.stations)[:, observed_mode_count:], hidden)
-    observed = observed_motion(rig, response, motion, visible)
+    modal_force = real_product(input_shapes(rig, response, rig.inputs).T, np.concatenate([forces, contact_forces]))
+    hidden_accelerations = response.accelerance[observed_mode_count:] * modal_force[observed_mode_count:]
+    hidden_shapes = response.shapes(motion.stations)[:, observed_mode_count:]
+    visible_accelerations = accelerations - real_product(hidden_shapes, hidden_accelerations)
+    body_motion = observed_body_motion(rig, response, motion, visible_accelerations)
     return replace(
-        observed,
-        acceleration=np.concatenate([observed.acceleration, hidden]),
-        elastic=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
+        body_motion,
+        acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
+        elastic_indices=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
     )
 
 
@@ -171,11 +173,11 @@ def _modes_near_band(response: Response) -> int:
     return int(np.count_nonzero(response.dynamics.natural_hz < BAND_MARGIN * omega[-1] / (2 * np.pi)))
 
 
-def start_left_out_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
+def start_transient_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
     """Length of the start that is left out of a record that does not begin at rest, s: longer where springs of an
     elastic body act on high-passed displacements, which remember the start."""
     remembers_start = np.any(slow_n_per_m) and any(b.length_m for b in rig.bodies)
-    return 2 / CORNER_HZ if remembers_start else START_LEFT_OUT_S
+    return 2 / CORNER_HZ if remembers_start else START_TRANSIENT_S
 
 
 def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np.ndarray, "stations lines"]:
@@ -183,10 +185,10 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
 
     A displacement that does not begin at zero has the spectrum of a step, whose acceleration is no signal over time.
     """
-    rows = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     orders = [s.measures.order for s in motion.sensors]
-    sensed = lines.spectra(np.array([rows[order][i] for i, order in enumerate(orders)]))
-    return np.asarray(sensed * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
+    sensor_spectra = lines.spectra(np.array([derivatives[order][i] for i, order in enumerate(orders)]))
+    return np.asarray(sensor_spectra * (1j * lines.omega) ** (2 - np.array(orders))[:, None])
 
 
 def initial_states(
@@ -201,25 +203,26 @@ def initial_states(
 
     Behind the record's end the signals are zero, so the free motion from the unknown states there is estimated, too.
     """
-    untapered = replace(lines, tapered=False)
-    samples, silent_samples, force_count = motion.samples, lines.length - motion.samples, len(motion.forces_n)
-    motions, at_start, at_end = free_motions(responses, motion, float(lines.omega[-1]) / (2 * np.pi), lines.length)
+    untapered = replace(lines, is_tapered=False)
+    samples, padding_samples, force_count = motion.samples, lines.padded_samples - motion.samples, len(motion.forces_n)
+    highest_hz = float(lines.omega[-1]) / (2 * np.pi)
+    motions, start_prior, end_prior = free_motions(responses, motion, highest_hz, lines.padded_samples)
     orders = [s.measures.order for s in motion.sensors]
 
-    def spectra_of(cut: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        return free_spectra(motions, orders, in_metres, lines.omega, lambda rows: cut.spectra(rows[:, :length]))
+    def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
+        return free_spectra(motions, orders, in_metres, lines.omega, lambda rows: part.spectra(rows[:, :length]))
 
-    start_spectra, end_spectra = spectra_of(untapered, samples), spectra_of(untapered, silent_samples)
+    start_spectra, end_spectra = unit_spectra(untapered, samples), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
     measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
     is_spring_held = np.array([m.is_held for m in motions])
-    states = estimated_states(
+    state_estimate = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),
-        np.concatenate([at_start[0], at_end[0]]),
-        np.concatenate([at_start[1], at_end[1]]),
+        np.concatenate([start_prior[0], end_prior[0]]),
+        np.concatenate([start_prior[1], end_prior[1]]),
         measured - np.sum(by_input[:force_count] * untapered.spectra(motion.forces_n)[:, None], axis=0),
         by_input[force_count:],
-        errors.chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
+        errors.line_chunks(0 if motion.zero_known else int(np.count_nonzero(lines.omega < 2 * 2 * np.pi * CORNER_HZ))),
         correlated_line_count=lines.correlated_line_count,
     )
-    return states.initial_states(spectra_of(lines, samples), np.flatnonzero(is_spring_held))
+    return state_estimate.initial_states(unit_spectra(lines, samples), np.flatnonzero(is_spring_held))

@@ -40,7 +40,7 @@ from identify.laws.results import (
     verdict_sentence,
 )
 from identify.laws.symbolic import Formula, pyoperon, search
-from identify.linear.joined import Joined
+from identify.linear.joined import ContactGroup
 from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
@@ -120,16 +120,16 @@ def identify_law(
     contacts = checked_contacts(recording, use, tolerances)
     progress(0.1)
     separation, refusals = contacts.separation, contacts.outcomes.refusals
-    joined_and_records = zip(separation.same_place, separation.records, strict=True)
+    joined_and_records = zip(separation.contact_groups, separation.records, strict=True)
     chosen_contacts = [
         (joined_contact, contact_record)
         for joined_contact, contact_record in joined_and_records
-        if contact in (None, *(contact_names[j] for j in joined_contact.members))
+        if contact in (None, *(contact_names[j] for j in joined_contact.contact_indices))
     ]
     laws: list[FoundLaw] = []
     refusal_by_name: dict[str, Refusal] = {}
     for contact_number, (joined_contact, contact_record) in enumerate(chosen_contacts, start=1):
-        member_names = [contact_names[j] for j in joined_contact.members]
+        member_names = [contact_names[j] for j in joined_contact.contact_indices]
         if set(member_names) <= refusals.keys() and (
             contact_record.drift is not None or not np.ptp(contact_record.eta_m)
         ):
@@ -189,7 +189,7 @@ class _FormulaFit:
 
 
 def _identify_contact(
-    contacts: Contacts, joined_contact: Joined, contact_record: ContactRecord, search_s: float, seed: int
+    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
 ) -> FoundLaw:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
     samples = _contact_samples(contacts, joined_contact, contact_record)
@@ -228,13 +228,15 @@ def _identify_contact(
         points=formula_fit.eta_m.size,
         repeatable=not formula_fit.out_of_time,
     )
-    time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.factor)
+    time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.decimation)
     return FoundLaw(
         law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, sliding, force_samples, time_s
     )
 
 
-def _contact_samples(contacts: Contacts, joined_contact: Joined, contact_record: ContactRecord) -> _ContactSamples:
+def _contact_samples(
+    contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord
+) -> _ContactSamples:
     """Samples of a contact, split into training and held-out rows.
 
     Of several contacts between the same places the estimated damping is subtracted: it would hide the knee of a soft
@@ -244,7 +246,7 @@ def _contact_samples(contacts: Contacts, joined_contact: Joined, contact_record:
     """
     separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
     signs_and_names = zip(
-        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.members), strict=True
+        joined_contact.signs, (separation.rig.contacts[j].name for j in joined_contact.contact_indices), strict=True
     )
     estimates = tuple(
         estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed
@@ -255,7 +257,7 @@ def _contact_samples(contacts: Contacts, joined_contact: Joined, contact_record:
     if len(estimates) > 1:
         damping_n = force_samples.low_passed(partial(_damping_force_n, estimates), velocity_m_per_s)
         force_samples = replace(force_samples, force_n=force_samples.force_n - damping_n)
-    first_row = separation.motion.excited_from // contact_record.factor + EDGE_SAMPLE_COUNT
+    first_row = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     last_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
     if last_row - first_row < LEAST_SAMPLE_COUNT:
         raise RigError(
@@ -314,8 +316,8 @@ def _add_drift(
     eta_m, force_n, velocity_m_per_s = contact_record.eta_m, contact_record.force_n, contact_record.velocity_m_per_s
     for estimate in estimates if contact_record.drift is not None else ():
         eta_m, velocity_m_per_s = eta_m + estimate.drift_m, velocity_m_per_s + estimate.drift_m_per_s
-        force_n = force_n - contact_record.spring_n_per_m * estimate.drift_m[:: contact_record.factor][: force_n.size]
-    return ForceSamples(eta_m, force_n, contact_record.sample_rate_hz, contact_record.factor), velocity_m_per_s
+        force_n = force_n - contact_record.spring_n_per_m * contact_record.at_force_samples(estimate.drift_m)
+    return ForceSamples(eta_m, force_n, contact_record.sample_rate_hz, contact_record.decimation), velocity_m_per_s
 
 
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:

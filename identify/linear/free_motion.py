@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
-from identify.linear.model import Response, times
+from identify.linear.model import Response, real_product
 from identify.linear.nuisance import Change, Nuisance, NuisanceKind
 from identify.linear.projection import Covariances, Projection, without_free_inputs
 from identify.linear.sampled_motion import Sampling, free_motion, sampled_accelerations
@@ -39,11 +39,11 @@ RELATIVE_STEP = 1e-6
 class FreeMotion:
     """Free motion of one mode per unit of its initial displacement or velocity.
 
-    rows are the coordinate's displacement, velocity and acceleration over time; shape is the mode's at the stations.
+    derivatives are the coordinate's displacement, velocity and acceleration; shape is the mode's at the stations.
     is_held is False if the mode's spring acts on the high-passed displacement: the drift then covers its initial state.
     """
 
-    rows: Float[np.ndarray, "3 samples"]
+    derivatives: Float[np.ndarray, "3 samples"]
     shape: Float[np.ndarray, " stations"]
     is_held: bool
 
@@ -67,18 +67,18 @@ def free_motions(
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
         on_body = np.flatnonzero([s.body == response.body.name for s in motion.stations])
-        mode_count = min(on_body.size, response.count)
+        mode_count = min(on_body.size, response.mode_count)
         coordinates = np.linalg.pinv(shapes[on_body, :mode_count]) @ np.array(
             [motion.displacement_m[on_body], motion.velocity_m_per_s[on_body]]
         )
-        is_measured = mode_count == response.count and motion.zero_known
+        is_measured = mode_count == response.mode_count and motion.zero_known
         rms_m, rms_m_per_s2 = (
             float(np.max(rows[on_body].std(axis=1))) for rows in (motion.displacement_m, motion.acceleration_m_per_s2)
         )
         for m in np.flatnonzero(hz < highest_hz).tolist():
-            largest = float(np.max(np.abs(shapes[on_body, m])))
+            largest_shape = float(np.max(np.abs(shapes[on_body, m])))
             omega = 2 * np.pi * max(hz[m], MIN_FREQUENCY_HZ)
-            amplitude = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest, 1e-9)
+            amplitude = float(np.hypot(rms_m, rms_m_per_s2 / omega**2)) / max(largest_shape, 1e-9)
             for order in range(2):
                 rows = free_motion(float(hz[m]), float(zeta[m]), order, time_s)
                 motions.append(FreeMotion(rows, shapes[:, m], m not in response.dynamics.high_passed))
@@ -92,13 +92,13 @@ def free_motions(
 class InitialStates:
     """Free motion from a record's start, as the sensors deliver it.
 
-    delivered is its estimate; its errors have the independent unit components sum_i spectra_i root_ij, where spectra_i
-    is delivered per unit of the initial value i.
+    signals is its estimate; its errors have the independent unit components sum_i spectra_i root_ij, with unit_spectra
+    spectra_i per unit of the initial value i, and error_root root_ij.
     """
 
-    delivered: Complex[np.ndarray, "stations lines"]
-    spectra: Complex[np.ndarray, "values stations lines"]
-    root: Float[np.ndarray, "values values"]
+    signals: Complex[np.ndarray, "stations lines"]
+    unit_spectra: Complex[np.ndarray, "values stations lines"]
+    error_root: Float[np.ndarray, "values values"]
 
 
 @dataclass(frozen=True)
@@ -129,12 +129,12 @@ def free_spectra(
     """Spectra at the stations per unit of every initial value: accelerations, as (i omega)^(2 - order) times the
     spectrum of the derivative that the station's sensor measures, or displacements on the lines in metres."""
     powers = {order: (1j * omega) ** (2 - order) for order in range(3)}
-    delivered = np.empty((len(motions), *in_metres.shape), dtype=complex)
-    for by_unit, motion in zip(delivered, motions, strict=True):
-        rows = spectra(motion.rows)
+    unit_spectra = np.empty((len(motions), *in_metres.shape), dtype=complex)
+    for unit_spectrum, motion in zip(unit_spectra, motions, strict=True):
+        rows = spectra(motion.derivatives)
         for station, (shape, order) in enumerate(zip(motion.shape, orders, strict=True)):
-            by_unit[station] = shape * np.where(in_metres[station], rows[0], powers[order] * rows[order])
-    return delivered
+            unit_spectrum[station] = shape * np.where(in_metres[station], rows[0], powers[order] * rows[order])
+    return unit_spectra
 
 
 def estimated_states(
@@ -155,14 +155,14 @@ def estimated_states(
     normal, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
     unexplained = unexplained - np.einsum("i,isf->sf", prior_mean, spectra)
     for rows in without_free_inputs([spectra, unexplained[None]], by_contacts, errors):
-        flat = np.concatenate([rows.real, rows.imag])
-        normal += 2 / correlated_line_count * flat[:, :-1].T @ flat[:, :-1]
-        gradient += 2 / correlated_line_count * flat[:, :-1].T @ flat[:, -1]
+        real_rows = np.concatenate([rows.real, rows.imag])
+        normal += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
+        gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
     information, directions = np.linalg.eigh(normal * prior_deviation[:, None] * prior_deviation)
     root = prior_deviation[:, None] * directions
     information = np.maximum(information, 1.0)  # less is rounding: the prior alone gives one
-    shrunk = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
-    return StateEstimate(prior_mean + root @ shrunk, (root / information) @ root.T)
+    value_changes = (information - 1) / (information + SHRINKAGE) / information * (root.T @ gradient)
+    return StateEstimate(prior_mean + root @ value_changes, (root / information) @ root.T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,12 +185,12 @@ class FreeMode:
         return np.asarray(self.initial_state @ self.unit_accelerations)
 
     @property
-    def sensed(self) -> Complex[np.ndarray, "sensors lines"]:
+    def sensed_acceleration(self) -> Complex[np.ndarray, "sensors lines"]:
         """Acceleration by the free motion that the sensors show."""
         return np.outer(self.shape, self.initial_state @ self.sensed_unit_accelerations)
 
     @property
-    def not_sensed(self) -> Complex[np.ndarray, "sensors lines"]:
+    def missed_acceleration(self) -> Complex[np.ndarray, "sensors lines"]:
         """Acceleration by the free motion that the sensors miss."""
         return np.outer(self.shape, self.initial_state @ (self.unit_accelerations - self.sensed_unit_accelerations))
 
@@ -202,33 +202,33 @@ def free_modes(
     sampling: Sampling | None,
 ) -> tuple[FreeMode, ...]:
     """Free modes of each body at zero amplitude; without a sampling the sensors miss nothing of them."""
-    free = []
-    for body_index, (response, chosen) in enumerate(zip(responses, modes, strict=True)):
+    modes_at_rest = []
+    for body_index, (response, mode_indices) in enumerate(zip(responses, modes, strict=True)):
         dynamics, shapes = response.dynamics, response.shapes(sensor_stations)
-        for m in chosen.tolist():
+        for m in mode_indices.tolist():
             hz, zeta = float(dynamics.natural_hz[m]), float(dynamics.damping_ratios[m])
             accelerance = response.accelerance[m]
             accelerations = np.stack([(1j * dynamics.omega + 4 * np.pi * hz * zeta) * accelerance, accelerance])
             sensed = sampled_accelerations(hz, zeta, sampling) if sampling and hz else accelerations
-            free.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
-    return tuple(free)
+            modes_at_rest.append(FreeMode(body_index, m, shapes[:, m], accelerations, sensed, np.zeros(2)))
+    return tuple(modes_at_rest)
 
 
 def tuning_derivative(
-    motion: FreeMode, response: Response, sampling: Sampling, kind: NuisanceKind
+    mode: FreeMode, response: Response, sampling: Sampling, kind: NuisanceKind
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Derivative of a mode's sensed acceleration by the logarithm of its frequency or of its damping ratio."""
     dynamics = response.dynamics
-    hz, zeta = float(dynamics.natural_hz[motion.mode_index]), float(dynamics.damping_ratios[motion.mode_index])
+    hz, zeta = float(dynamics.natural_hz[mode.mode_index]), float(dynamics.damping_ratios[mode.mode_index])
     if not hz:
-        return np.zeros_like(motion.sensed)
-    factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
-    tuned = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in factors)
-    below, above = (motion.initial_state @ sampled_accelerations(*mode, sampling) for mode in tuned)
-    return np.outer(motion.shape, above - below) / (2 * RELATIVE_STEP)
+        return np.zeros_like(mode.sensed_acceleration)
+    step_factors = (1 - RELATIVE_STEP, 1 + RELATIVE_STEP)
+    tuned_modes = ((hz * f, zeta) if kind is NuisanceKind.FREQUENCY else (hz, zeta * f) for f in step_factors)
+    below, above = (mode.initial_state @ sampled_accelerations(*tuned, sampling) for tuned in tuned_modes)
+    return np.outer(mode.shape, above - below) / (2 * RELATIVE_STEP)
 
 
-def fitted_modes(
+def fitted_free_modes(
     motions: Sequence[FreeMode],
     projection: Projection,
     scaled_response: Complex[np.ndarray, "sensors lines"],
@@ -243,9 +243,10 @@ def fitted_modes(
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
     weights = (shape_products @ np.abs(scaled_response) ** 2).reshape(len(shapes), *per_unit.shape[::2]).astype(complex)
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
-        weights -= times(shapes, scaled_response.conj() * by_input)[:, None] * times(shapes, scaled_response * to_input)
+        to_shapes = real_product(shapes, scaled_response.conj() * by_input)
+        weights -= to_shapes[:, None] * real_product(shapes, scaled_response * to_input)
     weighted = (weights[:, :, None] * per_unit).reshape(len(per_unit), -1, per_unit.shape[2])
-    weighted_residual = times(shapes, scaled_response.conj() * residual)[:, None]
+    weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
     normal = np.concatenate([_products(rows, columns) for rows, columns in zip(per_unit, weighted, strict=True)])
     gradient = np.concatenate([_products(rows, row) for rows, row in zip(per_unit, weighted_residual, strict=True)])
     norms = np.sqrt(np.diag(normal))
@@ -271,6 +272,6 @@ def state_changes(
     for motion in motions:
         parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body_index], motion.mode_index + 1)
         for unit_acceleration in motion.sensed_unit_accelerations:
-            delivered = sensor_response * np.outer(motion.shape, unit_acceleration)
-            scale = norm / max(float(np.linalg.norm(delivered)), 1e-300)
-            yield Change(parameter, list(range(len(delivered))), delivered * scale)
+            signals = sensor_response * np.outer(motion.shape, unit_acceleration)
+            scale = norm / max(float(np.linalg.norm(signals)), 1e-300)
+            yield Change(parameter, list(range(len(signals))), signals * scale)

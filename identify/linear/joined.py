@@ -13,7 +13,7 @@ Values = Float[np.ndarray, "*shape"]
 
 
 @dataclass(frozen=True)
-class Joined:
+class ContactGroup:
     """Contacts of one pair of places, by their indices in the rig.
 
     signs are -1 where `at` and `against` are exchanged: the relative displacement is then minus that of the first
@@ -21,11 +21,11 @@ class Joined:
     """
 
     contact: Contact
-    members: tuple[int, ...]
+    contact_indices: tuple[int, ...]
     signs: tuple[int, ...]
 
 
-def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
+def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
     """Contacts joined by pair of places, in the order of the first contact of each pair."""
     groups: list[list[int]] = []
     contacts = rig.contacts
@@ -37,7 +37,7 @@ def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
         else:
             group.append(j)
     return tuple(
-        Joined(
+        ContactGroup(
             replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *further))),
             (first, *further),
             tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *further)),
@@ -46,13 +46,13 @@ def joined_contacts(rig: Rig) -> tuple[Joined, ...]:
     )
 
 
-def joined(rig: Rig) -> Rig:
+def group_rig_of(rig: Rig) -> Rig:
     """Rig with one contact for each pair of places, which has the names of all and the law of the first."""
-    return replace(rig, contacts=tuple(j.contact for j in joined_contacts(rig)))
+    return replace(rig, contacts=tuple(j.contact for j in contact_groups(rig)))
 
 
 @dataclass(frozen=True)
-class JoinedLaw:
+class GroupLaw:
     """Sum of the laws of the contacts of one pair of places, over the relative displacement of the first."""
 
     laws: tuple[ContactLaw, ...]
@@ -74,6 +74,6 @@ class JoinedLaw:
         return np.asarray(sum(sign * law.force_n(sign * eta_m, sign * rate_m_per_s, time_s) for sign, law in pairs))
 
 
-def joined_laws(rig: Rig) -> tuple[JoinedLaw, ...]:
+def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:
     """Laws of every pair of places."""
-    return tuple(JoinedLaw(tuple(rig.contacts[j].law for j in p.members), p.signs) for p in joined_contacts(rig))
+    return tuple(GroupLaw(tuple(rig.contacts[j].law for j in p.contact_indices), p.signs) for p in contact_groups(rig))

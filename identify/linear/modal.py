@@ -12,7 +12,7 @@ from rig.model.description import Body, Rig, Station, contact_stations
 from rig.model.modes import participation
 
 INVISIBLE_SHARE = 1e-3
-NEARLY_INVISIBLE = 0.15
+NEARLY_INVISIBLE_SHARE = 0.15
 """Shares of a shape's largest value; below them a modal equation shows nothing, or little, of a contact."""
 
 
@@ -20,23 +20,23 @@ NEARLY_INVISIBLE = 0.15
 class Transformation:
     """Transformation from station displacements to modal coordinates of one body: q = inverse_shapes @ u (kg^1/2 m).
 
-    lost is, per mode, the rms share of the coordinate that the higher modes contribute when the contact forces and the
-    exciting force shake the body with a white spectrum up to the highest fitted frequency.
+    truncation_shares are, per mode, the rms share of the coordinate that the higher modes contribute when the contact
+    forces and the exciting force shake the body with a white spectrum up to the highest fitted frequency.
     """
 
     body: Body
-    rows: tuple[int, ...]
+    station_rows: tuple[int, ...]
     inverse_shapes: Float[np.ndarray, "modes stations"]
-    condition: float
-    lost: Float[np.ndarray, " modes"]
+    condition_number: float
+    truncation_shares: Float[np.ndarray, " modes"]
 
 
 @dataclass(frozen=True)
 class ModalEquation:
     """Decoupled equation q'' + 2 zeta omega q' + omega^2 q = shape_at_force F - sum_j shape_at_contacts_j f_j.
 
-    Of several inputs, shape_at_force is the one of the largest size, and F is `pushing_force`. Both kinds of shapes are
-    mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
+    Of several inputs, shape_at_force is the one of the largest size, and F is `equivalent_force_n`. Both kinds of
+    shapes are mass-normalised (1/sqrt(kg)); shape_at_contacts have the sign of the body's displacement in the relative
     displacement. visibility is their size as a share of the shape's largest value.
     """
 
@@ -56,7 +56,7 @@ class ModalEquation:
         return f"{self.body} {self.index}"
 
     @property
-    def visible(self) -> tuple[bool, ...]:
+    def is_visible(self) -> tuple[bool, ...]:
         return tuple(v >= INVISIBLE_SHARE for v in self.visibility)
 
 
@@ -65,22 +65,21 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
 
     Raises RigError if a body has no station, or if these cannot tell the modes apart.
     """
-    rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
-    if not rows:
+    station_rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
+    if not station_rows:
         raise RigError(f"body {body.name!r} has no measured station; put a sensor on it")
-    positions_m = np.array([motion.stations[i].position_m for i in rows])
-    mode_count = min(len(rows), body.max_modes)
+    positions_m = np.array([motion.stations[i].position_m for i in station_rows])
+    mode_count = min(len(station_rows), body.max_modes)
     shapes = body.shapes(positions_m, mode_count)
-    condition = float(np.linalg.cond(shapes))
-    if condition > 1e3:
+    condition_number = float(np.linalg.cond(shapes))
+    if condition_number > 1e3:
         raise RigError(
-            f"the stations of {body.name!r} do not tell {mode_count} modes apart (condition number {condition:.2g}); "
-            "spread them over the body"
+            f"the stations of {body.name!r} do not tell {mode_count} modes apart (condition number "
+            f"{condition_number:.2g}); spread them over the body"
         )
     inverse_shapes = np.linalg.pinv(shapes)
-    return Transformation(
-        body, rows, inverse_shapes, condition, _truncation_error(rig, body, positions_m, inverse_shapes)
-    )
+    truncation_shares = _truncation_shares(rig, body, positions_m, inverse_shapes)
+    return Transformation(body, station_rows, inverse_shapes, condition_number, truncation_shares)
 
 
 def modal_equations(
@@ -99,26 +98,25 @@ def modal_equations(
     transform = transformation(rig, body, motion)
     mode_count = min(mode_count, transform.inverse_shapes.shape[0])
     coordinates = [
-        transform.inverse_shapes[:mode_count] @ rows[list(transform.rows)]
+        transform.inverse_shapes[:mode_count] @ rows[list(transform.station_rows)]
         for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
-    at_forces = input_shapes_at(rig, body, mode_count)
-    at_force = at_forces[np.argmax(np.abs(at_forces), axis=0), np.arange(mode_count)]
-    at_contacts = np.array([contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]).reshape(
-        -1, mode_count
-    )
-    largest = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
+    force_shapes = input_mode_shapes(rig, body, mode_count)
+    largest_force_shapes = force_shapes[np.argmax(np.abs(force_shapes), axis=0), np.arange(mode_count)]
+    contact_rows = [contact_shapes(rig, body, j, mode_count) for j in range(len(rig.contacts))]
+    eta_shapes = np.array(contact_rows).reshape(-1, mode_count)
+    largest_shapes = np.abs(body.shapes(np.linspace(0, body.length_m, 101), mode_count)).max(axis=0)
     return tuple(
         ModalEquation(
             body=body.name,
             index=i + 1,
             frequency_hz=float(body.frequencies_hz(mode_count)[i]),
             damping_ratio=float(body.damping_ratios(mode_count)[i]),
-            shape_at_force=float(at_force[i]),
-            shape_at_contacts=at_contacts[:, i],
-            visibility=tuple(float(abs(a) / largest[i]) for a in at_contacts[:, i]),
+            shape_at_force=float(largest_force_shapes[i]),
+            shape_at_contacts=eta_shapes[:, i],
+            visibility=tuple(float(abs(a) / largest_shapes[i]) for a in eta_shapes[:, i]),
             displacement=coordinates[0][i],
             velocity=coordinates[1][i],
             acceleration=coordinates[2][i],
@@ -127,14 +125,14 @@ def modal_equations(
     )
 
 
-def pushing_force(
+def equivalent_force_n(
     rig: Rig, equation: ModalEquation, forces_n: Float[np.ndarray, "forces samples"]
 ) -> Float[np.ndarray, " samples"]:
     """Force F that pushes the mode as all inputs do: sum_k phi(x_k) F_k / shape_at_force."""
     if len(forces_n) == 1 or equation.shape_at_force == 0:
         return forces_n[0]
     body = rig.body(equation.body)
-    shapes = input_shapes_at(rig, body, equation.index)[:, -1]
+    shapes = input_mode_shapes(rig, body, equation.index)[:, -1]
     return shapes / equation.shape_at_force @ forces_n
 
 
@@ -151,39 +149,39 @@ def _without_higher_modes(
     contact_force_n: Float[np.ndarray, "contacts samples"],
 ) -> list[Float[np.ndarray, "modes fewer"]]:
     """Coordinates without the higher modes, one mode after another, as all responses together take much memory."""
-    body, fitted_modes, keep = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
+    body, fitted_count, kept_samples = transform.body, len(transform.inverse_shapes), correctable_samples(motion)
     length = next_fast_len(motion.samples, real=True)
     frequency_hz = np.fft.rfftfreq(length, 1 / motion.sample_rate_hz)
-    forces = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
-    positions_m = np.array([motion.stations[i].position_m for i in transform.rows])
-    in_coordinates = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
-    contacts = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
-    drive = np.stack([*input_shapes_at(rig, body, body.max_modes), *contacts])
-    natural_hz, ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
-    higher_modes = np.zeros((len(in_coordinates), frequency_hz.size), dtype=complex)
-    for m in range(fitted_modes, body.max_modes):
-        response = receptance(float(natural_hz[m]), float(ratios[m]), frequency_hz) * (drive[:, m] @ forces)
-        for i, weight in enumerate(in_coordinates[:, m]):
-            higher_modes[i] += weight * response
-    cleaned = []
+    force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), length)
+    positions_m = np.array([motion.stations[i].position_m for i in transform.station_rows])
+    coordinate_shares = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
+    eta_shapes = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
+    input_shapes = np.stack([*input_mode_shapes(rig, body, body.max_modes), *eta_shapes])
+    natural_hz, damping_ratios = body.frequencies_hz(body.max_modes), body.damping_ratios(body.max_modes)
+    higher_spectra = np.zeros((len(coordinate_shares), frequency_hz.size), dtype=complex)
+    for m in range(fitted_count, body.max_modes):
+        modal_force = input_shapes[:, m] @ force_spectra
+        response = receptance(float(natural_hz[m]), float(damping_ratios[m]), frequency_hz) * modal_force
+        for i, weight in enumerate(coordinate_shares[:, m]):
+            higher_spectra[i] += weight * response
+    corrected_coordinates = []
     for rows in coordinates:
-        cleaned.append(
-            np.stack([r - np.fft.irfft(f, length)[:keep] for r, f in zip(rows[:, :keep], higher_modes, strict=True)])
-        )
-        higher_modes *= 2j * np.pi * frequency_hz
-    return cleaned
+        higher_coordinates = [np.fft.irfft(spectrum, length)[:kept_samples] for spectrum in higher_spectra]
+        corrected_coordinates.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
+        higher_spectra *= 2j * np.pi * frequency_hz
+    return corrected_coordinates
 
 
 def receptance(
     frequency_hz: float | Float[np.ndarray, " modes"],
     damping_ratio: float | Float[np.ndarray, " modes"],
-    at_hz: Float[np.ndarray, " lines"],
+    line_hz: Float[np.ndarray, " lines"],
 ) -> Complex[np.ndarray, "*modes lines"]:
     """Receptance of a modal force, 1 / (omega_0^2 - omega^2 + 2 i zeta omega_0 omega), s^2; zero at 0 Hz if rigid."""
-    natural, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * at_hz
-    stiff = natural**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural * omega
-    stiff[stiff == 0] = np.inf
-    return np.reciprocal(stiff, out=stiff)
+    natural_omega, omega = 2 * np.pi * np.asarray(frequency_hz)[..., None], 2 * np.pi * line_hz
+    dynamic_stiffness = natural_omega**2 - omega**2 + 2j * np.asarray(damping_ratio)[..., None] * natural_omega * omega
+    dynamic_stiffness[dynamic_stiffness == 0] = np.inf
+    return np.reciprocal(dynamic_stiffness, out=dynamic_stiffness)
 
 
 def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) -> Float[np.ndarray, " modes"]:
@@ -193,34 +191,25 @@ def contact_shapes(rig: Rig, body: Body, contact_index: int, mode_count: int) ->
     return np.asarray(shape_at(body, contact.at, mode_count) - against)
 
 
-def relative_displacements(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """Relative displacement of each contact, from the sensors at its stations or, without any, from the modes."""
-    return _relative(rig, motion, motion.displacement_m)
-
-
-def relative_velocities(rig: Rig, motion: Kinematics) -> Float[np.ndarray, "contacts samples"]:
-    """Relative velocity of each contact, as `relative_displacements`."""
-    return _relative(rig, motion, motion.velocity_m_per_s)
-
-
-def _relative(
-    rig: Rig, motion: Kinematics, rows: Float[np.ndarray, "stations samples"]
+def relative_motion(
+    rig: Rig, motion: Kinematics, station_signals: Float[np.ndarray, "stations samples"]
 ) -> Float[np.ndarray, "contacts samples"]:
-    """Relative motion of each contact, from rows of station motion."""
+    """Signals of the stations, such as their displacements, across each contact: from the sensors at its stations or,
+    without any, from the modes."""
 
     def station_motion(station: Station) -> Float[np.ndarray, " samples"]:
         row = motion.row(station)
         if row is not None:
-            return rows[row]
+            return station_signals[row]
         body = rig.body(station.body)
         transform = transformation(rig, body, motion)
         shape = shape_at(body, station, transform.inverse_shapes.shape[0])
-        return np.asarray(shape @ transform.inverse_shapes @ rows[list(transform.rows)])
+        return np.asarray(shape @ transform.inverse_shapes @ station_signals[list(transform.station_rows)])
 
     return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
 
 
-def input_shapes_at(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
+def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
     """Shapes of a body through which the rig's inputs drive it; of a shaken base the participation of the modes."""
     rows = [
         participation(rig, body, body, mode_count) if rig.is_on_ground(station) else shape_at(body, station, mode_count)
@@ -231,7 +220,7 @@ def input_shapes_at(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, 
 
 def force_on_mass(rig: Rig, mass: Body, forces_n: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, " samples"]:
     """Sum of the forces of all inputs on a mass, N."""
-    shapes = input_shapes_at(rig, mass, 1)[:, 0] / mass.shapes(np.zeros(1), 1)[0, 0]
+    shapes = input_mode_shapes(rig, mass, 1)[:, 0] / mass.shapes(np.zeros(1), 1)[0, 0]
     return np.asarray(shapes @ forces_n)
 
 
@@ -244,22 +233,23 @@ def shape_at(body: Body, station: Station, mode_count: int) -> Float[np.ndarray,
     )
 
 
-def _truncation_error(
+def _truncation_shares(
     rig: Rig,
     body: Body,
     positions_m: Float[np.ndarray, " stations"],
     inverse_shapes: Float[np.ndarray, "modes stations"],
 ) -> Float[np.ndarray, " modes"]:
-    """Share of each fitted coordinate that the higher modes contribute (`Transformation.lost`)."""
-    fitted_modes, all_modes = inverse_shapes.shape[0], body.max_modes
-    if fitted_modes >= all_modes:
-        return np.zeros(fitted_modes)
-    natural_hz = body.frequencies_hz(all_modes)
-    highest_hz = natural_hz[fitted_modes - 1] or natural_hz[fitted_modes]
-    response = receptance(natural_hz, body.damping_ratios(all_modes), np.linspace(0.01, 1, 500) * highest_hz)
-    loaded = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
-    at_contacts = body.shapes(np.array([s.position_m for s in loaded]), all_modes)
-    drive = np.concatenate([at_contacts, input_shapes_at(rig, body, all_modes)])
-    covariance = (response @ response.conj().T).real * (drive.T @ drive)
-    error = inverse_shapes @ body.shapes(positions_m, all_modes) - np.eye(fitted_modes, all_modes)
-    return np.asarray(np.sqrt(np.diag(error @ covariance @ error.T) / np.diag(covariance)[:fitted_modes]))
+    """Share of each fitted coordinate that the higher modes contribute (`Transformation.truncation_shares`)."""
+    fitted_count, mode_count = inverse_shapes.shape[0], body.max_modes
+    if fitted_count >= mode_count:
+        return np.zeros(fitted_count)
+    natural_hz = body.frequencies_hz(mode_count)
+    highest_hz = natural_hz[fitted_count - 1] or natural_hz[fitted_count]
+    response = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
+    contact_places = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
+    contact_shapes_at = body.shapes(np.array([s.position_m for s in contact_places]), mode_count)
+    input_shapes = np.concatenate([contact_shapes_at, input_mode_shapes(rig, body, mode_count)])
+    covariance = (response @ response.conj().T).real * (input_shapes.T @ input_shapes)
+    coordinate_error = inverse_shapes @ body.shapes(positions_m, mode_count) - np.eye(fitted_count, mode_count)
+    error_power = np.diag(coordinate_error @ covariance @ coordinate_error.T)
+    return np.asarray(np.sqrt(error_power / np.diag(covariance)[:fitted_count]))

@@ -14,7 +14,7 @@ It also covers slow motion, which accelerations do not show: where springs then 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, Literal, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -36,7 +36,7 @@ Place = Station | Sensor | None
 Value = TypeVar("Value")
 
 
-class Recent(Generic[Value]):
+class RecentValues(Generic[Value]):
     """Cache of the values used last, at most `size` of them."""
 
     def __init__(self, size: int) -> None:
@@ -74,9 +74,9 @@ class ResponseCache:
 
     def __init__(self, omega: Float[np.ndarray, " lines"], size: int = 4) -> None:
         self.omega = omega
-        self._dynamics = Recent[Dynamics](4 * size)
-        self._accelerances = Recent[Complex[np.ndarray, "modes lines"]](size)
-        self._transfers = Recent[Complex[np.ndarray, "inputs outputs lines"]](2 * size)
+        self._dynamics = RecentValues[Dynamics](4 * size)
+        self._accelerances = RecentValues[Complex[np.ndarray, "modes lines"]](size)
+        self._transfers = RecentValues[Complex[np.ndarray, "inputs outputs lines"]](2 * size)
 
     def dynamics(
         self,
@@ -99,8 +99,8 @@ class ResponseCache:
         """Accelerations along some shapes per force along others: sum over modes of output, accelerance and input."""
 
         def make() -> Complex[np.ndarray, "inputs outputs lines"]:
-            both = (inputs[:, None, :] * outputs).reshape(-1, outputs.shape[1])
-            products = times(both, self.accelerance(dynamics))
+            shape_products = (inputs[:, None, :] * outputs).reshape(-1, outputs.shape[1])
+            products = real_product(shape_products, self.accelerance(dynamics))
             transfer = products.reshape(len(inputs), len(outputs), products.shape[-1])
             transfer.flags.writeable = False
             return transfer
@@ -114,7 +114,7 @@ class Response:
 
     body: Body
     modes: Modes
-    count: int
+    mode_count: int
     dynamics: Dynamics
     cache: ResponseCache = field(repr=False)
 
@@ -125,48 +125,47 @@ class Response:
     def shapes(self, places: Sequence[Place]) -> Float[np.ndarray, "places modes"]:
         """Mode shapes at stations and sensors of motion, and -h phi''(x) at strain gauges; zero on other bodies and at
         the ground."""
-        return self._rows(places, 0.0)
+        return self._shapes_at(places, 0.0)
 
     def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
         """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
         length = self.body.length_m
         if not length:
-            return np.zeros((len(places), self.count))
-        step, places_m = SLOPE_STEP * length, np.array([_station(place).position_m for place in places])
+            return np.zeros((len(places), self.mode_count))
+        step, places_m = SLOPE_STEP * length, np.array([_station_of(place).position_m for place in places])
         span_m = np.minimum(places_m + step, length) - np.maximum(places_m - step, 0.0)
-        return np.asarray((self._rows(places, step) - self._rows(places, -step)) / span_m[:, None])
+        return np.asarray((self._shapes_at(places, step) - self._shapes_at(places, -step)) / span_m[:, None])
 
-    def _rows(self, places: Sequence[Place], moved_m: float) -> Float[np.ndarray, "places modes"]:
+    def _shapes_at(self, places: Sequence[Place], offset_m: float) -> Float[np.ndarray, "places modes"]:
         """Rows of `shapes` with every place moved along the body, to its end at most."""
-        rows = np.zeros((len(places), self.count))
-        on_body = [i for i, p in enumerate(places) if p is not None and _station(p).body == self.body.name]
-        for gauges in (False, True):
-            chosen = [i for i in on_body if _is_gauge(places[i]) == gauges]
-            if not chosen:
+        rows = np.zeros((len(places), self.mode_count))
+        on_body = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == self.body.name]
+        for are_gauges in (False, True):
+            place_indices = [i for i in on_body if _is_gauge(places[i]) == are_gauges]
+            if not place_indices:
                 continue
-            places_m = np.array([_station(places[i]).position_m + moved_m for i in chosen])
-            if moved_m:
+            places_m = np.array([_station_of(places[i]).position_m + offset_m for i in place_indices])
+            if offset_m:
                 places_m = np.clip(places_m, 0.0, self.body.length_m)
-            derivatives = [self.modes.shapes(places_m, self.count, order) for order in (range(3) if gauges else (0,))]
-            rows[chosen] = derivatives[0]
-            for row, i in enumerate(chosen if gauges else ()):
+            orders = range(3) if are_gauges else range(1)
+            derivatives = [self.modes.shapes(places_m, self.mode_count, order) for order in orders]
+            rows[place_indices] = derivatives[0]
+            for row, i in enumerate(place_indices if are_gauges else ()):
                 rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
         return rows
 
-    def sensitivity(
-        self, kind: Literal["frequency", "damping"], modes: slice = slice(None)
-    ) -> Complex[np.ndarray, "modes lines"]:
+    def sensitivity(self, by_frequency: bool, modes: slice = slice(None)) -> Complex[np.ndarray, "modes lines"]:
         """Relative change -dD / D of each mode's acceleration by that of its frequency, or of its damping.
 
         An error dD changes a mode's acceleration by -dD / D times its true, that is its measured, value.
         """
         hz, zeta, omega = self.dynamics.natural_hz[modes], self.dynamics.damping_ratios[modes], self.dynamics.omega
-        natural = 2 * np.pi * hz[:, None]
-        changed = -2j * zeta[:, None] * natural * omega
-        if kind == "frequency":
-            changed -= 2 * natural**2
-        changed *= receptance(hz, zeta, omega / (2 * np.pi))
-        return changed
+        natural_omega = 2 * np.pi * hz[:, None]
+        relative_change = -2j * zeta[:, None] * natural_omega * omega
+        if by_frequency:
+            relative_change -= 2 * natural_omega**2
+        relative_change *= receptance(hz, zeta, omega / (2 * np.pi))
+        return relative_change
 
     def transfer(
         self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
@@ -174,9 +173,9 @@ class Response:
         """Accelerations along some shapes per force along others."""
         return self.cache.transfer(self.dynamics, outputs, inputs)
 
-    def tuned(self, frequencies: Float[np.ndarray, " modes"], damping: Float[np.ndarray, " modes"]) -> "Response":
+    def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
-        hz, zeta = self.dynamics.natural_hz * frequencies, self.dynamics.damping_ratios * damping
+        hz, zeta = self.dynamics.natural_hz * hz_factors, self.dynamics.damping_ratios * zeta_factors
         return replace(self, dynamics=self.cache.dynamics(hz, zeta, self.dynamics.high_passed))
 
     def with_high_passed(self, modes: tuple[int, ...]) -> "Response":
@@ -186,7 +185,7 @@ class Response:
         )
 
 
-def _station(place: Place) -> Station:
+def _station_of(place: Place) -> Station:
     station = place.station if isinstance(place, Sensor) else place
     assert station is not None
     return station
@@ -214,9 +213,9 @@ def _accelerance(dynamics: Dynamics) -> Complex[np.ndarray, "modes lines"]:
     hz, zeta, omega = dynamics.natural_hz, dynamics.damping_ratios, dynamics.omega
     accelerance = -(omega**2) * receptance(hz, zeta, omega / (2 * np.pi))
     for mode in dynamics.high_passed:
-        natural = 2 * np.pi * hz[mode]
-        held = natural**2 * integrated(omega, -2, CORNER_HZ)
-        accelerance[mode] = 1 / (1 + held + 2 * zeta[mode] * natural * integrated(omega, -1, CORNER_HZ))
+        natural_omega = 2 * np.pi * hz[mode]
+        spring_term = natural_omega**2 * integrated(omega, -2, CORNER_HZ)
+        accelerance[mode] = 1 / (1 + spring_term + 2 * zeta[mode] * natural_omega * integrated(omega, -1, CORNER_HZ))
     accelerance[hz == 0] = 1.0
     accelerance.flags.writeable = False
     return accelerance
@@ -230,7 +229,7 @@ def accelerances(
     line_count = responses[0].cache.omega.size
     accelerance = np.zeros((len(forces) + len(rig.contacts), len(places), line_count), dtype=complex)
     for response in responses:
-        rows = [i for i, p in enumerate(places) if p is not None and _station(p).body == response.body.name]
+        rows = [i for i, p in enumerate(places) if p is not None and _station_of(p).body == response.body.name]
         inputs = input_shapes(rig, response, forces)
         driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
         if rows and driving_inputs.size:
@@ -242,32 +241,32 @@ def accelerances(
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
     """Mode shapes through which forces at some places, and contact forces, drive a body; the participation of its modes
     in a force on the ground, which is the inertial force on each kilogram."""
-    driven = response.shapes([*forces])
-    for row, station in zip(driven, forces, strict=True):
+    force_shapes = response.shapes([*forces])
+    for row, station in zip(force_shapes, forces, strict=True):
         if rig.is_on_ground(station):
-            row[:] = participation(rig, response.body, response.modes, response.count)
-    return np.concatenate([driven, -across(rig, response)])
+            row[:] = participation(rig, response.body, response.modes, response.mode_count)
+    return np.concatenate([force_shapes, -relative_shapes(rig, response)])
 
 
-def across(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
+def relative_shapes(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
     """Mode shapes of a body in the relative displacements of the contacts."""
     return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
 
 
-def weights_of(
+def station_weights(
     response: Response, sensor_stations: list[Station | None], stations: list[Station | None]
 ) -> Float[np.ndarray, "stations sensors"]:
     """Weights from a body's sensors to other stations on it, by as many of its modes as it has sensors."""
     rows = [i for i, place in enumerate(sensor_stations) if place is not None and place.body == response.body.name]
     weights = np.zeros((len(stations), len(sensor_stations)))
     if rows:
-        modes = min(len(rows), response.count)
+        modes = min(len(rows), response.mode_count)
         inverse_shapes = np.linalg.pinv(response.shapes([sensor_stations[i] for i in rows])[:, :modes])
         weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse_shapes
     return weights
 
 
-def times(
+def real_product(
     real: Float[np.ndarray, "rows inner"], spectra: Complex[np.ndarray, "inner lines"]
 ) -> Complex[np.ndarray, "rows lines"]:
     """Product of a real and a complex matrix, twice as fast as with the real factor taken as complex."""
@@ -285,65 +284,79 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
     Raises RigError if no number of modes identifies every contact force.
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
-    over = np.concatenate([across(rig, r) for r in responses], axis=1)
-    if _rank(over, range(over.shape[1])) < len(rig.contacts):
+    eta_shapes, _ = _eta_modes(rig, responses)
+    if _force_rank(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
             "modes, or fewer contacts"
         )
     if zero_known or not rig.contacts:
         return responses
-    high_passed = _high_passed_modes(responses, over)
+    high_passed = _high_passed_modes(responses, eta_shapes)
     return tuple(
         r.with_high_passed(tuple(sorted(m for body, m in high_passed if body == k))) for k, r in enumerate(responses)
     )
 
 
 def _high_passed_modes(
-    responses: Sequence[Response], over: Float[np.ndarray, "contacts modes"]
+    responses: Sequence[Response], eta_shapes: Float[np.ndarray, "contacts modes"]
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
-    modes = [(k, m) for k, r in enumerate(responses) for m in range(r.count)]
-    rigid = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
-    chosen = [i for i, (k, m) in enumerate(modes) if m < rigid[k]]
-    rank = _rank(over, chosen)
+    modes = [(k, m) for k, r in enumerate(responses) for m in range(r.mode_count)]
+    rigid_counts = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
+    high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid_counts[k]]
+    rank = _force_rank(eta_shapes, high_passed)
     for i in np.argsort(np.concatenate([r.dynamics.natural_hz for r in responses]), kind="stable").tolist():
-        if rank == len(over):
+        if rank == len(eta_shapes):
             break
-        if _rank(over, [*chosen, i]) > rank:
-            chosen.append(i)
+        if _force_rank(eta_shapes, [*high_passed, i]) > rank:
+            high_passed.append(i)
             rank += 1
-    return [modes[i] for i in chosen]
+    return [modes[i] for i in high_passed]
 
 
-def _rank(over: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
+def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], modes: Sequence[int]) -> int:
     """Number of contact forces that some modes tell apart."""
-    return int(np.linalg.matrix_rank(over[:, list(modes)], RANK_TOLERANCE * float(np.max(np.abs(over), initial=0.0))))
+    least_value = RANK_TOLERANCE * float(np.max(np.abs(eta_shapes), initial=0.0))
+    return int(np.linalg.matrix_rank(eta_shapes[:, list(modes)], least_value))
 
 
 def slow_damping(
-    rig: Rig, responses: tuple[Response, ...], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+    rig: Rig, responses: Sequence[Response], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
 ) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
-    over = np.concatenate([across(rig, r) for r in responses], axis=1)
-    omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
-    zeta = np.concatenate([r.dynamics.damping_ratios for r in responses])
-    held, rate = over[:, omega > 0], 2 * zeta[omega > 0] / omega[omega > 0] ** 3
-    return np.asarray(slow_n_per_m @ (held * rate) @ held.T @ slow_n_per_m)
+    eta_shapes, omega = _eta_modes(rig, responses)
+    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
+    held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
+    return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
 
 
-def slow_stiffness(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, "contacts contacts"]:
+def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N) per slow relative displacement (m), where springs act on the high-passed displacements.
 
     K = N (N' C N)^-1 N', with C the sum of phi phi' / omega^2 over the held modes, and N the combinations of contacts
     that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
     """
-    over = np.concatenate([across(rig, r) for r in responses], axis=1)
-    omega = 2 * np.pi * np.concatenate([r.dynamics.natural_hz for r in responses])
-    combined, sizes, _ = np.linalg.svd(over[:, omega == 0])
-    still = combined[:, np.count_nonzero(sizes > RANK_TOLERANCE * np.max(np.abs(over), initial=0.0)) :]
-    if not (still.size and any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)):
-        return np.zeros((len(over), len(over)))
-    held = over[:, omega > 0]
-    compliance = still.T @ (held / omega[omega > 0] ** 2) @ held.T @ still
-    return np.asarray(still @ np.linalg.pinv(compliance, rcond=1e-12, hermitian=True) @ still.T)
+    eta_shapes, omega = _eta_modes(rig, responses)
+    combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
+    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
+    held_combinations = combinations[:, np.count_nonzero(singular_values > least_value) :]
+    if not (held_combinations.size and has_high_passed_springs(responses)):
+        return np.zeros((len(eta_shapes), len(eta_shapes)))
+    held_shapes = eta_shapes[:, omega > 0]
+    compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
+    inverse = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
+    return np.asarray(held_combinations @ inverse @ held_combinations.T)
+
+
+def has_high_passed_springs(responses: Sequence[Response]) -> bool:
+    """True if the spring of some mode acts on the high-passed displacement alone."""
+    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+
+
+def _eta_modes(
+    rig: Rig, responses: Sequence[Response]
+) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
+    """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""
+    natural_hz = np.concatenate([r.dynamics.natural_hz for r in responses])
+    return np.concatenate([relative_shapes(rig, r) for r in responses], axis=1), 2 * np.pi * natural_hz

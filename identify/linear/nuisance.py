@@ -13,13 +13,13 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from identify.linear.model import Response, times
+from identify.linear.model import Response, real_product
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
 
-THE_FORCE = "the force"
-THE_RECORD = "the record"
+SINGLE_FORCE_NAME = "the force"
+RECORD_NAME = "the record"
 
 
 class NuisanceKind(StrEnum):
@@ -45,29 +45,29 @@ class Nuisance:
     """One nuisance parameter of a sensor, a force, a record, a body, or a mode of a body (numbered from 1)."""
 
     kind: NuisanceKind
-    of: str
+    owner: str
     mode_number: int | None = None
 
     @property
     def name(self) -> str:
-        return f"{self.kind} of {self.of}" + ("" if self.mode_number is None else f" {self.mode_number}")
+        return f"{self.kind} of {self.owner}" + ("" if self.mode_number is None else f" {self.mode_number}")
 
 
 @dataclass(frozen=True)
 class BodyMotion:
     """Modes of a body and the accelerations of the first of them; the others are taken to rest.
 
-    `elastic` are the modes with parameters of their own, from 0. Where `by_sensors` is known, the accelerations of the
-    first modes are those of all sensors times it, plus contributions of the model.
+    elastic_indices are the modes with parameters of their own, from 0. Where sensor_weights are known, the
+    accelerations of the first modes are those of all sensors times these, plus contributions of the model.
     """
 
     response: Response
     acceleration: Complex[np.ndarray, "modes lines"]
-    elastic: Int[np.ndarray, " some"]
-    by_sensors: Float[np.ndarray, "lowest sensors"] | None = None
+    elastic_indices: Int[np.ndarray, " some"]
+    sensor_weights: Float[np.ndarray, "lowest sensors"] | None = None
 
     @property
-    def moving(self) -> slice:
+    def moving_modes(self) -> slice:
         """Modes that do not rest."""
         return slice(len(self.acceleration))
 
@@ -81,17 +81,21 @@ class ObservedBase:
     displaced_by: Sensor
     acceleration: Complex[np.ndarray, " lines"]
     displacement: Complex[np.ndarray, " lines"]
-    by_base: Complex[np.ndarray, "sensors lines"]
+    station_accelerations: Complex[np.ndarray, "sensors lines"]
 
     @property
-    def silent(self) -> "ObservedBase":
+    def at_rest(self) -> "ObservedBase":
         """The same base at rest."""
-        acceleration, displacement, by_base = (0 * x for x in (self.acceleration, self.displacement, self.by_base))
-        return replace(self, acceleration=acceleration, displacement=displacement, by_base=by_base)
+        return replace(
+            self,
+            acceleration=0 * self.acceleration,
+            displacement=0 * self.displacement,
+            station_accelerations=0 * self.station_accelerations,
+        )
 
 
 @dataclass(frozen=True)
-class Reading:
+class SensorPattern:
     """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
     pattern: Complex[np.ndarray, "some lines"]
@@ -102,34 +106,34 @@ class Reading:
 class Change:
     """Change by one standard deviation of a parameter in the signals of some sensors, and in the displacements there.
 
-    reading is None if nothing measured enters, or if its way is unknown.
+    sensor_pattern is None if nothing measured enters, or if its way is unknown.
     """
 
     parameter: Nuisance
     sensors: list[int]
-    delivered: Complex[np.ndarray, "some lines"]
-    displaced: Complex[np.ndarray, "some lines"] | None = None
-    reading: Reading | None = None
+    signals: Complex[np.ndarray, "some lines"]
+    displacements: Complex[np.ndarray, "some lines"] | None = None
+    sensor_pattern: SensorPattern | None = None
 
     @property
     def in_single_precision(self) -> "Change":
-        displaced = None if self.displaced is None else self.displaced.astype(np.complex64)
-        return replace(self, delivered=self.delivered.astype(np.complex64), displaced=displaced)
+        displacements = None if self.displacements is None else self.displacements.astype(np.complex64)
+        return replace(self, signals=self.signals.astype(np.complex64), displacements=displacements)
 
     def at_all_sensors(self, sensor_count: int) -> Complex[np.ndarray, "sensors lines"]:
         """Change at all sensors."""
-        delivered = np.zeros((sensor_count, self.delivered.shape[1]), dtype=complex)
-        delivered[self.sensors] = self.delivered
-        return delivered
+        signals = np.zeros((sensor_count, self.signals.shape[1]), dtype=complex)
+        signals[self.sensors] = self.signals
+        return signals
 
 
 @dataclass(frozen=True)
-class Observed:
-    """Signals that the sensors deliver of the true motion (explained), and its parts that the changes need.
+class ObservedSignals:
+    """Signals that the sensors deliver of the true motion, and its parts that the changes need.
 
-    by_force are the accelerations by each measured force on a body; displaced the displacements at the sensors'
-    stations, which the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further are
-    changes by parameters that no tolerance states. Where a base is measured, all motion is relative to it.
+    force_accelerations are those by each measured force on a body; displacements those at the sensors' stations, which
+    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further_changes are those by
+    parameters that no tolerance states. Where a base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -137,17 +141,17 @@ class Observed:
     tolerances: Tolerances
     omega: Float[np.ndarray, " lines"]
     sensor_response: Complex[np.ndarray, "sensors lines"]
-    explained: Complex[np.ndarray, "sensors lines"]
-    by_force: Complex[np.ndarray, "forces sensors lines"]
-    displaced: Complex[np.ndarray, "sensors lines"]
+    signals: Complex[np.ndarray, "sensors lines"]
+    force_accelerations: Complex[np.ndarray, "forces sensors lines"]
+    displacements: Complex[np.ndarray, "sensors lines"]
     bodies: tuple[BodyMotion, ...]
-    further: tuple[Change, ...] = ()
+    further_changes: tuple[Change, ...] = ()
     base: ObservedBase | None = None
 
     @property
-    def is_read(self) -> bool:
+    def is_motion_sensed(self) -> bool:
         """True if the motion of all bodies follows from the sensors."""
-        return all(body.by_sensors is not None for body in self.bodies)
+        return all(body.sensor_weights is not None for body in self.bodies)
 
 
 def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
@@ -156,7 +160,7 @@ def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
     return np.arange(body.rigid_modes, max(count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
 
 
-def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
+def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[Change]:
     """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
     common only on request."""
     yield from _sensor_changes(observed)
@@ -165,62 +169,61 @@ def changes_of(observed: Observed, common: bool = True) -> Iterator[Change]:
     for body in observed.bodies:
         rows = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
         yield from _position_changes(observed, body, rows)
-        yield from _mode_changes(observed, body, rows, common)
-    yield from observed.further
+        yield from _mode_changes(observed, body, rows, with_common)
+    yield from observed.further_changes
 
 
-def _sensor_changes(observed: Observed) -> Iterator[Change]:
+def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by each sensor's chain, which passes the motion in space: that against the base and the base's."""
     base = observed.base
-    carried, lifted = (base.acceleration, base.displacement) if base else (0.0, 0.0)
-    single = np.eye(len(observed.sensors))
-    for i, (sensor, displacement) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
-        for channel in dict.fromkeys((sensor, displacement)):
+    base_acceleration, base_displacement = (base.acceleration, base.displacement) if base else (0.0, 0.0)
+    unit_rows = np.eye(len(observed.sensors))
+    for i, (sensor, displacement_sensor) in enumerate(zip(observed.sensors, observed.displaced_by, strict=True)):
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
-                    in_space = observed.explained[[i]] + observed.sensor_response[[i]] * carried
-                    delivered = factor * in_space * (channel == sensor)
-                    displaced = factor * (observed.displaced[[i]] + lifted) if channel == displacement else None
-                    reading = Reading(factor * observed.sensor_response[[i]], single[i]) if observed.is_read else None
-                    yield Change(Nuisance(kind, channel.name), [i], delivered, displaced, reading)
+                    response = observed.sensor_response[[i]]
+                    signals = factor * (observed.signals[[i]] + response * base_acceleration) * (channel == sensor)
+                    absolute_displacements = observed.displacements[[i]] + base_displacement
+                    displacements = factor * absolute_displacements if channel == displacement_sensor else None
+                    pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
+                    yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
 
 
-def _base_changes(observed: Observed) -> Iterator[Change]:
+def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the chains of the sensors on a shaken base: a gain that is too large takes too much motion from every
     sensor, and more for what the base causes."""
-    base, everywhere = observed.base, list(range(len(observed.sensors)))
+    base, all_sensors = observed.base, list(range(len(observed.sensors)))
     if base is None:
         return
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
         for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
             if np.any(factor):
-                caused = observed.sensor_response * (base.acceleration + base.by_base)
-                delivered = -factor * caused * (channel == base.sensor)
-                displaced = np.tile(-factor * base.displacement, (len(everywhere), 1))
-                is_displacement = channel == base.displaced_by
+                base_signals = observed.sensor_response * (base.acceleration + base.station_accelerations)
+                signals = -factor * base_signals * (channel == base.sensor)
+                displacements = np.tile(-factor * base.displacement, (len(all_sensors), 1))
                 yield Change(
-                    Nuisance(kind, channel.name), everywhere, delivered, displaced if is_displacement else None
+                    Nuisance(kind, channel.name),
+                    all_sensors,
+                    signals,
+                    displacements if channel == base.displaced_by else None,
                 )
 
 
-def crosstalk_of(observed: Observed) -> Iterator[Change]:
+def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
-    share, sensors = observed.tolerances.crosstalk, observed.sensors
+    crosstalk, sensors = observed.tolerances.crosstalk, observed.sensors
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for first, second in pairwise(range(len(sensors)) if share else ()):
+    for first, second in pairwise(range(len(sensors)) if crosstalk else ()):
         if sensors[first].measures != sensors[second].measures:
             continue
         for source, target in ((first, second), (second, first)):
-            reading = None
-            if observed.is_read:
-                reading = Reading(share * observed.sensor_response[[source]], np.eye(len(sensors))[source])
-            yield Change(
-                Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}"),
-                [target],
-                share * observed.explained[[source]],
-                share * observed.displaced[[source]] if is_displacement[source] and is_displacement[target] else None,
-                reading,
-            )
+            parameter = Nuisance(NuisanceKind.CROSSTALK, f"{sensors[source].name} in {sensors[target].name}")
+            are_displacements = is_displacement[source] and is_displacement[target]
+            displacements = crosstalk * observed.displacements[[source]] if are_displacements else None
+            response, weights = observed.sensor_response[[source]], np.eye(len(sensors))[source]
+            pattern = SensorPattern(crosstalk * response, weights) if observed.is_motion_sensed else None
+            yield Change(parameter, [target], crosstalk * observed.signals[[source]], displacements, pattern)
 
 
 def _chain_changes(
@@ -229,72 +232,74 @@ def _chain_changes(
     """Relative change of a sensor's signal by one tolerance each of its gain g, its delay tau, and the corner w of the
     first-order high-pass i omega / (i omega + w) of an AC-coupled one: g, -i omega tau, -w / (i omega + w).
     """
-    tolerance, turning = tolerances.of_sensor(sensor.name), 1j * omega
-    corner = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
+    tolerance, i_omega = tolerances.of_sensor(sensor.name), 1j * omega
+    corner_omega = 2 * np.pi * tolerance.high_pass_hz if sensor.measures.ac_coupled else 0.0
     return {
         NuisanceKind.GAIN: np.full(omega.size, tolerance.gain, dtype=complex),
-        NuisanceKind.DELAY: -tolerance.delay_s * turning,
-        NuisanceKind.HIGH_PASS: -corner / (turning + corner) if corner else np.zeros_like(turning),
+        NuisanceKind.DELAY: -tolerance.delay_s * i_omega,
+        NuisanceKind.HIGH_PASS: -corner_omega / (i_omega + corner_omega) if corner_omega else np.zeros_like(i_omega),
     }
 
 
-def _force_changes(observed: Observed) -> Iterator[Change]:
+def _force_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the gain of each measured force, which is gain times the true one."""
-    count = len(observed.by_force)
-    names = force_names(count) if count > 1 else (THE_FORCE,) * count
+    count = len(observed.force_accelerations)
+    names = force_names(count) if count > 1 else (SINGLE_FORCE_NAME,) * count
     if gain := observed.tolerances.force_gain:
-        for name, by_force in zip(names, observed.by_force, strict=True):
-            delivered = -gain * observed.sensor_response * by_force
-            yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(delivered))), delivered)
+        for name, accelerations in zip(names, observed.force_accelerations, strict=True):
+            signals = -gain * observed.sensor_response * accelerations
+            yield Change(Nuisance(NuisanceKind.FORCE_GAIN, name), list(range(len(signals))), signals)
 
 
-def _position_changes(observed: Observed, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
+def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[int]) -> Iterator[Change]:
     """Changes by the position of each sensor along the body."""
     if not (motion.response.body.length_m and rows):
         return
-    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving]
-    twice = integrated(observed.omega, -2, CORNER_HZ)
-    for i, slope, turned in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
-        sensor, displacement = observed.sensors[i], observed.displaced_by[i]
-        for channel in dict.fromkeys((sensor, displacement)):
+    slopes = motion.response.slopes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
+    double_integral = integrated(observed.omega, -2, CORNER_HZ)
+    for i, slope, slope_acceleration in zip(rows, slopes, slopes @ motion.acceleration, strict=True):
+        sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
-                change = tolerance_m * turned[None]
-                delivered = observed.sensor_response[i] * change * (channel == sensor)
-                displaced = twice * change if channel == displacement else None
-                reading = None
-                if motion.by_sensors is not None:
-                    weights = slope[: len(motion.by_sensors)] @ motion.by_sensors
-                    reading = Reading(tolerance_m * observed.sensor_response[[i]], weights)
-                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], delivered, displaced, reading)
+                change = tolerance_m * slope_acceleration[None]
+                signals = observed.sensor_response[i] * change * (channel == sensor)
+                displacements = double_integral * change if channel == displacement_sensor else None
+                pattern = None
+                if motion.sensor_weights is not None:
+                    weights = slope[: len(motion.sensor_weights)] @ motion.sensor_weights
+                    pattern = SensorPattern(tolerance_m * observed.sensor_response[[i]], weights)
+                yield Change(Nuisance(NuisanceKind.POSITION, channel.name), [i], signals, displacements, pattern)
 
 
-def _mode_changes(observed: Observed, motion: BodyMotion, rows: list[int], common: bool) -> Iterator[Change]:
+def _mode_changes(
+    observed: ObservedSignals, motion: BodyMotion, rows: list[int], with_common: bool
+) -> Iterator[Change]:
     """Changes by the mass of a body, by its frequencies and its damping together, and by those of each mode.
 
     A body of another mass follows its base as before.
     """
     response, tolerances = motion.response, observed.tolerances
     body, sensor_response = response.body, observed.sensor_response[rows]
-    shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving]
-    if common and tolerances.mass:
-        by_forces = times(shapes, motion.acceleration)
+    shapes = response.shapes([observed.sensors[i] for i in rows])[:, motion.moving_modes]
+    if with_common and tolerances.mass:
+        driven_accelerations = real_product(shapes, motion.acceleration)
         if observed.base:
-            by_forces -= observed.base.by_base[rows]
-        delivered = -tolerances.mass * sensor_response * by_forces
-        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, delivered)
+            driven_accelerations -= observed.base.station_accelerations[rows]
+        signals = -tolerances.mass * sensor_response * driven_accelerations
+        yield Change(Nuisance(NuisanceKind.MASS, body.name), rows, signals)
     for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
-        factors = response.sensitivity("frequency" if kind is NuisanceKind.FREQUENCY else "damping", motion.moving)
-        if common and (tolerance := _tolerance_of(tolerances, kind)):
-            delivered = tolerance * sensor_response * times(shapes, factors * motion.acceleration)
-            yield Change(Nuisance(kind, body.name), rows, delivered)
-        for m in motion.elastic.tolist():
+        factors = response.sensitivity(kind is NuisanceKind.FREQUENCY, motion.moving_modes)
+        if with_common and (tolerance := _tolerance_of(tolerances, kind)):
+            signals = tolerance * sensor_response * real_product(shapes, factors * motion.acceleration)
+            yield Change(Nuisance(kind, body.name), rows, signals)
+        for m in motion.elastic_indices.tolist():
             if tolerance := _tolerance_of(tolerances.of_mode(body.name, m + 1), kind):
-                pattern = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
-                reading = None
-                if motion.by_sensors is not None:
-                    reading = Reading(pattern, motion.by_sensors[m]) if m < len(motion.by_sensors) else None
-                delivered = pattern * motion.acceleration[m]
-                yield Change(Nuisance(kind, body.name, m + 1), rows, delivered, reading=reading)
+                response_by_mode = tolerance * sensor_response * (shapes[:, m, None] * factors[m])
+                weights, pattern = motion.sensor_weights, None
+                if weights is not None and m < len(weights):
+                    pattern = SensorPattern(response_by_mode, weights[m])
+                signals = response_by_mode * motion.acceleration[m]
+                yield Change(Nuisance(kind, body.name, m + 1), rows, signals, sensor_pattern=pattern)
 
 
 def _tolerance_of(tolerances: Tolerances, kind: NuisanceKind) -> float:

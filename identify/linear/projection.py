@@ -5,8 +5,8 @@ At every line, of the sensors' accelerations y beyond those by known forces,
     y = B x + e,   cov(e) = C,   var(x_i) = 1 of inputs with a prior, any of free ones
     x = T y,   T = N^-1 B^H C^-1,   N = B^H C^-1 B + P,   r = y - B x
 
-with the accelerations B per unit of each input, and P one for inputs with a prior, zero for free ones. The first `free`
-inputs are the free ones.
+with the accelerations B per unit of each input, and P one for inputs with a prior, zero for free ones. The first
+`free_count` inputs are the free ones.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,7 +35,7 @@ class Projection:
     deviation: Float[np.ndarray, "sensors lines"]
     free_count: int
 
-    def of(
+    def applied_to(
         self, change: Complex[np.ndarray, "some lines"], sensors: list[int] | slice = slice(None)
     ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "free lines"]]:
         """Residual of a change that some sensors deliver, in standard deviations, and the free inputs.
@@ -44,10 +44,10 @@ class Projection:
         """
         standardised = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
         inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standardised)
-        residual = unexplained(self.by_input, inputs, standardised, sensors)
+        residual = input_residual(self.by_input, inputs, standardised, sensors)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
-    def single(self) -> "Projection":
+    def in_single_precision(self) -> "Projection":
         """Projection in single precision, half as large: enough for derivatives."""
         return replace(self, by_input=self.by_input.astype(np.complex64), to_inputs=self.to_inputs.astype(np.complex64))
 
@@ -58,7 +58,7 @@ def projection(
     free_count: int,
 ) -> Projection:
     """Projection of unknown inputs, with `by_input` in standard deviations."""
-    to_inputs = _solved(_normal(by_input, by_input, free_count), by_input.conj())
+    to_inputs = _line_solutions(_normal_matrices(by_input, by_input, free_count), by_input.conj())
     return Projection(by_input, to_inputs, deviation, free_count)
 
 
@@ -71,15 +71,17 @@ def estimated_inputs(
 
     The latter is the factor by which inputs with a prior widen the residual's distribution.
     """
-    normal = _normal(by_input, by_input, free_count)
-    inputs = _solved(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
+    normal = _normal_matrices(by_input, by_input, free_count)
+    inputs = _line_solutions(normal, np.einsum("isl,sl->il", by_input.conj(), standardised)[:, None])[:, 0]
     if free_count == len(by_input):
         return inputs, 0.0
-    wide, narrow = (np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count]))
-    return inputs, float(wide - narrow)
+    log_det, free_log_det = (
+        np.linalg.slogdet(matrix)[1].sum() for matrix in (normal, normal[:, :free_count, :free_count])
+    )
+    return inputs, float(log_det - free_log_det)
 
 
-def unexplained(
+def input_residual(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     inputs: Complex[np.ndarray, "inputs lines"],
     standardised: Complex[np.ndarray, "some lines"],
@@ -101,12 +103,12 @@ def to_free_inputs(
     to_inputs, condition = np.empty_like(by_input), 1.0
     for lines, covariance in covariances:
         columns = by_input[..., lines]
-        weighted = np.linalg.solve(covariance, _line_by_line(columns)).transpose(2, 1, 0)
-        normal = _normal(columns, weighted, len(columns))
+        weighted = np.linalg.solve(covariance, _lines_first(columns)).transpose(2, 1, 0)
+        normal = _normal_matrices(columns, weighted, len(columns))
         if not np.isfinite(normal).all():
             return to_inputs, np.inf
         condition = float(np.maximum(condition, np.max(np.linalg.cond(normal))))
-        to_inputs[..., lines] = _solved(normal, weighted.conj())
+        to_inputs[..., lines] = _line_solutions(normal, weighted.conj())
     return to_inputs, condition
 
 
@@ -122,16 +124,17 @@ def without_free_inputs(
     input_count = len(by_input)
     for lines, covariance in covariances:
         root = np.linalg.cholesky(covariance)
-        rows = _line_by_line(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
+        rows = _lines_first(np.concatenate([by_input[..., lines], *(c[..., lines] for c in columns)]))
         standardised = np.linalg.solve(root, rows)
         standardised_inputs, standardised_columns = standardised[..., :input_count], standardised[..., input_count:]
         products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
-        normal = _normal(standardised_inputs.transpose(2, 1, 0), standardised_inputs.transpose(2, 1, 0), input_count)
-        residual = standardised_columns - standardised_inputs @ _solved(normal, products).transpose(2, 0, 1)
+        input_rows = standardised_inputs.transpose(2, 1, 0)
+        inputs = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)
+        residual = standardised_columns - standardised_inputs @ inputs.transpose(2, 0, 1)
         yield residual.reshape(-1, residual.shape[-1])
 
 
-def complement(
+def input_complement(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
 ) -> Complex[np.ndarray, "lines rows sensors"]:
     """Orthonormal rows that no input reaches, line by line: |rows y|^2 = |r|^2 for free inputs."""
@@ -144,7 +147,7 @@ def complement(
     return np.ascontiguousarray(unitary[:, :, input_count:].conj().transpose(0, 2, 1))
 
 
-def _normal(
+def _normal_matrices(
     by_input: Complex[np.ndarray, "inputs sensors lines"],
     weighted: Complex[np.ndarray, "inputs sensors lines"],
     free_count: int,
@@ -159,13 +162,13 @@ def _normal(
     return normal
 
 
-def _solved(
-    normal: Complex[np.ndarray, "lines inputs inputs"], right: Complex[np.ndarray, "inputs many lines"]
+def _line_solutions(
+    normal: Complex[np.ndarray, "lines inputs inputs"], right_side: Complex[np.ndarray, "inputs many lines"]
 ) -> Complex[np.ndarray, "inputs many lines"]:
-    """N^-1 right, line by line."""
-    return np.ascontiguousarray(np.linalg.solve(normal, right.transpose(2, 0, 1)).transpose(1, 2, 0))
+    """N^-1 right_side, line by line."""
+    return np.ascontiguousarray(np.linalg.solve(normal, right_side.transpose(2, 0, 1)).transpose(1, 2, 0))
 
 
-def _line_by_line(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
+def _lines_first(rows: Complex[np.ndarray, "columns sensors lines"]) -> Complex[np.ndarray, "lines sensors columns"]:
     """Array with the line as the first axis and the input as the last."""
     return np.ascontiguousarray(rows.transpose(2, 1, 0))

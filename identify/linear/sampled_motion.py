@@ -29,7 +29,7 @@ def free_motion(
         return np.stack([time_s, ones, zeros] if order else [ones, zeros, zeros])
     poles = _poles(natural_hz, damping_ratio)
     terms = [np.exp(p * time_s) for p in poles]
-    rows = [_combined(poles, terms, order, k) / (poles[1] - poles[0]) for k in range(3)]
+    rows = [_pole_combination(poles, terms, order, k) / (poles[1] - poles[0]) for k in range(3)]
     return np.asarray(np.real(rows))
 
 
@@ -39,7 +39,7 @@ def _poles(natural_hz: float, damping_ratio: float) -> Complex[np.ndarray, "2"] 
     return 2 * np.pi * natural_hz * (-zeta + np.array([1, -1]) * np.emath.sqrt(zeta**2 - 1))
 
 
-def _combined(
+def _pole_combination(
     poles: Complex[np.ndarray, "2"] | Float[np.ndarray, "2"], terms: Sequence[np.ndarray], order: int, derivative: int
 ) -> np.ndarray:
     """(p_2 - p_1) times a derivative of u (order 0) or v (order 1), from the terms of exp(p_1 t) and exp(p_2 t)."""
@@ -56,14 +56,14 @@ class Sampling:
 
     order: int
     rate_hz: float
-    samples: int
+    sample_count: int
     fading_samples: int
     omega: Float[np.ndarray, " lines"]
 
     @cached_property
     def phases(self) -> tuple[Complex[np.ndarray, " lines"], ...]:
         """exp(-i omega n / rate) after one sample, after those that count in full, and after those that fade."""
-        counts = 1, self.samples - self.fading_samples, self.fading_samples
+        counts = 1, self.sample_count - self.fading_samples, self.fading_samples
         return tuple(np.exp(-1j * self.omega * n / self.rate_hz) for n in counts)
 
 
@@ -74,14 +74,14 @@ def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " line
 
         (z^M - 1) / (z - 1) - 1/2 + z^M / 2 [ (z^F - 1) / (z - 1) - (z^F + 1) (z - c) / (z^2 - 2 c z + 1) ]
     """
-    constant, fading = sampling.samples - sampling.fading_samples, sampling.fading_samples
-    at_one, at_constant, at_fading = (
+    constant_count, fading_count = sampling.sample_count - sampling.fading_samples, sampling.fading_samples
+    z, z_constant, z_fading = (
         np.exp(pole * n / sampling.rate_hz) * phases
-        for n, phases in zip((1, constant, fading), sampling.phases, strict=True)
+        for n, phases in zip((1, constant_count, fading_count), sampling.phases, strict=True)
     )
-    cosine, step = np.cos(np.pi / fading), 1 / (at_one - 1)
-    faded = (at_fading - 1) * step - (at_fading + 1) * (at_one - cosine) / (at_one * (at_one - 2 * cosine) + 1)
-    return np.asarray((at_constant - 1) * step - 0.5 + 0.5 * at_constant * faded)
+    cosine, geometric_factor = np.cos(np.pi / fading_count), 1 / (z - 1)
+    fading_sum = (z_fading - 1) * geometric_factor - (z_fading + 1) * (z - cosine) / (z * (z - 2 * cosine) + 1)
+    return np.asarray((z_constant - 1) * geometric_factor - 0.5 + 0.5 * z_constant * fading_sum)
 
 
 def sampled_accelerations(
@@ -89,7 +89,7 @@ def sampled_accelerations(
 ) -> Complex[np.ndarray, "2 lines"]:
     """Accelerations by the sampled derivative of u and of v, over the sample rate."""
     poles = _poles(natural_hz, damping_ratio)
-    poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.samples + float(np.max(np.real(poles))))
+    poles = poles - max(0.0, LEAST_DECAY * sampling.rate_hz / sampling.sample_count + float(np.max(np.real(poles))))
     sums = [tapered_sum(complex(p), sampling) for p in poles]
     power = (1j * sampling.omega) ** (2 - sampling.order) / ((poles[1] - poles[0]) * sampling.rate_hz)
-    return np.stack([power * _combined(poles, sums, order, sampling.order) for order in range(2)])
+    return np.stack([power * _pole_combination(poles, sums, order, sampling.order) for order in range(2)])

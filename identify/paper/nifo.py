@@ -68,7 +68,7 @@ def nifo(
     more blocks than unknowns.
     """
     active_contacts = tuple(
-        j for j, is_visible in enumerate(equation.visible) if is_visible and np.any(penetration_m[j])
+        j for j, is_visible in enumerate(equation.is_visible) if is_visible and np.any(penetration_m[j])
     )
     unknown_count = 1 + len(active_contacts) + (form == "weak")
     if len(blocks.starts) <= unknown_count:

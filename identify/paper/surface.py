@@ -80,7 +80,9 @@ def fit_surface(
     low-passed alike and decimated by `decimation`, as the modal transformation fails at high frequencies.
     """
     contacts_to_fit = [
-        (j, s) for j, (s, is_visible) in enumerate(zip(start_stops, equation.visible, strict=True)) if is_visible and s
+        (j, s)
+        for j, (s, is_visible) in enumerate(zip(start_stops, equation.is_visible, strict=True))
+        if is_visible and s
     ]
     contact_indices = [j for j, _ in contacts_to_fit]
     measured_force = decimated(restoring_force(equation, force_n), decimation)

@@ -27,7 +27,7 @@ from jaxtyping import Bool, Float, Int
 from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
-from identify.contacts.law_form import law_numbers
+from identify.contacts.law_form import parameters_of_law
 from identify.gaps.decision.bounds import law_distance
 from identify.gaps.decision.comparison import TEMPERATURE, log_prior
 from identify.gaps.decision.null_simulations import draw_rig, standard_normals
@@ -110,7 +110,7 @@ def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstima
         fit = fits.get(contact.name)
         if fit is None or not numbers_alone_differ(after.law, contact.law):
             return 0.0
-        distance = fit.quantity_weights @ (law_numbers(after.law) - law_numbers(contact.law))
+        distance = fit.quantity_weights @ (parameters_of_law(after.law) - parameters_of_law(contact.law))
         covariance = law_distance(fit, contact, contact, tolerances).covariance
         information += float(distance @ np.linalg.solve(covariance, distance))
     return information

@@ -22,7 +22,7 @@ from identify.contacts.acceptance import accept
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_fit import FORMS
-from identify.contacts.law_form import DAMPING, STIFFNESS, law_numbers
+from identify.contacts.law_form import DAMPING_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, RemedyCode
 from identify.contacts.separation import separate_described
 from identify.planning.planned_test import PlannedTest, drawn_forces_n
@@ -183,12 +183,12 @@ def _refused(refusal: Refusal) -> RefusedContact:
 def _error_parts(
     law: ContactLaw, estimate: JointEstimate, stated: JointEstimate, length_ratio: float
 ) -> tuple[ErrorParts, ...]:
-    simulated = law_numbers(law)
+    simulated = parameters_of_law(law)
     parts_by_quantity = []
-    for gradient in (estimate.clearance, STIFFNESS, DAMPING):
+    for gradient in (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT):
         total, tolerances, slow_motion, misfit = (
             float(gradient @ covariance @ gradient)
-            for covariance in (estimate.covariance, estimate.of_tolerances, estimate.of_drift, estimate.of_misfit)
+            for covariance in (estimate.covariance, *(estimate.covariances[s] for s in ("tolerances", "drift", "law")))
         )
         simulated_parts = ErrorParts(
             value=float(gradient @ simulated),

@@ -113,7 +113,7 @@ def costs(settings: BarrelCradle, modes: int, path: Path, plan: Plan) -> dict[st
     }
     recording = read(path)
     found = identify_contact(recording)
-    eta_m, force, equation = found.eta_m, found.motion.force_n, found.weak.equation
+    eta_m, force, equation = found.eta_m, found.motion.force_n, found.weak_nifo.equation
     times = oversampling(rig.sample_rate_hz)
     fine = np.repeat(recording.force_n, times)
     cut = blocks(force.size, rig.sample_rate_hz, Averaging(block_s=plan.block_s), (2.0, 100.0))

@@ -20,7 +20,7 @@ from rich.table import Table
 from identify.checks import Finding, check_recording
 from identify.contacts.acceptance import find_contacts
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import STIFFNESS
+from identify.contacts.law_form import STIFFNESS_GRADIENT
 from rig import RigError
 from rig.commands.command_line import run
 from rig.files import write_json
@@ -167,7 +167,7 @@ def _errors(estimates: Mapping[str, JointEstimate], truth: Truth) -> Iterator[fl
     for name, estimate in estimates.items():
         clearance_m, stiffness = truth[name]
         yield abs(estimate.clearance_m - clearance_m) / estimate.clearance_error_m
-        yield abs(estimate.stiffness_n_per_m - stiffness) / estimate.error(STIFFNESS)
+        yield abs(estimate.stiffness_n_per_m - stiffness) / estimate.error(STIFFNESS_GRADIENT)
 
 
 def table(cases: list[Case], false: dict[str, tuple[int, list[str]]]) -> Table:

@@ -112,7 +112,7 @@ def _modal_equation_shares(record: Record, residual: Residual) -> dict[str, floa
         body_sensors = [
             sensor_index for sensor_index, s in enumerate(record.sensors) if s.station.body == response.body.name
         ]
-        mode_count = min(len(body_sensors), response.count)
+        mode_count = min(len(body_sensors), response.mode_count)
         if not mode_count:
             continue
         shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.stats import chi2
 from scipy.stats import t as student
 
-from identify.contacts.law_form import law_numbers
+from identify.contacts.law_form import parameters_of_law
 from identify.contacts.refusals import Refusal
 from identify.gaps.decision_table import Bounded
 from identify.gaps.residual.likelihood import Misfit
@@ -161,7 +161,7 @@ class LawDistance:
 
 def law_distance(law_estimate: LawEstimate, contact: Contact, nominal: Contact, tolerances: Tolerances) -> LawDistance:
     parameter_distances = np.asarray(
-        law_estimate.quantity_values - law_estimate.quantity_weights @ law_numbers(contact.law)
+        law_estimate.quantity_values - law_estimate.quantity_weights @ parameters_of_law(contact.law)
     )
     nominal_deviations = np.array(stated_deviations(nominal, tolerances))[_parameter_indices(nominal)]
     stated_variances = np.diag(np.square(nominal_deviations[: parameter_distances.size]))

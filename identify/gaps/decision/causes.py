@@ -15,7 +15,7 @@ from identify.gaps.residual.scales import BAND_HZ
 from identify.gaps.results import Band, Cause, Matters, UnexplainedShares, labels_of
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import Hypothesis
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from identify.pages.wording import number
 from rig.model.description import Rig
 from rig.model.parameters import Parameter
@@ -99,7 +99,7 @@ LIMIT_MARGIN = 1e-3
 
 def unexplained_shares(misfit: Misfit, rig: Rig, p_value: float) -> UnexplainedShares:
     """Unexplained shares of a misfit, with its p-value and the largest deviation of a tolerance."""
-    contact_names = [c.name for c in joined(rig).contacts]
+    contact_names = [c.name for c in group_rig_of(rig).contacts]
     return UnexplainedShares(
         share=misfit.motion_share,
         contact_shares=dict(zip(contact_names, misfit.contact_shares.tolist(), strict=True)),

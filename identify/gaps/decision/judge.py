@@ -41,7 +41,7 @@ from identify.gaps.search.hypothesis import MIN_GAIN
 from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.unmeasured_force import UnmeasuredForceFit, likeliest_force
 from identify.gaps.unmeasured_force.clearance_modulation import ClearanceModulation, clearance_modulation
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from rig.model.description import Rig
 
 CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
@@ -177,7 +177,7 @@ def difference_of(
     p_value_parts = p_values(list(zip(prepared.null_references, nominal_misfits, strict=True)))
     p_value = with_bound(combined_p_value(p_value_parts), split_bound)
     rig = validation.record.rig
-    force_names = [f"force of {contact.name}" for contact in joined(rig).contacts]
+    force_names = [f"force of {contact.name}" for contact in group_rig_of(rig).contacts]
     motion_bound, *contact_bounds = share_bounds(nominal_misfits[prepared.validation_index], force_names, matters)
     if p_value < CERTAIN_P_VALUE and not all_hold((motion_bound, *contact_bounds)):
         return Difference(p_value, motion_bound, tuple(contact_bounds))

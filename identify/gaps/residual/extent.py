@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.signal import periodogram
 
-from identify.contacts.separation import driven_to_hz
+from identify.contacts.separation import highest_driven_hz
 from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating_hz
 from identify.signals.beginning import QUIET_S, excitation_start
 from identify.signals.kinematics import CORNER_HZ, kinematics
@@ -151,7 +151,7 @@ def high_hz_of(
     if np.any(recording.forces_n):
         excited_hz = _excited_hz(recording.forces_n, rate_hz)
     elif floats_in_contacts(recording.rig) or (recording.rig.contacts and sensors[0].measures.order):
-        excited_hz = REACH * driven_to_hz(kinematics(recording, sensors[0].quantity, least_order=0))
+        excited_hz = REACH * highest_driven_hz(kinematics(recording, sensors[0].quantity, least_order=0))
     else:
         signals = np.stack([recording.values_of(s) for s in sensors])
         excited_hz = REACH * (

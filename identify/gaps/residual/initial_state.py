@@ -11,7 +11,7 @@ from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.extent import floats_in_contacts
 from identify.gaps.residual.record import Record
-from identify.linear.free_motion import FreeMode, fitted_modes, free_modes
+from identify.linear.free_motion import FreeMode, fitted_free_modes, free_modes
 from identify.linear.model import Response
 from identify.linear.projection import projection
 from rig.model.description import Rig
@@ -45,11 +45,13 @@ def free_motion_of(
     free_modes_to_fit, mass_modes = _split_by_state(record, rig, all_free_modes, responses)
     if free_modes_to_fit:
         unexplained = unexplained - scaled_response * sum(
-            (mass_mode.sensed for mass_mode in mass_modes), np.zeros_like(unexplained)
+            (mass_mode.sensed_acceleration for mass_mode in mass_modes), np.zeros_like(unexplained)
         )
         contact_projection = projection(signal_per_input, error_deviation, len(rig.contacts))
-        projected_residual = contact_projection.of(unexplained * error_deviation)[0][: len(sensor_stations)]
-        free_modes_to_fit = fitted_modes(free_modes_to_fit, contact_projection, scaled_response, projected_residual)
+        projected_residual = contact_projection.applied_to(unexplained * error_deviation)[0][: len(sensor_stations)]
+        free_modes_to_fit = fitted_free_modes(
+            free_modes_to_fit, contact_projection, scaled_response, projected_residual
+        )
     return (*mass_modes, *free_modes_to_fit)
 
 
@@ -63,7 +65,7 @@ def _free_mode_indices(record: Record, responses: tuple[Response, ...]) -> list[
     if not record.rig.contacts:
         highest_mode_hz = min(FREE_MODE_REACH * highest_mode_hz, PASSBAND * record.sample_rate_hz)
     nominal_hz = [
-        modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.count)
+        modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(response.mode_count)
         for response in responses
     ]
     return [np.flatnonzero(natural_hz < highest_mode_hz) for natural_hz in nominal_hz]

@@ -17,12 +17,12 @@ from msgspec.structs import replace as changed
 from scipy.sparse import block_diag, csc_matrix, csr_matrix, diags, hstack, vstack
 from scipy.sparse.linalg import SuperLU, splu
 
-from identify.contacts.contact_record import CLEAR_SHARE, ContactRecord
+from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.observation import ContactObservation, ContactSignals, Results, Signal
 from identify.gaps.residual.tangent import Tangent
-from identify.linear.joined import JoinedLaw
+from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
@@ -40,7 +40,7 @@ Sides = Float[np.ndarray, " pulls"]
 
 
 def initial_unknowns(
-    signals: ContactSignals, observation: ContactObservation, law: JoinedLaw, force_rate_hz: float
+    signals: ContactSignals, observation: ContactObservation, law: GroupLaw, force_rate_hz: float
 ) -> Float[np.ndarray, " unknowns"]:
     """Initial unknowns of a contact: the drift regressed on clearly closed samples, or zero; zero tolerances.
 
@@ -58,31 +58,32 @@ def initial_unknowns(
     middle_m = off_centre_m + np.sign(elastic_n) * first_law.wear_m_per_s * time_s
     depth_m = _depth_m(law, elastic_n)
     if len(law.laws) > 1:  # ringing of an open contact would penetrate a soft one deeply
-        depth_m *= np.abs(elastic_n) > CLEAR_SHARE * np.quantile(np.abs(elastic_n), 0.995)
+        depth_m *= np.abs(elastic_n) > CLOSED_FORCE_SHARE * np.quantile(np.abs(elastic_n), 0.995)
     contact_record = ContactRecord(
         eta_m=eta_m - middle_m,
         velocity_m_per_s=velocity_m_per_s,
         sample_rate_hz=force_rate_hz,
         force_n=first_law.stiffness_n_per_m * depth_m,
-        factor=1,
-        quiet_n=0.0,
+        decimation=1,
+        quiet_deviation_n=0.0,
         noise_n=0.0,
-        unmodelled=0.0,
+        unmodelled_share=0.0,
         drift=None,
+        drift_spline=observation.drift_spline,
         nuisance_n=np.zeros((0, elastic_n.size)),
-        noise_in_n=np.zeros(0),
-        moving=np.zeros(0, dtype=bool),
-        noise_in_m=np.zeros(0),
+        force_noise_multiple=np.zeros(0),
+        shifts_eta=np.zeros(0, dtype=bool),
+        eta_noise_multiple=np.zeros(0),
         nuisance_m=np.zeros((0, elastic_n.size)),
-        initial=np.zeros(0, dtype=bool),
+        is_initial_state=np.zeros(0, dtype=bool),
     )
     if observation.drift_spline.knots:
         with suppress(RigError):
-            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record, observation.drift_spline)[1]
+            unknowns[: observation.drift_spline.knots] = regressed_guess(contact_record)[1]
     return unknowns
 
 
-def _depth_m(law: JoinedLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
+def _depth_m(law: GroupLaw, force_n: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
     """Penetration at which the law's force at rest equals a force; zero for laws without stiffness."""
     slopes_n_per_m = [slope for slope, _ in (single_law.steepest for single_law in law.laws) if slope]
     penetration_m = np.zeros_like(force_n)
@@ -109,8 +110,8 @@ class ContactResidual:
 
     observation: ContactObservation
     signals: ContactSignals
-    law: JoinedLaw
-    adjusted_law: JoinedLaw
+    law: GroupLaw
+    adjusted_law: GroupLaw
     unknowns: Float[np.ndarray, " unknowns"]
     eta_m: Float[np.ndarray, " samples"]
     eta_rate_m_per_s: Float[np.ndarray, " samples"]
@@ -252,7 +253,7 @@ class ContactResidual:
 def contact_residual(
     signals: ContactSignals,
     observation: ContactObservation,
-    law: JoinedLaw,
+    law: GroupLaw,
     unknowns: Float[np.ndarray, " unknowns"],
     added_force_n: float | Float[np.ndarray, " times"] = 0.0,
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
@@ -276,7 +277,7 @@ def contact_residual(
                 stiffness_n_per_m=single_law.stiffness_n_per_m * max(0.01, 1 + stiffness_change),
             )
         )
-    adjusted_law = JoinedLaw(tuple(adjusted_laws), law.signs)
+    adjusted_law = GroupLaw(tuple(adjusted_laws), law.signs)
 
     def force_n(eta: Signal, eta_rate: Signal, *time_s: Signal) -> Signal:
         signed_laws = zip(adjusted_law.signs, adjusted_law.laws, damping_increases, strict=True)
@@ -323,7 +324,7 @@ def force_increase_n(
     return increased_law.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
-def _wear_times(law: JoinedLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
+def _wear_times(law: GroupLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
     """Sample times as an extra argument of a law that wears; empty for other laws."""
     return [signals.time_s] if any(single_law.wear_m_per_s for single_law in law.laws) else []
 

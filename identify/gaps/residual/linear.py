@@ -27,19 +27,19 @@ from identify.gaps.residual.windowed import (
     response_to_force,
 )
 from identify.linear.free_motion import FreeMode
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from identify.linear.model import (
     Response,
     ResponseCache,
     accelerances,
-    across,
     input_shapes,
+    real_product,
+    relative_shapes,
     responses_of,
     slow_stiffness,
-    times,
-    weights_of,
+    station_weights,
 )
-from identify.linear.projection import Projection, estimated_inputs, projection, unexplained
+from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
 from rig.model.description import Rig, Station, contact_stations
 from rig.model.modes import participation
 
@@ -83,7 +83,7 @@ class Linear:
         forces_n = np.stack([*(force_n for _, force_n in self.known_forces), *self.contact_n])
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
-            modal_response(self.record, self.rig, r, times(input_shapes(self.rig, r, stations).T, forces_n))
+            modal_response(self.record, self.rig, r, real_product(input_shapes(self.rig, r, stations).T, forces_n))
             for r in self.responses
         )
         for free_mode in self.free_modes:
@@ -95,14 +95,17 @@ class Linear:
         """Accelerations at the sensors: measured ones, and those of a free motion that the sensors miss."""
         measured_accelerations = self.record.acceleration_signals / self.sensor_response
         return np.asarray(
-            measured_accelerations + sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_accelerations))
+            measured_accelerations
+            + sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(measured_accelerations))
         )
 
     @cached_property
     def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
         """Displacements at the sensors: measured ones, and those of a free motion that the sensors miss."""
         measured_displacements = self.record.displacement_signals / self.sensor_response
-        unobserved_accelerations = sum((m.not_sensed for m in self.free_modes), np.zeros_like(measured_displacements))
+        unobserved_accelerations = sum(
+            (m.missed_acceleration for m in self.free_modes), np.zeros_like(measured_displacements)
+        )
         return np.asarray(measured_displacements + unobserved_accelerations * self.record.twice_integrated)
 
     @cached_property
@@ -111,7 +114,7 @@ class Linear:
         sensor_stations, displacements = sensor_stations_of(self.record, self.rig), self.displacements
         eta_m = self.unobserved_eta_m(self.known_forces, self.contact_n)
         for response in self.responses:
-            eta_m += times(_across_weights(self.rig, response, sensor_stations), displacements)
+            eta_m += real_product(_across_weights(self.rig, response, sensor_stations), displacements)
         for free_mode in self.free_modes:
             unobserved_shapes = self._unobserved_shapes(self.responses[free_mode.body_index], sensor_stations)[
                 :, free_mode.mode_index
@@ -138,9 +141,9 @@ class Linear:
         self, response: Response, sensor_stations: list[Station | None]
     ) -> Float[np.ndarray, "contacts modes"]:
         """Mode shapes across the contacts, less the part that the body's sensors determine."""
-        return across(self.rig, response) - _across_weights(self.rig, response, sensor_stations) @ response.shapes(
-            sensor_stations
-        )
+        return relative_shapes(self.rig, response) - _across_weights(
+            self.rig, response, sensor_stations
+        ) @ response.shapes(sensor_stations)
 
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
@@ -171,7 +174,7 @@ def linear_model(
     is a further unknown input, with a prior of its own size. Contacts between the same places are one. `cache` is
     shared by rigs that are compared with one record; `mode_factors` are those on frequencies and damping of modes.
     """
-    rig = joined(rig)
+    rig = group_rig_of(rig)
     sensor_response = sensor_response_of(record, rig)
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
@@ -205,10 +208,10 @@ def linear_model(
         record, rig, responses, signal_per_input, error_deviation, scaled_response, scaled_signals
     )
     scaled_signals = scaled_signals - scaled_response * sum(
-        (mode.sensed for mode in free_modes), np.zeros_like(scaled_signals)
+        (mode.sensed_acceleration for mode in free_modes), np.zeros_like(scaled_signals)
     )
     input_estimates, log_determinant = estimated_inputs(signal_per_input, scaled_signals, contact_count)
-    residual = unexplained(signal_per_input, input_estimates, scaled_signals)
+    residual = input_residual(signal_per_input, input_estimates, scaled_signals)
     return Linear(
         record=record,
         rig=rig,
@@ -244,7 +247,7 @@ def _across_weights(
     rig: Rig, response: Response, sensor_stations: list[Station | None]
 ) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    end_weights = weights_of(
+    end_weights = station_weights(
         response, sensor_stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)]
     )
     return end_weights[: len(rig.contacts)] - end_weights[len(rig.contacts) :]
@@ -289,13 +292,13 @@ def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[n
     """Constant contact forces that balance static loads on floating bodies and on single masses, N."""
     forces_n = np.zeros(len(rig.contacts))
     for response in responses if rig.loads else ():
-        is_rigid_mode = response.modes.frequencies_hz(response.count) == 0
+        is_rigid_mode = response.modes.frequencies_hz(response.mode_count) == 0
         if response.body.is_mass:
             is_rigid_mode[:] = True
         modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
         if np.any(modal_load_n[is_rigid_mode]):
             forces_n += np.linalg.lstsq(
-                across(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
+                relative_shapes(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
             )[0]
     return forces_n
 
@@ -339,7 +342,7 @@ def _base_accelerations(
     assert base_motion is not None
     accelerations = np.ones((len(sensor_stations), record.omega.size), dtype=complex)
     for response in responses:
-        modal_load = participation(rig, response.body, response.modes, response.count)
+        modal_load = participation(rig, response.body, response.modes, response.mode_count)
         accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
     lines_hz = record.omega / (2 * np.pi)
     power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)

@@ -11,14 +11,14 @@ from identify.gaps.residual.linear import Linear, ground_spring_correction
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import has_ground_forces
 from identify.linear.free_motion import state_changes, tuning_derivative
-from identify.linear.model import Response, times
+from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
-    THE_FORCE,
+    SINGLE_FORCE_NAME,
     BodyMotion,
     Change,
     Nuisance,
     NuisanceKind,
-    Observed,
+    ObservedSignals,
     changes_of,
     crosstalk_of,
     elastic_modes,
@@ -82,13 +82,13 @@ def columns_of(record: Record, model: Linear) -> Columns:
     )
     contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
     eta_columns_m = np.zeros((nuisance_count, contact_count, record.omega.size), np.complex64)
-    projection = model.projection if record.measured_modes else model.projection.single()
+    projection = model.projection if record.measured_modes else model.projection.in_single_precision()
     for change_index, change in enumerate(changes):
         projected_signals, contact_force_change = _projected_change(record, model, projection, change)
         residual_columns[change_index] = residual_in_time(record, projected_signals)
         contact_columns_n[change_index] = record.in_time(contact_force_change)
-        if change.displaced is not None:
-            eta_columns_m[change_index] = relative_displacements(record, model, change.displaced, change.sensors)
+        if change.displacements is not None:
+            eta_columns_m[change_index] = relative_displacements(record, model, change.displacements, change.sensors)
     return Columns(tuple(c.parameter for c in changes), residual_columns, contact_columns_n, eta_columns_m)
 
 
@@ -101,10 +101,10 @@ def _free_motion_change(record: Record, model: Linear, change: Change) -> Change
     acceleration_change = np.zeros_like(model.sensor_response)
     for free_mode in model.free_modes:
         response = model.responses[free_mode.body_index]
-        if response.body.name == parameter.of and parameter.mode_number in (None, free_mode.mode_index + 1):
+        if response.body.name == parameter.owner and parameter.mode_number in (None, free_mode.mode_index + 1):
             acceleration_change += tuning_derivative(free_mode, response, record.sampling, parameter.kind)
     mode_tolerances = (
-        tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.of, parameter.mode_number)
+        tolerances if parameter.mode_number is None else tolerances.of_mode(parameter.owner, parameter.mode_number)
     )
     relative_tolerance = (
         mode_tolerances.frequency if parameter.kind is NuisanceKind.FREQUENCY else mode_tolerances.damping
@@ -120,24 +120,24 @@ def _projected_change(
     record: Record, model: Linear, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
-    if change.displaced is None or not has_ground_forces(model.rig):
-        return projection.of(change.delivered, change.sensors)
+    if change.displacements is None or not has_ground_forces(model.rig):
+        return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
-    displacement_change[change.sensors], signal_change[change.sensors] = change.displaced, change.delivered
-    return projection.of(signal_change + ground_spring_correction(record, model, displacement_change))
+    displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
+    return projection.applied_to(signal_change + ground_spring_correction(record, model, displacement_change))
 
 
-def _observed_motion(record: Record, model: Linear) -> Observed:
+def _observed_motion(record: Record, model: Linear) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
-    return Observed(
+    return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        explained=record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation,
-        by_force=model.acceleration_by_force,
-        displaced=model.displacements,
+        signals=record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation,
+        force_accelerations=model.acceleration_by_force,
+        displacements=model.displacements,
         bodies=tuple(
             BodyMotion(response, modal_acceleration, _parameter_modes(record, response))
             for response, modal_acceleration in zip(model.responses, _modal_accelerations(record, model), strict=True)
@@ -147,7 +147,7 @@ def _observed_motion(record: Record, model: Linear) -> Observed:
 
 def _parameter_modes(record: Record, response: Response) -> Int[np.ndarray, " some"]:
     """Modes with parameters of their own, by the nominal rig, so that all rigs have the same parameters."""
-    mode_count = response.count
+    mode_count = response.mode_count
     natural_hz = modes_of(record.rig, record.rig.body(response.body.name)).frequencies_hz(mode_count)
     elastic_indices = elastic_modes(response, mode_count)  # whichever springs hold the body
     return elastic_indices[natural_hz[elastic_indices] < MODE_REACH * record.omega[-1] / (2 * np.pi)]
@@ -160,7 +160,7 @@ def _modal_accelerations(record: Record, model: Linear) -> list[Complex[np.ndarr
     for response, modal_acceleration in zip(model.responses, model.modal_accelerations, strict=True):
         body_sensors = [i for i, s in enumerate(record.sensors) if s.station.body == response.body.name]
         if body_sensors:
-            determined_count = min(len(body_sensors), response.count)
+            determined_count = min(len(body_sensors), response.mode_count)
             shapes = response.shapes([record.sensors[i].station for i in body_sensors])[:, :determined_count]
             modal_acceleration[:determined_count] += np.linalg.pinv(shapes) @ unexplained_accelerations[body_sensors]
         modal_accelerations.append(modal_acceleration)
@@ -221,7 +221,7 @@ def with_nuisance(
             delay_s=nominal.delay_s + delay_change_s,
         )
 
-    force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, THE_FORCE, tolerances.force_gain)
+    force_gain = rig.force_sensor.gain * factor(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME, tolerances.force_gain)
     return replace(
         rig,
         bodies=tuple(body(b) for b in rig.bodies),
@@ -258,4 +258,4 @@ def relative_displacements(
     contact_signs = np.array(
         [[(s == c.at) * 1.0 - (s == c.against) * 1.0 for s in sensor_stations] for c in model.rig.contacts]
     )
-    return times(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)
+    return real_product(contact_signs.reshape(-1, len(sensor_stations))[:, sensor_indices], displacements)

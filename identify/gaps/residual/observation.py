@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter1d
 
 from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.record import Record
-from identify.linear.joined import JoinedLaw
+from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
 from identify.signals.law_evaluation import evaluated
 
@@ -110,7 +110,7 @@ class ContactObservation:
 
 
 def contact_observations(
-    record: Record, model: Linear, laws: Sequence[JoinedLaw], residual_levels: Sequence[float]
+    record: Record, model: Linear, laws: Sequence[GroupLaw], residual_levels: Sequence[float]
 ) -> tuple[ContactObservation, ...]:
     """Observations of a record's contacts by the linear model and the laws of the nominal rig.
 

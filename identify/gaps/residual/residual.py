@@ -31,8 +31,8 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.tuning import TunedModes, tuned_modes
 from identify.gaps.residual.windowed import has_ground_forces
-from identify.linear.joined import joined_contacts, joined_laws
-from identify.linear.model import Recent, ResponseCache
+from identify.linear.joined import contact_groups, group_laws
+from identify.linear.model import RecentValues, ResponseCache
 from identify.linear.nuisance import Nuisance
 from rig.model.description import Rig
 
@@ -46,7 +46,7 @@ class SearchCache:
 
     def __init__(self, record: Record) -> None:
         self.responses = ResponseCache(record.omega)
-        self._columns = Recent[Columns](2)
+        self._columns = RecentValues[Columns](2)
 
     def columns(self, model: Linear) -> Columns:
         return self._columns.get(model, lambda: columns_of(model.record, model))
@@ -143,8 +143,8 @@ class Residual:
         """Rig with the fitted nuisance parameters and contact tolerances applied."""
         rig = with_nuisance(self.rig, self.parameters, self.nuisance_pulls, self.model.record.tolerances)
         contacts = list(rig.contacts)
-        for joined_contact, contact_fit in zip(joined_contacts(rig), self.contacts, strict=True):
-            for contact_index, law in zip(joined_contact.members, contact_fit.fitted_laws, strict=True):
+        for joined_contact, contact_fit in zip(contact_groups(rig), self.contacts, strict=True):
+            for contact_index, law in zip(joined_contact.contact_indices, contact_fit.fitted_laws, strict=True):
                 contacts[contact_index] = replace(contacts[contact_index], law=law)
         return replace(rig, contacts=tuple(contacts))
 
@@ -189,7 +189,7 @@ def linearized(
         record, expansion_rig, residual.parameters if residual else None, residual.nuisance_pulls if residual else None
     )
     model = linear_model(record, expansion_rig, scales.unmodelled_shares, cache.responses, mode_tuning.factors)
-    observations = observations or contact_observations(record, model, joined_laws(expansion_rig), scales.variances)
+    observations = observations or contact_observations(record, model, group_laws(expansion_rig), scales.variances)
     return Linearization(record, rig, scales, model, observations, applied, mode_tuning, cache)
 
 
@@ -228,7 +228,7 @@ def residual_of(
     Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
     linearisation whose unchanged parts are reused.
     """
-    record, parameters, laws = linearization.record, linearization.columns.parameters, joined_laws(rig)
+    record, parameters, laws = linearization.record, linearization.columns.parameters, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
     if base is not None and same_but_laws(base.rig, rig):
         model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)
@@ -297,7 +297,7 @@ def derivative(linearization: Linearization, changed_rig: Rig, residual: Residua
     residual_decrease = model.residual - changed_model.residual
     input_decrease = np.concatenate([model.contact_n - changed_model.contact_n, residual_decrease[sensor_count:]])
     sensor_decrease = residual_decrease[:sensor_count] + np.einsum("isl,il->sl", model.signal_per_input, input_decrease)
-    linear_decrease, contact_force_spectra = model.projection.of(sensor_decrease * model.error_deviation)
+    linear_decrease, contact_force_spectra = model.projection.applied_to(sensor_decrease * model.error_deviation)
     static_decrease_n = model.static_contact_n - changed_model.static_contact_n
     contact_force_decrease_n = record.in_time(contact_force_spectra) + static_decrease_n[:, None]
     stiffness_increase_n_per_m = changed_model.slow_n_per_m - model.slow_n_per_m
@@ -312,7 +312,7 @@ def _sensor_column(linearization: Linearization, changed_rig: Rig, residual: Res
     record, model = linearization.record, residual.model
     change = sensor_response_of(record, changed_rig) / sensor_response_of(record, residual.rig) - 1
     explained_signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
-    linear_decrease, contact_force_spectra = model.projection.of(change * explained_signals)
+    linear_decrease, contact_force_spectra = model.projection.applied_to(change * explained_signals)
     eta_decrease_m = relative_displacements(record, model, change * record.displacement_signals / model.sensor_response)
     contact_decreases = contact_columns(record, residual, record.in_time(contact_force_spectra), eta_decrease_m)
     return residual_in_time(record, linear_decrease), contact_decreases

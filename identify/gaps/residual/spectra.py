@@ -32,7 +32,7 @@ from identify.gaps.residual.extent import (
 )
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from identify.signals.drift import Drift
 from identify.signals.kinematics import CORNER_HZ, integrated, kinematics, taper
 from identify.signals.noise import acceleration_noise
@@ -105,7 +105,7 @@ def record_of(
     Raises RigError if the recording is too short, has no sensors of motion or shows none.
     """
     rig, rate_hz, sample_count = recording.rig, recording.rig.sample_rate_hz, recording.samples
-    joined_rig, tolerances = joined(rig), tolerances or rig.tolerances or LABORATORY
+    joined_rig, tolerances = group_rig_of(rig), tolerances or rig.tolerances or LABORATORY
     sensors = read_sensors(recording)
     beginning = beginning_of(recording, sensors)
     check_length(recording, beginning)

@@ -98,7 +98,7 @@ def tuned_modes(
                         np.clip(relative_increase / relative_tolerance, -LIMIT, LIMIT)
                     )
     mode_factors = {}
-    for body_name in {parameter.of for parameter in pulls}:
+    for body_name in {parameter.owner for parameter in pulls}:
         mode_numbers = range(1, rig.body(body_name).max_modes + 1)
         frequency_factors, damping_factors = (
             np.array([_mode_factor(record, body_name, number, kind, pulls) for number in mode_numbers])

@@ -14,7 +14,7 @@ from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.extent import is_free
 from identify.gaps.residual.record import Record
-from identify.linear.model import Response, times, weights_of
+from identify.linear.model import Response, real_product, station_weights
 from identify.signals.kinematics import integrated
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
@@ -87,7 +87,7 @@ def _windowed_accelerations(
     return np.asarray(rfft(irfft(accelerations / per_acceleration, window_fall.size) * window_fall) * per_acceleration)
 
 
-def _window_fall(record: Record) -> Float[np.ndarray, " times"]:
+def _window_fall(record: Record) -> Float[np.ndarray, " real_product"]:
     """Falling half of the window over the padded record at `rate_hz`, one before it."""
     decimated_window = record.window[:: record.decimation]
     window_fall = np.zeros(record.transform_length // record.decimation)
@@ -185,8 +185,8 @@ def displaced_at(
 ) -> Complex[np.ndarray, "attached lines"]:
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
-    return times(
-        np.sum([weights_of(response, sensor_stations, element_stations) for response in responses], axis=0),
+    return real_product(
+        np.sum([station_weights(response, sensor_stations, element_stations) for response in responses], axis=0),
         displacements,
     )
 

@@ -22,7 +22,7 @@ from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Residual
-from identify.linear.joined import joined
+from identify.linear.joined import group_rig_of
 from identify.signals.kinematics import CORNER_HZ, kinematics
 from rig.model.description import Body, Rig, Station
 from rig.model.modes import Modes, modes_of
@@ -151,8 +151,8 @@ def _station_modes_of(rig: Rig, residual: Residual, stations: tuple[Station, ...
         response.body.name: (motion, response.dynamics.high_passed) for response, motion in responses_and_motions
     }
     contact_ends: list[list[Station | None]] = [
-        [contact.at for contact in joined(rig).contacts],
-        [contact.against for contact in joined(rig).contacts],
+        [contact.at for contact in group_rig_of(rig).contacts],
+        [contact.against for contact in group_rig_of(rig).contacts],
     ]
     for body in rig.bodies:
         modes = modes_of(rig, body)

@@ -48,7 +48,7 @@ def fit_base_excitation(
     model = linear_model(record, shaken_rig, linearization.scales.unmodelled_shares, linearization.cache.responses)
     contact_count = len(linearization.observations)
     pattern = model.signal_per_input[contact_count]
-    contact_forces = linearization.model.projection.of(pattern * linearization.model.error_deviation)[1]
+    contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.signal_per_input[:contact_count], contact_forces)
     residual_spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))

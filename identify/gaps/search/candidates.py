@@ -14,7 +14,7 @@ from identify.gaps.residual.nuisance import residual_in_time
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import Column, Linearization, Residual, contact_columns, derivative
 from identify.gaps.residual.windowed import displaced_at, ground_forces
-from identify.linear.joined import joined_contacts
+from identify.linear.joined import contact_groups
 from rig.effects import effects
 from rig.effects.base import Effect, Place, Scale
 from rig.errors import RigError
@@ -178,8 +178,8 @@ def candidates(
                 changed_rig = replace(changed_rig, force_sensor=nominal_rig.force_sensor)
             if not has_force:
                 changed_rig = replace(changed_rig, sensors=nominal_rig.sensors, force_at=nominal_rig.force_at)
-            if changed_rig != effect_scale.rig and len(joined_contacts(changed_rig)) == len(
-                joined_contacts(effect_scale.rig)
+            if changed_rig != effect_scale.rig and len(contact_groups(changed_rig)) == len(
+                contact_groups(effect_scale.rig)
             ):
                 possible_candidates.append(candidate)
     return possible_candidates
@@ -241,7 +241,7 @@ def attached_column(linearization: Linearization, changed_rig: Rig, residual: Re
     if attachments is None or any(b.is_mass for b in rig.bodies):
         return None
     attached_forces = _attached_forces(record, model, attachments)
-    linear_decrease, contact_force_decrease_n = model.projection.of(
+    linear_decrease, contact_force_decrease_n = model.projection.applied_to(
         delivered_by(model, sensor_stations_of(record, model.rig), attached_forces)
     )
     eta_decrease_m = -model.unobserved_eta_m(attached_forces, -contact_force_decrease_n)

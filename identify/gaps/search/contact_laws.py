@@ -24,7 +24,7 @@ from scipy.linalg import block_diag
 from identify.contacts.acceptance import accept
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
-from identify.contacts.law_form import DAMPING, LAW, OFFSET, STIFFNESS, law_numbers
+from identify.contacts.law_form import DAMPING_GRADIENT, LAW, OFFSET_GRADIENT, STIFFNESS_GRADIENT, parameters_of_law
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import separate
 from identify.gaps.search.hypothesis import Hypothesis, steps_of
@@ -125,16 +125,17 @@ def pooled_estimate(estimates: Sequence[LawEstimate]) -> LawEstimate:
 
 
 def _law_estimate(contact_name: str, joint_estimate: JointEstimate) -> LawEstimate:
-    quantity_rows = [STIFFNESS, DAMPING] if joint_estimate.is_spring else [joint_estimate.clearance, STIFFNESS, DAMPING]
+    quantity_rows = [] if joint_estimate.is_spring else [joint_estimate.clearance_gradient]
+    quantity_rows += [STIFFNESS_GRADIENT, DAMPING_GRADIENT]
     if joint_estimate.sides_known and all(joint_estimate.touched):
-        quantity_rows.append(OFFSET)
+        quantity_rows.append(OFFSET_GRADIENT)
     quantity_weights = np.array(quantity_rows)
     return LawEstimate(
         contact_name,
         quantity_weights,
         quantity_weights @ joint_estimate.values,
         quantity_weights @ joint_estimate.covariance @ quantity_weights.T,
-        quantity_weights @ joint_estimate.of_tolerances @ quantity_weights.T,
+        quantity_weights @ joint_estimate.covariances["tolerances"] @ quantity_weights.T,
     )
 
 
@@ -213,7 +214,7 @@ def _law_numbers(hypothesis: Hypothesis, nominal_rig: Rig, values: Values) -> Fl
     contact_pairs = zip(changed_contacts, nominal_rig.contacts, strict=True)
     if not all(numbers_alone_differ(contact.law, nominal.law) for contact, nominal in contact_pairs):
         return None
-    return np.array([law_numbers(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
+    return np.array([parameters_of_law(contact.law) for contact in changed_contacts]).reshape(-1, len(LAW))
 
 
 def numbers_alone_differ(law: ContactLaw, nominal_law: ContactLaw) -> bool:

@@ -12,7 +12,7 @@ from identify.gaps.unmeasured_force.whitened_record import (
     with_columns,
 )
 from identify.linear.free_motion import state_changes
-from identify.linear.nuisance import BodyMotion, Change, Nuisance, Observed, changes_of, crosstalk_of
+from identify.linear.nuisance import BodyMotion, Change, Nuisance, ObservedSignals, changes_of, crosstalk_of
 from identify.signals.kinematics import integrated
 from rig.model.description import Rig
 
@@ -40,7 +40,7 @@ def nuisance_columns(
     trace_terms: list[float] = []
     measured_motion = _measured_motion(whitened)
     for changes in (
-        changes_of(measured_motion, common=False),
+        changes_of(measured_motion, with_common=False),
         crosstalk_of(measured_motion),
         state_changes(model.free_modes, body_names, model.sensor_response, delivered_norm),
     ):
@@ -59,19 +59,19 @@ def nuisance_columns(
     )
 
 
-def _measured_motion(whitened: WhitenedRecord) -> Observed:
+def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
     """Linearisation about the measured motion; the modelled one would lack what an unmeasured force causes."""
     record, model = whitened.record, whitened.model
     highest_mode_hz = MODE_REACH * record.omega[-1] / (2 * np.pi)
-    return Observed(
+    return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        explained=record.acceleration_signals,
-        by_force=model.acceleration_by_force,
-        displaced=record.displacement_signals,
+        signals=record.acceleration_signals,
+        force_accelerations=model.acceleration_by_force,
+        displacements=record.displacement_signals,
         bodies=tuple(
             BodyMotion(
                 response,
@@ -86,13 +86,13 @@ def _measured_motion(whitened: WhitenedRecord) -> Observed:
 
 def _data_trace(whitened: WhitenedRecord, change: Change) -> float:
     """Twice the trace of a column's derivative by the data, 2 Re sum of tr(dD/dA); zero if it does not read them."""
-    if change.reading is None:
+    if change.sensor_pattern is None:
         return 0.0
     sensor_response, error_deviation = whitened.model.sensor_response, whitened.model.error_deviation
     pattern = np.zeros_like(sensor_response)
-    pattern[change.sensors] = change.reading.pattern
+    pattern[change.sensors] = change.sensor_pattern.pattern
     weighted_rows = whitened.projected_rows(
-        (change.reading.weights[:, None] * error_deviation / sensor_response.conj())[:, whitened.line_slice]
+        (change.sensor_pattern.weights[:, None] * error_deviation / sensor_response.conj())[:, whitened.line_slice]
     )
     pattern_rows = whitened.projected_rows((pattern / error_deviation)[:, whitened.line_slice])
     return 2 * float(np.sum(weighted_rows.conj() * pattern_rows).real)
@@ -118,7 +118,7 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
     double_integration = integrated(record.omega, -2, record.corner_hz)
     for response, modal_acceleration in zip(model.responses, whitened.modal_accelerations, strict=True):
         if response.body.name == body_name and not response.body.is_mass:
-            natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.count)
+            natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
             is_in_band = natural_omega < MODE_REACH * record.omega[-1]
             modal_forces = -np.fft.rfft(
                 record_time

@@ -22,7 +22,7 @@ from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.record import Record
 from identify.linear.model import Response
 from identify.linear.nuisance import Nuisance
-from identify.linear.projection import complement
+from identify.linear.projection import input_complement
 from identify.signals.beginning import NORMAL_BY_MEDIAN
 from identify.signals.kinematics import taper
 from rig.errors import RigError
@@ -168,7 +168,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
     line_slice = slice(int(np.searchsorted(record.omega, 2 * np.pi * LOWEST_HZ)), record.omega.size)
-    complement_basis = complement(model.signal_per_input[..., line_slice])
+    complement_basis = input_complement(model.signal_per_input[..., line_slice])
     row_count = complement_basis.shape[1]
     if not row_count:
         raise RigError(
@@ -276,7 +276,7 @@ def modal_inverse(record: Record, response: Response) -> Float[np.ndarray, "low 
     body_sensors = [
         sensor_index for sensor_index, sensor in enumerate(record.sensors) if sensor.station.body == response.body.name
     ]
-    mode_count = min(len(body_sensors), response.count)
+    mode_count = min(len(body_sensors), response.mode_count)
     inverse_shapes = np.zeros((mode_count, len(record.sensors)))
     if mode_count:
         shapes = response.shapes([record.sensors[sensor_index].station for sensor_index in body_sensors])[

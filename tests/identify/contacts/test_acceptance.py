@@ -21,17 +21,14 @@ PARAMETERS = (
 def joint(pulls=(0.0, 0.0, 0.0), damping=1.0, halves=(0.0, 0.0), unexplained=0.01) -> JointEstimate:
     return JointEstimate(
         values=np.array([1e-3, 1e-3, 1e5, damping]),
-        covariance=np.diag([1e-12, 1e-12, 1e4, 0.01]),
-        of_tolerances=np.diag([5e-13, 5e-13, 5e3, 0.005]),
-        of_drift=np.zeros((4, 4)),
-        of_misfit=np.zeros((4, 4)),
+        covariances={source: np.diag([5e-13, 5e-13, 5e3, 0.005]) for source in ("scatter", "tolerances")},
         sides_known=True,
         touched=(True, True),
         drift_m=np.zeros(4),
         drift_m_per_s=np.zeros(4),
         pulls=np.array(pulls),
-        unexplained=unexplained,
-        halves=halves,
+        unexplained_share=unexplained,
+        half_differences=halves,
     )
 
 

@@ -110,12 +110,12 @@ def test_the_section_shows_the_dead_zone(drawn):
 def test_the_frf_and_the_stiffness_are_those_found(drawn):
     identification, figures, _ = drawn
     (weak,) = lines(figures["frf"].axes[0], "NIFO, weak form")
-    np.testing.assert_array_equal(weak.get_xdata(), identification.weak.frequency_hz)
+    np.testing.assert_array_equal(weak.get_xdata(), identification.weak_nifo.frequency_hz)
     np.testing.assert_allclose(
-        weak.get_ydata(), identification.weak.equation.shape_at_force**2 * np.abs(identification.weak.frf)
+        weak.get_ydata(), identification.weak_nifo.equation.shape_at_force**2 * np.abs(identification.weak_nifo.frf)
     )
     (values,) = lines(figures["stiffness"].axes[0], "weak form")
-    np.testing.assert_allclose(values.get_ydata(), identification.weak.stiffness_n_per_m[0].real)
+    np.testing.assert_allclose(values.get_ydata(), identification.weak_nifo.stiffness_n_per_m[0].real)
 
 
 def test_the_time_axis_lies_within_the_record(drawn):

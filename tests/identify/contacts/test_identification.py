@@ -82,7 +82,7 @@ def test_the_papers_methods_are_as_good_as_the_paper(identification):
     surface = next(s for s in identification.report.surface.surfaces if s.equation == "barrel 3")
     assert (
         identification.report.main_equation
-        == identification.weak.equation.name
+        == identification.weak_nifo.equation.name
         == identification.surface.equation.name
         == "barrel 3"
     )
@@ -140,7 +140,9 @@ def test_accelerometers_alone_tell_the_play_but_not_its_sides(without_truth):
         assert contact.upper_clearance_m is None
         assert contact.clearance_m.value == pytest.approx(TRUE.clearance_1_m, rel=2e-3)
         assert contact.stiffness_n_per_m.value == pytest.approx(TRUE.stiffness_1_n_per_m, rel=1e-2)
-    numbers = np.concatenate([result.eta_m.ravel(), result.weak.stiffness_n_per_m.ravel(), result.surface.fitted_force])
+    numbers = np.concatenate(
+        [result.eta_m.ravel(), result.weak_nifo.stiffness_n_per_m.ravel(), result.surface.fitted_force]
+    )
     assert np.isfinite(numbers).all()
     assert all(name == "force" or name.endswith("acceleration") for name in result.report.channels_used)
 

@@ -24,9 +24,9 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     velocity = np.gradient(eta_m, 1 / rate_hz)
     none, share, moving = np.zeros((0, time_s.size)), np.zeros(0), np.zeros(0, dtype=bool)
     contact_record = ContactRecord(
-        eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, 0.0, None, none, share, moving, share, none, moving
+        eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, 0.0, None, curve, none, share, moving, share, none, moving
     )
-    law, knots = regressed_guess(contact_record, curve)
+    law, knots = regressed_guess(contact_record)
     assert law[0] == pytest.approx(clearance_m, rel=0.1)
     assert law[2] == pytest.approx(stiffness, rel=0.7)
     assert np.std((curve.value @ knots - slow_m)[100:-100]) < 2e-4
@@ -40,17 +40,18 @@ def record(nuisance_n, force_n) -> ContactRecord:
         velocity_m_per_s=still,
         sample_rate_hz=1000.0,
         force_n=force_n,
-        factor=1,
-        quiet_n=0.0,
+        decimation=1,
+        quiet_deviation_n=0.0,
         noise_n=0.0,
-        unmodelled=0.0,
+        unmodelled_share=0.0,
         drift=None,
+        drift_spline=spline(force_n.size, 1000.0, None),
         nuisance_n=nuisance_n.astype(np.float32),
-        noise_in_n=none,
-        moving=none > 0,
-        noise_in_m=np.zeros(0),
+        force_noise_multiple=none,
+        shifts_eta=none > 0,
+        eta_noise_multiple=np.zeros(0),
         nuisance_m=np.zeros((0, force_n.size)),
-        initial=np.array([True, True, False])[-len(nuisance_n) :],
+        is_initial_state=np.array([True, True, False])[-len(nuisance_n) :],
     )
 
 

@@ -78,7 +78,7 @@ def test_too_few_blocks_for_nifo_lose_no_answer(mass, tmp_path):
     (note,) = identification.report.notes
     assert note.startswith("NIFO of mass 1 cannot be made: 1 blocks for 3 unknowns a line")
     with pytest.raises(RigError, match="1 blocks for 3 unknowns"):
-        _ = identification.weak
+        _ = identification.weak_nifo
     assert written(identification, tmp_path)["notes"] == [note]
     drawn = {path.stem for path in tmp_path.glob("*.png")}
     assert drawn == {"separated", "histogram", "section", "surface"}

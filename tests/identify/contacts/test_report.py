@@ -87,23 +87,18 @@ def test_the_sources_of_error_share_the_variance(identification):
     for shares in variance_shares(estimate).values():
         assert sum(shares.values()) == pytest.approx(1.0)
         assert min(shares.values()) >= 0
-    trusting = replace(
-        estimate, covariance=estimate.covariance - estimate.of_tolerances, of_tolerances=np.zeros((4, 4))
-    )
+    trusting = replace(estimate, covariances={**estimate.covariances, "tolerances": np.zeros((4, 4))})
     assert all(shares["tolerances"] == 0 for shares in variance_shares(trusting).values())
 
 
 @pytest.mark.parametrize(
     ("source", "remedy"),
-    [("of_tolerances", "calibrate"), ("of_drift", "displacement sensors"), (None, "record longer")],
+    [("tolerances", "calibrate"), ("drift", "displacement sensors"), ("scatter", "record longer")],
 )
 def test_what_rules_the_error_is_what_is_advised(identification, source, remedy):
     (estimate,) = identification.outcomes.estimates.values()
-    nothing = np.zeros((4, 4))
-    covariances = {"of_tolerances": nothing, "of_drift": nothing} | ({source: estimate.covariance} if source else {})
-    ruled = replace(
-        identification, outcomes=replace(identification.outcomes, estimates={"stop": replace(estimate, **covariances)})
-    )
+    dominated = replace(estimate, covariances={source: estimate.covariance})
+    ruled = replace(identification, outcomes=replace(identification.outcomes, estimates={"stop": dominated}))
     said = [line for line in recommendations(ruled) if line.startswith("Most of the variance")]
     assert len(said) == 1
     assert remedy in said[0]

@@ -194,7 +194,7 @@ def test_the_change_by_a_gain_is_that_of_another_gain(motions, sensor):
     nominal, spoilt = (
         separate(record(rig, motions["two masses"][2], g), "auto", LABORATORY).forces for g in (None, gains)
     )
-    row = [(p.kind, p.of) for p in nominal.nuisances.parameters].index((NuisanceKind.GAIN, sensor))
+    row = [(p.kind, p.owner) for p in nominal.nuisances.parameters].index((NuisanceKind.GAIN, sensor))
     change_n, expected_n = nominal.nuisances.force_n[row, 0], (spoilt.force_n - nominal.force_n)[0]
     middle = slice(len(change_n) // 8, -len(change_n) // 8)
     assert np.linalg.norm((change_n - expected_n)[middle]) < 0.05 * np.linalg.norm(expected_n[middle])

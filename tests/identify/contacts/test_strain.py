@@ -198,7 +198,7 @@ def test_the_slow_motion_is_that_of_the_plant(tmp_path):
     truth = read_truth(truth_path(path))
     eta_m, force_n = (truth.signals[group].values[0] for group in ("relative_displacement", "contact_force"))
     (contact_record,) = separation.records
-    samples, factor = contact_record.eta_m.size, separation.forces.factor
+    samples, factor = contact_record.eta_m.size, separation.forces.decimation
     assert separation.motion.slow_by_gauges
     assert np.std(contact_record.eta_m - eta_m[:samples]) < 0.01 * np.std(eta_m)
     slow_n = decimated(force_n, factor)[: contact_record.force_n.size]
@@ -250,7 +250,7 @@ def test_a_tolerance_changes_force_and_slow_motion_as_a_wrong_description_does(k
     signals, (before,), (after,) = nominal.forces.nuisances, nominal.records, changed.records
     (index,) = (i for i, parameter in enumerate(signals.parameters) if parameter.name == kind)
     inside = slice(100, -100)  # the ends are smoothed
-    moved_m = (after.eta_m - before.eta_m)[:: before.factor][: before.force_n.size]
+    moved_m = before.at_force_samples(after.eta_m - before.eta_m)
     for made, stated in (
         (after.force_n - before.force_n, signals.force_n[index, 0]),
         (moved_m, signals.eta_m[index, 0]),

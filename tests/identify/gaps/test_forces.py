@@ -90,7 +90,7 @@ def records():
 
 def test_every_force_has_a_gain_of_its_own(records):
     parameters = linearized(record_of(records[0]), SHAKEN).columns.parameters
-    assert [p.of for p in parameters if p.kind == "force gain"] == ["force_1", "force_2"]
+    assert [p.owner for p in parameters if p.kind == "force gain"] == ["force_1", "force_2"]
 
 
 @pytest.mark.study

@@ -3,7 +3,7 @@
 import numpy as np
 from msgspec.structs import replace
 
-from identify.linear.joined import joined, joined_contacts, joined_laws
+from identify.linear.joined import contact_groups, group_laws, group_rig_of
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Contact, Station
 from tests.campaigns.topologies import chain
@@ -22,8 +22,8 @@ RIG = replace(
 
 
 def test_contacts_of_one_pair_of_places_are_one():
-    assert [(j.members, j.signs) for j in joined_contacts(RIG)] == [((0, 2), (1, -1)), ((1,), (1,))]
-    assert [(c.name, c.at, c.against) for c in joined(RIG).contacts] == [
+    assert [(j.contact_indices, j.signs) for j in contact_groups(RIG)] == [((0, 2), (1, -1)), ((1,), (1,))]
+    assert [(c.name, c.at, c.against) for c in group_rig_of(RIG).contacts] == [
         ("soft + hard", ONE, OTHER),
         ("wall", OTHER, None),
     ]
@@ -31,7 +31,7 @@ def test_contacts_of_one_pair_of_places_are_one():
 
 def test_the_law_of_one_that_is_counted_the_other_way_round_is_turned():
     """By hand: seen from mass 1 the hard stops stand 3 mm below and 5 mm above."""
-    law, _ = joined_laws(RIG)
+    law, _ = group_laws(RIG)
     eta_m = 1e-3 * np.array([-4.0, -2.0, 0.0, 1.9, 4.0, 6.0])
     assert np.allclose(law.force_n(eta_m), [-3.0 - 10.0, -1.0, 0.0, 0.0, 2.0, 4.0 + 10.0])
     assert law.clearances_m == (1e-3, 2e-3)

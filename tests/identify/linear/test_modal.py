@@ -5,13 +5,12 @@ import numpy as np
 import pytest
 
 from identify.linear.modal import (
-    NEARLY_INVISIBLE,
+    NEARLY_INVISIBLE_SHARE,
     contact_shapes,
     correctable_samples,
+    equivalent_force_n,
     modal_equations,
-    pushing_force,
-    relative_displacements,
-    relative_velocities,
+    relative_motion,
     transformation,
 )
 from identify.signals.kinematics import Kinematics, kinematics
@@ -108,8 +107,8 @@ def test_forces_push_a_mode_as_much_as_the_one_that_does_the_same_work():
     translation, rotation = modal_equations(two_forces_rig, motion, rig.body("barrel"))[:2]
     single_force_rotation = modal_equations(rig, motion, rig.body("barrel"))[1]
     assert rotation.shape_at_force == single_force_rotation.shape_at_force
-    np.testing.assert_allclose(pushing_force(two_forces_rig, translation, forces_n), forces_n.sum(axis=0))
-    np.testing.assert_allclose(pushing_force(two_forces_rig, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
+    np.testing.assert_allclose(equivalent_force_n(two_forces_rig, translation, forces_n), forces_n.sum(axis=0))
+    np.testing.assert_allclose(equivalent_force_n(two_forces_rig, rotation, forces_n), forces_n[1] - 0.5 * forces_n[0])
 
 
 def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():
@@ -120,8 +119,8 @@ def test_a_contact_near_a_node_is_seen_little_and_on_it_not_at_all():
         rotation = modal_equations(rig, motion, rig.body("barrel"))[1]
         expected = (1.0, abs(2 * (1 - overlap_start_m) - 1))
         assert rotation.visibility == pytest.approx(expected, abs=1e-12)
-        assert rotation.visible == (True, expected[1] > 1e-3)
-        assert (rotation.visibility[1] < NEARLY_INVISIBLE) == (expected[1] < 0.15)
+        assert rotation.is_visible == (True, expected[1] > 1e-3)
+        assert (rotation.visibility[1] < NEARLY_INVISIBLE_SHARE) == (expected[1] < 0.15)
 
 
 def test_a_body_without_stations_is_refused():
@@ -140,7 +139,7 @@ def test_stations_that_coincide_are_refused():
     motion = motion_at_sensors(rig, lambda _: tones(4, 1))
     with pytest.raises(RigError, match="the stations of 'cradle' do not tell 4 modes apart"):
         transformation(rig, rig.body("cradle"), motion)
-    assert transformation(rig, rig.body("barrel"), motion).condition < 10
+    assert transformation(rig, rig.body("barrel"), motion).condition_number < 10
 
 
 @pytest.mark.parametrize("body", ["cradle", "barrel"])
@@ -149,7 +148,7 @@ def test_fewer_stations_lose_more_to_the_higher_modes(body):
     for stations in (4, 8):
         rig = rig_of(stations=stations)
         motion = motion_at_sensors(rig, lambda _, n=stations: tones(n, 1))
-        lost[stations] = transformation(rig, rig.body(body), motion).lost
+        lost[stations] = transformation(rig, rig.body(body), motion).truncation_shares
         assert lost[stations].shape == (stations,)
         assert (lost[stations] > 0).all()
     assert (lost[8][2:4] < lost[4][2:] / 2).all()  # the first modes hardly lose anything
@@ -163,7 +162,7 @@ def test_one_mass_has_one_coordinate_and_loses_nothing():
     np.testing.assert_allclose(motion.displacement_m, rows[0])
     np.testing.assert_allclose(equation.acceleration, 2 * rows[2][0])
     assert equation.shape_at_force == pytest.approx(0.5)
-    np.testing.assert_array_equal(transformation(rig, rig.bodies[0], motion).lost, [0.0])
+    np.testing.assert_array_equal(transformation(rig, rig.bodies[0], motion).truncation_shares, [0.0])
 
 
 def forced(rig, body, modes, force_n, contact_n):
@@ -240,8 +239,8 @@ def test_relative_displacement_from_the_sensors_at_the_contact():
     rig = rig_of()
     motion = motion_at_sensors(rig, lambda _: tones(9, 1))  # more modes than could be fitted
     for rows, relative in (
-        (motion.displacement_m, relative_displacements(rig, motion)),
-        (motion.velocity_m_per_s, relative_velocities(rig, motion)),
+        (motion.displacement_m, relative_motion(rig, motion, motion.displacement_m)),
+        (motion.velocity_m_per_s, relative_motion(rig, motion, motion.velocity_m_per_s)),
     ):
         by_station = {s.station: row for s, row in zip(rig.sensors, rows, strict=True)}
         for contact, eta in zip(rig.contacts, relative, strict=True):
@@ -258,7 +257,8 @@ def test_relative_displacement_from_the_modes_where_no_sensor_stands():
     )
     rig = msgspec.structs.replace(full, sensors=sensors)
     true = {body.name: tones(5, seed) for seed, body in enumerate(rig.bodies)}
-    eta = relative_displacements(rig, motion_at_sensors(rig, lambda body: true[body.name]))
+    motion = motion_at_sensors(rig, lambda body: true[body.name])
+    eta = relative_motion(rig, motion, motion.displacement_m)
     for j in range(2):
         expected = sum(contact_shapes(rig, body, j, 5) @ true[body.name][0] for body in rig.bodies)
         np.testing.assert_allclose(eta[j], expected, atol=1e-9 * np.abs(expected).max())

@@ -5,7 +5,7 @@ import weakref
 import numpy as np
 import pytest
 
-from identify.linear.model import Recent, ResponseCache, accelerances, response_of
+from identify.linear.model import RecentValues, ResponseCache, accelerances, response_of
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -62,7 +62,7 @@ def test_a_cache_makes_each_body_once_and_goes_with_its_owner():
 
 
 def test_the_value_used_longest_ago_is_forgotten():
-    made, recent = [], Recent[int](2)
+    made, recent = [], RecentValues[int](2)
 
     def value(key: int) -> int:
         return recent.get(key, lambda: made.append(key) or key)

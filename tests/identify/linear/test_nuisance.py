@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.linear.model import ResponseCache, response_of, times
-from identify.linear.nuisance import BodyMotion, NuisanceKind, Observed, changes_of, crosstalk_of, elastic_modes
+from identify.linear.model import ResponseCache, real_product, response_of
+from identify.linear.nuisance import BodyMotion, NuisanceKind, ObservedSignals, changes_of, crosstalk_of, elastic_modes
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof
 
 OMEGA = 2 * np.pi * np.linspace(2.0, 40.0, 30)
 
 
-def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> Observed:
+def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> ObservedSignals:
     """Random accelerations at all sensors, and the motion of as many modes as each body has sensors."""
     rng = np.random.default_rng(2)
     sensors, cache = rig.sensors, ResponseCache(OMEGA)
@@ -24,20 +24,20 @@ def observed(rig, tolerances: Tolerances = LABORATORY, read: bool = True) -> Obs
     for body in rig.bodies:
         rows = [i for i, s in enumerate(sensors) if s.station.body == body.name]
         response = response_of(rig, body, cache)
-        count = min(len(rows), response.count)
+        count = min(len(rows), response.mode_count)
         inverse = np.zeros((count, len(sensors)))
         inverse[:, rows] = np.linalg.pinv(response.shapes([sensors[i].station for i in rows])[:, :count])
-        motion = times(inverse, accelerations)
+        motion = real_product(inverse, accelerations)
         bodies.append(BodyMotion(response, motion, elastic_modes(response, count), inverse if read else None))
-    return Observed(
+    return ObservedSignals(
         sensors=sensors,
         displaced_by=sensors,
         tolerances=tolerances,
         omega=OMEGA,
         sensor_response=sensor_response,
-        explained=sensor_response * accelerations,
-        by_force=accelerations[None] / 3,
-        displaced=accelerations / -(OMEGA**2),
+        signals=sensor_response * accelerations,
+        force_accelerations=accelerations[None] / 3,
+        displacements=accelerations / -(OMEGA**2),
         bodies=tuple(bodies),
     )
 
@@ -62,7 +62,7 @@ def test_every_parameter_has_one_key_and_one_column(beams):
         (NuisanceKind.DAMPING, [b.name for b in beams.bodies]),
         (NuisanceKind.FORCE_GAIN, ["the force"]),
     ):
-        assert sorted(p.of for p in bodywise if p.kind == kind) == sorted(of)
+        assert sorted(p.owner for p in bodywise if p.kind == kind) == sorted(of)
 
 
 def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
@@ -71,13 +71,13 @@ def test_what_all_modes_share_is_the_sum_of_what_each_does(beams):
     for body in beams.bodies:
         for kind in (NuisanceKind.FREQUENCY, NuisanceKind.DAMPING):
             by_mode = [
-                c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode_number is not None
+                c for p, c in changes.items() if p.kind == kind and p.owner == body.name and p.mode_number is not None
             ]
             (common,) = (
-                c for p, c in changes.items() if p.kind == kind and p.of == body.name and p.mode_number is None
+                c for p, c in changes.items() if p.kind == kind and p.owner == body.name and p.mode_number is None
             )
-            np.testing.assert_allclose(sum(c.delivered for c in by_mode), common.delivered, rtol=1e-9, atol=1e-12)
-    separate = [c.parameter for c in changes_of(observed(beams), common=False)]
+            np.testing.assert_allclose(sum(c.signals for c in by_mode), common.signals, rtol=1e-9, atol=1e-12)
+    separate = [c.parameter for c in changes_of(observed(beams), with_common=False)]
     assert set(changes) - set(separate) == {
         p
         for p in changes
@@ -91,14 +91,14 @@ def test_a_change_is_one_tolerance_long(beams):
     for single, double in zip(changes_of(observed(beams)), changes_of(observed(beams, doubled)), strict=True):
         assert single.parameter == double.parameter
         ratio = 1 if single.parameter.kind is NuisanceKind.HIGH_PASS else 2  # which is no linear matter
-        np.testing.assert_allclose(double.delivered, ratio * single.delivered)
+        np.testing.assert_allclose(double.signals, ratio * single.signals)
     assert not list(changes_of(observed(beams, EXACT)))
 
 
 def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_does(beams):
     """To first order: the response of the sensor with one tolerance more, less that without."""
     signals, share = observed(beams), 1e-3
-    accelerations = signals.explained / signals.sensor_response
+    accelerations = signals.signals / signals.sensor_response
     for change in changes_of(signals):
         if change.parameter.kind not in (NuisanceKind.GAIN, NuisanceKind.DELAY):
             continue
@@ -110,7 +110,7 @@ def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_do
             else replace(sensor, delay_s=sensor.delay_s + share * LABORATORY.delay_s)
         )
         expected = (changed_sensor.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
-        np.testing.assert_allclose(change.delivered[0], expected, rtol=1e-5)
+        np.testing.assert_allclose(change.signals[0], expected, rtol=1e-5)
 
 
 def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
@@ -119,13 +119,13 @@ def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
     assert len(changes) == 2 * (len(beams.sensors) - 1)
     names = [s.name for s in beams.sensors]
     for change in changes:
-        source, target = (names.index(name) for name in change.parameter.of.split(" in "))
+        source, target = (names.index(name) for name in change.parameter.owner.split(" in "))
         assert abs(source - target) == 1
         assert change.sensors == [target]
-        np.testing.assert_allclose(change.delivered[0], LABORATORY.crosstalk * signals.explained[source])
-        accelerations = signals.explained / signals.sensor_response
+        np.testing.assert_allclose(change.signals[0], LABORATORY.crosstalk * signals.signals[source])
+        accelerations = signals.signals / signals.sensor_response
         np.testing.assert_allclose(
-            change.reading.pattern * (change.reading.weights @ accelerations), change.delivered, rtol=1e-9
+            change.sensor_pattern.pattern * (change.sensor_pattern.weights @ accelerations), change.signals, rtol=1e-9
         )
     assert not list(crosstalk_of(observed(beams, EXACT)))
     mixed = replace(beams, sensors=(replace(beams.sensors[0], quantity="displacement"), *beams.sensors[1:]))
@@ -135,15 +135,15 @@ def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):
 @pytest.mark.parametrize("settings", [BarrelCradle(sensors="acceleration"), Sdof(sensors="acceleration")])
 def test_a_reading_gives_the_change_from_the_accelerations(settings):
     now = observed(settings.rig())
-    accelerations = now.explained / now.sensor_response
+    accelerations = now.signals / now.sensor_response
     read = [c for c in changes_of(now) if c.parameter.mode_number is not None or len(c.sensors) == 1]
-    kinds = {c.parameter.kind for c in read if c.reading is not None}
+    kinds = {c.parameter.kind for c in read if c.sensor_pattern is not None}
     assert {NuisanceKind.GAIN, NuisanceKind.DELAY} <= kinds
     for change in read:
-        if change.reading is not None:
-            made = change.reading.pattern * (change.reading.weights @ accelerations)
-            np.testing.assert_allclose(made, change.delivered, rtol=1e-9, atol=1e-12)
-    assert all(c.reading is None for c in changes_of(observed(settings.rig(), read=False)))
+        if change.sensor_pattern is not None:
+            made = change.sensor_pattern.pattern * (change.sensor_pattern.weights @ accelerations)
+            np.testing.assert_allclose(made, change.signals, rtol=1e-9, atol=1e-12)
+    assert all(c.sensor_pattern is None for c in changes_of(observed(settings.rig(), read=False)))
 
 
 def test_a_single_mass_bends_in_no_mode():
@@ -155,5 +155,5 @@ def test_a_single_mass_bends_in_no_mode():
 def test_what_some_sensors_deliver_stands_in_the_rows_of_these(beams):
     change = next(c for c in changes_of(observed(beams)) if c.parameter.kind is NuisanceKind.MASS)
     at_all = change.at_all_sensors(len(beams.sensors))
-    np.testing.assert_array_equal(at_all[change.sensors], change.delivered)
+    np.testing.assert_array_equal(at_all[change.sensors], change.signals)
     assert not np.any(np.delete(at_all, change.sensors, axis=0))

@@ -5,11 +5,11 @@ import pytest
 from scipy.linalg import lstsq, null_space, solve_triangular
 
 from identify.linear.projection import (
-    complement,
     estimated_inputs,
+    input_complement,
+    input_residual,
     projection,
     to_free_inputs,
-    unexplained,
     without_free_inputs,
 )
 
@@ -39,7 +39,7 @@ def test_inputs_are_those_of_least_squares_with_a_row_more_for_each_prior(rng, f
     by_input, deviation = drawn(rng, INPUTS, SENSORS, LINES), rng.uniform(0.1, 3, (SENSORS, LINES))
     measured = drawn(rng, SENSORS, LINES)
     projected = projection(by_input / deviation, deviation, free)
-    rows, inputs = projected.of(measured)
+    rows, inputs = projected.applied_to(measured)
     single, _ = estimated_inputs(by_input / deviation, measured / deviation, free)
     for line in range(LINES):
         weighted = np.concatenate([(by_input[..., line] / deviation[:, line]).T, np.eye(INPUTS)[free:]])
@@ -57,9 +57,14 @@ def test_what_some_sensors_deliver_is_what_all_do_with_the_others_at_rest(rng):
     everywhere = np.zeros((SENSORS, LINES), dtype=complex)
     everywhere[sensors] = delivered
     projected = projection(by_input, deviation, 2)
-    for by_two, by_all in zip(projected.of(delivered, sensors), projected.of(everywhere), strict=True):
+    for by_two, by_all in zip(projected.applied_to(delivered, sensors), projected.applied_to(everywhere), strict=True):
         np.testing.assert_allclose(by_two, by_all, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(projected.single().of(everywhere)[0], projected.of(everywhere)[0], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(
+        projected.in_single_precision().applied_to(everywhere)[0],
+        projected.applied_to(everywhere)[0],
+        rtol=1e-4,
+        atol=1e-5,
+    )
 
 
 @pytest.mark.parametrize("free", range(INPUTS))
@@ -101,8 +106,8 @@ def test_inputs_that_the_sensors_do_not_tell_apart_are_said_to_be_so_and_share_w
     _, condition = to_free_inputs(by_input, batches(covariances(rng)))
     assert condition > 1e12
     inputs = np.array([[3.0], [-1.0]]) * np.ones(LINES)
-    measured = -unexplained(by_input, inputs.astype(complex), np.zeros((SENSORS, LINES), dtype=complex))
-    rows, _ = projection(by_input, np.ones((SENSORS, LINES)), 2).of(measured)
+    measured = -input_residual(by_input, inputs.astype(complex), np.zeros((SENSORS, LINES), dtype=complex))
+    rows, _ = projection(by_input, np.ones((SENSORS, LINES)), 2).applied_to(measured)
     assert np.abs(rows).max() < 1e-2 * np.abs(measured).max()
 
 
@@ -117,8 +122,8 @@ def test_inputs_that_no_sensor_feels_are_zero_or_their_prior(rng):
 
 def test_the_complement_is_orthonormal_and_keeps_the_residual_of_free_inputs(rng):
     by_input, measured = drawn(rng, INPUTS, SENSORS, LINES), drawn(rng, SENSORS, LINES)
-    rows = complement(by_input)
-    residual = projection(by_input, np.ones((SENSORS, LINES)), INPUTS).of(measured)[0]
+    rows = input_complement(by_input)
+    residual = projection(by_input, np.ones((SENSORS, LINES)), INPUTS).applied_to(measured)[0]
     assert rows.shape == (LINES, SENSORS - INPUTS, SENSORS)
     for line in range(LINES):
         np.testing.assert_allclose(rows[line] @ rows[line].conj().T, np.eye(SENSORS - INPUTS), atol=1e-12)
@@ -130,11 +135,11 @@ def test_the_complement_is_orthonormal_and_keeps_the_residual_of_free_inputs(rng
 
 @pytest.mark.parametrize(("inputs", "rows"), [(0, SENSORS), (SENSORS, 0), (SENSORS + 1, 0)])
 def test_of_no_inputs_all_is_left_and_of_as_many_as_sensors_nothing(rng, inputs, rows):
-    assert complement(drawn(rng, inputs, SENSORS, LINES)).shape == (LINES, rows, SENSORS)
+    assert input_complement(drawn(rng, inputs, SENSORS, LINES)).shape == (LINES, rows, SENSORS)
 
 
 def test_without_inputs_everything_is_residual(rng):
     measured, deviation = drawn(rng, SENSORS, LINES), np.full((SENSORS, LINES), 2.0)
-    rows, inputs = projection(np.zeros((0, SENSORS, LINES), dtype=complex), deviation, 0).of(measured)
+    rows, inputs = projection(np.zeros((0, SENSORS, LINES), dtype=complex), deviation, 0).applied_to(measured)
     np.testing.assert_allclose(rows, measured / 2)
     assert inputs.shape == (0, LINES)
