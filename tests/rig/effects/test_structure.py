@@ -55,6 +55,16 @@ def test_a_beam_whose_modes_are_lost_in_rounding_is_refused(carried):
         modes_of(machine, machine.body("barrel"))
 
 
+@pytest.mark.parametrize("stiffness_n_per_m", np.logspace(-12, 0, 25))
+def test_a_free_beam_on_a_spring_of_next_to_nothing_floats(stiffness_n_per_m):
+    spring = PointSpring(station=Station("barrel", 0.0), stiffness_n_per_m=stiffness_n_per_m)
+    machine = msgspec.structs.replace(MACHINE, springs=(spring,))
+    barrel = machine.body("barrel")
+    lowest_hz = modes_of(machine, barrel).frequencies_hz(3)
+    assert lowest_hz[1] < 2 * np.sqrt(4 * stiffness_n_per_m / barrel.mass_kg) / (2 * np.pi) + 0.02
+    assert lowest_hz[2] == pytest.approx(barrel.frequencies_hz(3)[2], rel=1e-3)
+
+
 @pytest.mark.parametrize("body", ["cradle", "barrel"])
 def test_finite_elements_agree_with_the_analytic_modes(body):
     bare = MACHINE.body(body)
