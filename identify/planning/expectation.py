@@ -79,7 +79,9 @@ class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
     def for_longer_record(self, length_ratio: float) -> "ErrorParts":
         """Parts for a record that is longer by a ratio."""
         return msgspec.structs.replace(
-            self, scatter=self.scatter_variance / length_ratio, slow_motion=self.slow_motion_variance / length_ratio
+            self,
+            scatter_variance=self.scatter_variance / length_ratio,
+            slow_motion_variance=self.slow_motion_variance / length_ratio,
         )
 
 
