@@ -14,7 +14,7 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.drift import Spline
-from identify.signals.law_evaluation import evaluated
+from identify.signals.law_evaluation import evaluated_law
 from identify.signals.spectra import decimated
 
 CHUNK_SAMPLES = 1 << 14
@@ -85,7 +85,7 @@ def state_at(
 ) -> State:
     """State at some parameters; its cost, which needs weights, is left infinite."""
     eta, velocity = corrected_motion(record, curve, knots, pulls)
-    fitted = evaluated(
+    fitted = evaluated_law(
         partial(form.force_n, law_parameters), np.stack([eta, velocity]), record.sample_rate_hz, record.factor
     )
     unfitted = record.force_n - _weighted_sum(pulls, record.nuisance_n) - fitted[: record.force_n.size]

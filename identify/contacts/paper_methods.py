@@ -25,7 +25,7 @@ from identify.linear.modal import (
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics
-from identify.signals.law_evaluation import evaluated
+from identify.signals.law_evaluation import evaluated_law
 from identify.signals.spectra import Averaging, Blocks, blocks, force_band
 from rig.errors import RigError
 from rig.model.description import Body, Rig
@@ -124,7 +124,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
             eta[j] = sign * eta_m
             if names[j] in determined:
                 estimate = outcomes.estimates[names[j]]
-                depth[j] = evaluated(estimate.spring_m, eta[j][None], record.sample_rate_hz)
+                depth[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
                 force[j] = estimate.force_n(eta[j], sign * rate)
     return SignalsByLaw(eta, force, depth)
 

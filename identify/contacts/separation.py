@@ -19,7 +19,7 @@ from identify.linear.modal import relative_displacements, relative_velocities
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift
 from identify.signals.kinematics import Kinematics, Use, kinematics
-from identify.signals.noise import BAND, acceleration_noise
+from identify.signals.noise import NOISE_BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.modes import condensed
@@ -125,7 +125,7 @@ def vibrates_to_hz(motion: Kinematics) -> float:
     moving = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     length = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     hz, power = welch(moving, motion.sample_rate_hz, nperseg=length)
-    low, high = (share * motion.sample_rate_hz for share in BAND)
+    low, high = (share * motion.sample_rate_hz for share in NOISE_BAND)
     noise = np.median(power[:, (hz > low) & (hz < high)], axis=1, keepdims=True)
     exceeds_noise = power > NOISE_POWER_RATIO * noise
     highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]
