@@ -19,7 +19,7 @@ from identify.history.observations import observations
 from identify.laws import identify_law
 from identify.planning.plan_result import PlanResult
 from identify.planning.planned_test import planned_test
-from identify.planning.ranking import MOST_CHANGES, planned
+from identify.planning.ranking import MAX_CHANGES, ranked_plan
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
@@ -195,7 +195,7 @@ def plan(
     band_hz: tuple[float, float] | None = None,
     tolerances: Tolerances | str | None = None,
     simulator: str = "modal",
-    most_changes: int = MOST_CHANGES,
+    most_changes: int = MAX_CHANGES,
     workers: int = 1,
     progress: Progress = lambda _: None,
 ) -> PlanResult:
@@ -211,7 +211,7 @@ def plan(
     else:
         described = source
     test = planned_test(described, duration_s, force_rms_n, band_hz, _resolved(tolerances))
-    report = planned(test, simulator, most_changes, workers, progress)
+    report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 
 

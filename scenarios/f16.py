@@ -81,7 +81,7 @@ def f16(
     """Fits a rig to the lowest level, diagnoses levels 3 and 5 against it, and judges the corrected rigs."""
     refuse_existing(out / "f16.json", force, new_folder=True)
     start = start_of(data)
-    believed, notes = start.described()
+    believed, notes = start.rig_and_notes()
     write_start(believed, start.map_text(believed), out)
     console = Console()
     for note in notes:

@@ -15,9 +15,9 @@ from identify.checks.relations import MIN_COHERENCE, Relation, gain_by_band, rel
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig, Station
 
-POSITIONS = 41
+POSITION_COUNT = 41
 """Places along a body that are tried for a sensor, twice: the second time around the best one."""
-REFERENCE = "the linear model and all other channels"
+REFERENCE_WORDS = "the linear model and all other channels"
 
 
 @dataclass(frozen=True)
@@ -43,20 +43,20 @@ def channel_finding(
 
     delays_over_time gives its delays in each part of the record, or None if these are alike.
     """
-    spectra, weight = check.spectra, 1 / check.scale[channel_index]
+    spectra, weight = check.spectra, 1 / check.error_scale[channel_index]
     measured, omega, name = spectra.acceleration[channel_index], spectra.omega, spectra.sensors[channel_index].name
-    expected = predicted.acceleration[channel_index]
-    to_expected = relation(omega, measured, expected, weight)
+    predicted_line = predicted.accelerations[channel_index]
+    to_predicted = relation(omega, measured, predicted_line, weight)
     power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
 
     def unexplained_by(explained: Complex[np.ndarray, " lines"]) -> float:
         return float(np.sum(np.abs((measured - explained) * weight) ** 2)) / power
 
-    explanations = [*_gain_or_delay(name, to_expected, omega, expected, unexplained_by)]
+    explanations = [*_gain_or_delay(name, to_predicted, omega, predicted_line, unexplained_by)]
     explanations += _wrong_station(rig, spectra, channel_index, predicted, weight, unexplained_by)
-    explanations += _wrong_derivative(spectra, channel_index, expected, weight)
-    if (filtered := _filtered(name, omega, measured, expected, weight)) is not None:
-        explanations.append(filtered)
+    explanations += _wrong_derivative(spectra, channel_index, predicted_line, weight)
+    if (by_filter := _filter_explanation(name, omega, measured, predicted_line, weight)) is not None:
+        explanations.append(by_filter)
     best = min(explanations, key=lambda explanation: explanation.unexplained_share * explanation.allowance)
     if best.unexplained_share > 0.02 and (delays_s := delays_over_time()) is not None:
         return _slipped_finding(name, delays_s)
@@ -64,7 +64,7 @@ def channel_finding(
         return Finding(
             cause="unrelated",
             channels=(name,),
-            evidence=f"{name} follows {100 * max(to_expected.coherence, 0):.2g} % of what all other "
+            evidence=f"{name} follows {100 * max(to_predicted.coherence, 0):.2g} % of what all other "
             "channels predict there",
             mend="check its cable, its mounting and which column it was imported from, or take it out of rig.json",
         )
@@ -73,27 +73,27 @@ def channel_finding(
 
 def _gain_or_delay(
     name: str,
-    to_expected: Relation,
+    to_predicted: Relation,
     omega: Float[np.ndarray, " lines"],
-    expected: Complex[np.ndarray, " lines"],
+    predicted_line: Complex[np.ndarray, " lines"],
     unexplained_by: Callable[[Complex[np.ndarray, " lines"]], float],
 ) -> Iterator[Explanation]:
     """Explanations by a sign, a unit or a gain; and by a delay."""
-    delay_factor = np.exp(-1j * omega * to_expected.delay_s)
-    gain_is_wrong = to_expected.gain < 0 or abs(to_expected.gain - 1) > 0.3
+    delay_factor = np.exp(-1j * omega * to_predicted.delay_s)
+    gain_is_wrong = to_predicted.gain < 0 or abs(to_predicted.gain - 1) > 0.3
     yield Explanation(
-        unexplained_by(to_expected.gain * (delay_factor if gain_is_wrong else 1.0) * expected),
-        gain_finding(name, to_expected.gain),
+        unexplained_by(to_predicted.gain * (delay_factor if gain_is_wrong else 1.0) * predicted_line),
+        gain_finding(name, to_predicted.gain),
     )
-    if 0.7 < to_expected.gain < 1.3:
+    if 0.7 < to_predicted.gain < 1.3:
         yield Explanation(
-            unexplained_by(delay_factor * expected),
+            unexplained_by(delay_factor * predicted_line),
             Finding(
                 cause="delay",
                 channels=(name,),
-                evidence=f"{name} comes {1e3 * abs(to_expected.delay_s):.3g} ms "
-                f"{'late' if to_expected.delay_s > 0 else 'early'} against what {REFERENCE} predict",
-                mend=f"set delay_s = {to_expected.delay_s:.3g} in rig.json, or synchronise its clock",
+                evidence=f"{name} comes {1e3 * abs(to_predicted.delay_s):.3g} ms "
+                f"{'late' if to_predicted.delay_s > 0 else 'early'} against what {REFERENCE_WORDS} predict",
+                mend=f"set delay_s = {to_predicted.delay_s:.3g} in rig.json, or synchronise its clock",
             ),
         )
 
@@ -104,14 +104,14 @@ def gain_finding(name: str, gain: float) -> Finding:
         return Finding(
             cause="polarity",
             channels=(name,),
-            evidence=f"{name} has the opposite sign of what {REFERENCE} predict (gain {gain:.4g})",
+            evidence=f"{name} has the opposite sign of what {REFERENCE_WORDS} predict (gain {gain:.4g})",
             mend="turn it with scale = -1 in the import map",
         )
     unit_words = unit_mistake(gain)
     return Finding(
         cause="units" if unit_words else "gain",
         channels=(name,),
-        evidence=f"{name} delivers {gain:.4g} times what {REFERENCE} predict",
+        evidence=f"{name} delivers {gain:.4g} times what {REFERENCE_WORDS} predict",
         mend=f"correct its unit or scale in the import map, it looks like {unit_words}"
         if unit_words
         else f"calibrate it again, or set gain = {gain:.4g} in rig.json",
@@ -131,7 +131,7 @@ def _wrong_station(
     for k, other_sensor in enumerate(spectra.sensors):
         if k != channel_index and other_sensor.station != sensor.station:
             to_other = relation(
-                spectra.omega, spectra.acceleration[channel_index], predicted.acceleration[k], weight, 0.0
+                spectra.omega, spectra.acceleration[channel_index], predicted.accelerations[k], weight, 0.0
             )
             if 0.8 < abs(to_other.gain) < 1.25:
                 yield Explanation(
@@ -146,26 +146,26 @@ def _wrong_station(
                     ),
                     2.0,
                 )
-    length = rig.body(sensor.station.body).length_m
-    if not length:
+    length_m = rig.body(sensor.station.body).length_m
+    if not length_m:
         return
-    positions_m = np.linspace(0, length, POSITIONS)
+    positions_m = np.linspace(0, length_m, POSITION_COUNT)
     for _ in range(2):
         stations = [Station(sensor.station.body, float(x)) for x in positions_m]
-        unexplained = [
+        shares = [
             unexplained_by(explained) for explained in acceleration_by_forces(rig, predicted, spectra.omega, stations)
         ]
-        best = int(np.argmin(unexplained))
+        best = int(np.argmin(shares))
         bracket_m = positions_m[max(best - 1, 0)], positions_m[min(best + 1, positions_m.size - 1)]
-        best_m, positions_m = float(positions_m[best]), np.linspace(*bracket_m, POSITIONS)
-    if abs(best_m - sensor.station.position_m) > 2e-3:
+        fitted_m, positions_m = float(positions_m[best]), np.linspace(*bracket_m, POSITION_COUNT)
+    if abs(fitted_m - sensor.station.position_m) > 2e-3:
         yield Explanation(
-            min(unexplained),
+            min(shares),
             Finding(
                 cause="station",
                 channels=(sensor.name,),
                 of=sensor.station.body,
-                evidence=f"{sensor.name} moves as the place {best_m:.3f} m of {sensor.station.body} does, not as "
+                evidence=f"{sensor.name} moves as the place {fitted_m:.3f} m of {sensor.station.body} does, not as "
                 f"{sensor.station.position_m:g} m",
                 mend="measure its place and correct rig.json",
             ),
@@ -174,50 +174,51 @@ def _wrong_station(
 
 
 def _wrong_derivative(
-    spectra: Spectra, channel_index: int, expected: Complex[np.ndarray, " lines"], weight: Float[np.ndarray, " lines"]
+    spectra: Spectra,
+    channel_index: int,
+    predicted_line: Complex[np.ndarray, " lines"],
+    weight: Float[np.ndarray, " lines"],
 ) -> Iterator[Explanation]:
     """Explanations: the channel is a derivative or an integral of the predicted motion."""
     name, omega = spectra.sensors[channel_index].name, spectra.omega
     operations = {1: "differentiated", 2: "differentiated twice", -1: "integrated", -2: "integrated twice"}
     for order, operation in operations.items():
-        to_expected = relation(
-            omega, spectra.acceleration[channel_index] * (1j * omega) ** -order, expected, weight, 0.0
+        to_predicted = relation(
+            omega, spectra.acceleration[channel_index] * (1j * omega) ** -order, predicted_line, weight, 0.0
         )
-        if not (0.5 < abs(to_expected.gain) < 2 or unit_mistake(to_expected.gain)):
+        if not (0.5 < abs(to_predicted.gain) < 2 or unit_mistake(to_predicted.gain)):
             continue
         yield Explanation(
-            1 - to_expected.coherence,
+            1 - to_predicted.coherence,
             Finding(
                 cause="derivative",
                 channels=(name,),
                 evidence=f"{name} is the motion that the others predict, {operation} "
-                f"({100 * to_expected.coherence:.4g} % of it)",
+                f"({100 * to_predicted.coherence:.4g} % of it)",
                 mend="correct its quantity in rig.json and in the import map",
             ),
             3.0,
         )
 
 
-def _filtered(
+def _filter_explanation(
     name: str,
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
-    expected: Complex[np.ndarray, " lines"],
+    predicted_line: Complex[np.ndarray, " lines"],
     weight: Float[np.ndarray, " lines"],
 ) -> Explanation | None:
     """Explanation: gain and phase change with frequency; constants of each in bands of growing width."""
-    gains, unexplained_share, centres = gain_by_band(omega, measured, expected, weight)
-    gain_sizes = np.abs(gains)
+    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, predicted_line, weight)
     if not (gain_sizes.max() > 1.03 * gain_sizes.min() > 0):
         return None
-    low_hz, high_hz = centres[0] / (2 * np.pi), centres[-1] / (2 * np.pi)
     return Explanation(
         unexplained_share,
         Finding(
             cause="filtered",
             channels=(name,),
-            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {low_hz:.3g} Hz and "
-            f"{100 * gain_sizes[-1]:.3g} % at {high_hz:.3g} Hz",
+            evidence=f"{name} passes {100 * gain_sizes[0]:.3g} % of the predicted motion at {centres_hz[0]:.3g} Hz and "
+            f"{100 * gain_sizes[-1]:.3g} % at {centres_hz[-1]:.3g} Hz",
             mend="undo its filter or its coupling, or record without",
         ),
         4.0,
@@ -226,11 +227,11 @@ def _filtered(
 
 def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Finding:
     """Finding: the delay changes over the record."""
-    added_delay_s = float(delays_s[-1] - delays_s[0])
+    delay_change_s = float(delays_s[-1] - delays_s[0])
     return Finding(
         cause="slipped samples",
         channels=(name,),
-        evidence=f"{name} is {1e3 * abs(added_delay_s):.3g} ms {'later' if added_delay_s > 0 else 'earlier'} "
+        evidence=f"{name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
         "against the others at the record's end than at its begin",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
     )
@@ -245,8 +246,7 @@ def force_finding(
     lines = driven_lines(spectra.forces)[force_index]
     omega, measured, implied, weight = (x[lines] for x in (spectra.omega, spectra.forces[force_index], implied, weight))
     to_implied = relation(omega, measured, implied, weight)
-    gains, unexplained_share, centres = gain_by_band(omega, measured, implied, weight)
-    gain_sizes = np.abs(gains)
+    gain_sizes, unexplained_share, centres_hz = gain_by_band(omega, measured, implied, weight)
     if (
         unexplained_share < 0.3
         and 1 - to_implied.coherence > 2.5 * unexplained_share
@@ -257,7 +257,7 @@ def force_finding(
             cause="filtered",
             channels=(name,),
             evidence=f"{subject} is {gain_sizes[0]:.3g} times what all sensors imply at "
-            f"{centres[0] / (2 * np.pi):.3g} Hz and {gain_sizes[-1]:.3g} times at {centres[-1] / (2 * np.pi):.3g} Hz: "
+            f"{centres_hz[0]:.3g} Hz and {gain_sizes[-1]:.3g} times at {centres_hz[-1]:.3g} Hz: "
             f"{'it' if is_low_passed else 'all sensors'} went through a low-pass",
             mend="undo the filter, or put the force and the sensors through the same",
         )
@@ -276,19 +276,19 @@ def force_finding(
             evidence=f"{subject} has the opposite sign of what all sensors imply (gain {to_implied.gain:.4g})",
             mend="turn the force with scale = -1 in the import map, or all sensors",
         )
-    mistake = unit_mistake(to_implied.gain)
-    if mistake:
-        factor, faulty = (
+    unit_words = unit_mistake(to_implied.gain)
+    if unit_words:
+        gain_factor, faulty_words = (
             (to_implied.gain, "it") if has_other_forces else (1 / to_implied.gain, "the sensors or of the force")
         )
-        evidence = f"{name} is {factor:.4g} times what all sensors and the other forces imply"
+        evidence = f"{name} is {gain_factor:.4g} times what all sensors and the other forces imply"
         if not has_other_forces:
-            evidence = f"all sensors deliver {factor:.4g} times what the force and the masses of rig.json make"
+            evidence = f"all sensors deliver {gain_factor:.4g} times what the force and the masses of rig.json make"
         return Finding(
             cause="units",
             channels=(name,) if has_other_forces else (),
             evidence=evidence,
-            mend=f"correct the unit of {faulty} in the import map; it looks like {mistake}",
+            mend=f"correct the unit of {faulty_words} in the import map; it looks like {unit_words}",
         )
     if abs(to_implied.delay_s) > 1e-4:
         return Finding(

@@ -76,23 +76,23 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
     """Findings, without those on a channel's waveform for which another one gives a better reason."""
     if any(f.cause == "force" for f in findings):
         findings = [f for f in findings if f.cause != "noise"]
-    reasons = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
-    explained = {*force_names, *_channel_names(reasons)}
+    causal_findings = (f for f in findings if f.cause not in WAVEFORM_CAUSES and len(f.channels) == 1)
+    explained_channels = {*force_names, *_channel_names(causal_findings)}
 
     def is_explained(finding: Finding) -> bool:
-        return not set(finding.channels) <= {*force_names} and set(finding.channels) <= explained
+        return not set(finding.channels) <= {*force_names} and set(finding.channels) <= explained_channels
 
     return [f for f in findings if f.cause not in ("noise", "drift", "offset", "force") or not is_explained(f)]
 
 
 def _out_of_range_findings(recording: Recording, use: Use) -> list[Finding]:
     """Findings on channels that exceed anything on a test rig."""
-    checked = [waveforms.out_of_range(c.name, c.group, c.samples) for c in _channels(recording, use)]
-    return [f for f in checked if f is not None]
+    range_findings = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
+    return [f for f in range_findings if f is not None]
 
 
 @contextmanager
-def naming(findings: tuple[Finding, ...]) -> Iterator[None]:
+def naming_first_finding(findings: tuple[Finding, ...]) -> Iterator[None]:
     """Append the first finding to the message of a RigError, as its likely reason."""
     try:
         yield
@@ -119,12 +119,12 @@ def _model_findings(
     sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
     if not sensors or excluded & {*force_names} or any(f.cause == "not at rest" for f in waveform_findings):
         return []
-    usable = [i for i, s in enumerate(sensors) if s.name not in excluded]
+    usable_indices = [i for i, s in enumerate(sensors) if s.name not in excluded]
     try:
-        if len(usable) > len(contact_groups(rig)) + 1:
+        if len(usable_indices) > len(contact_groups(rig)) + 1:
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
-            return _channel_findings(recording, sensors, usable, tolerances)
+            return _channel_findings(recording, sensors, usable_indices, tolerances)
         if not waveform_findings and all(b.is_mass for b in rig.bodies):
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
@@ -133,7 +133,7 @@ def _model_findings(
 
 
 def _channel_findings(
-    recording: Recording, sensors: tuple[Sensor, ...], usable: list[int], tolerances: Tolerances
+    recording: Recording, sensors: tuple[Sensor, ...], usable_indices: list[int], tolerances: Tolerances
 ) -> list[Finding]:
     """Findings on all channels against each other: first over time, then gross faults, then tolerances."""
     rig = group_rig_of(recording.rig)
@@ -143,17 +143,17 @@ def _channel_findings(
         return spectra_of(recording, sensors, None)
 
     spectra = spectra_of(recording, sensors)
-    discontinuities = discontinuity_findings(rig, full_spectra(), usable)
+    discontinuities = discontinuity_findings(rig, full_spectra(), usable_indices)
     if any(f.cause == "jump" for f in discontinuities):
         return discontinuities
-    faults = gross_faults(rig, spectra, usable, full_spectra)
-    findings = list(faults.findings) or discontinuities
-    if faults.sound and len(faults.trusted_channels) > len(rig.contacts) + 1:
-        trusted = faults.trusted_channels
+    gross = gross_faults(rig, spectra, usable_indices, full_spectra)
+    findings = list(gross.findings) or discontinuities
+    if gross.is_sound and len(gross.trusted_indices) > len(rig.contacts) + 1:
+        trusted = gross.trusted_indices
         violations, _ = broken_tolerances(rig, linear_check(rig, full_spectra(), trusted), trusted, tolerances)
-        doubted = violations and not findings
-        instead = gross_faults(rig, spectra, trusted, full_spectra, doubted=True).findings if doubted else ()
-        findings += instead or [tolerance_finding(violation) for violation in violations]
+        is_doubted = violations and not findings
+        replaced = gross_faults(rig, spectra, trusted, full_spectra, is_doubted=True).findings if is_doubted else ()
+        findings += replaced or [tolerance_finding(violation) for violation in violations]
     return findings
 
 
@@ -181,14 +181,14 @@ def _waveform_findings(recording: Recording, use: Use) -> list[Finding]:
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
     first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
-    live = [c for c in channels if c.name not in _channel_names(f for f in first_faults if f.cause == "dead")]
-    excited = excitations(recording)
-    may_begin_moving = recording.start_s > 0 or not np.any(excited)  # a free decay begins in motion
-    in_motion = [] if may_begin_moving else _motion_findings(live)
-    if recording.start_s == 0 and _runs_backwards(live, excited, recording.rig.sample_rate_hz):
-        in_motion = [waveforms.reversed_time(tuple(c.name for c in live if not c.is_force))]
-    findings = in_motion or [*first_faults, *_spike_findings(live, _channel_names(first_faults))]
-    return [*findings, *waveforms.copies([c.name for c in live], [c.samples for c in live])]
+    live_channels = [c for c in channels if c.name not in _channel_names(f for f in first_faults if f.cause == "dead")]
+    excitation_signals = excitations(recording)
+    may_begin_moving = recording.start_s > 0 or not np.any(excitation_signals)  # a free decay begins in motion
+    motion_findings = [] if may_begin_moving else _motion_findings(live_channels)
+    if recording.start_s == 0 and _runs_backwards(live_channels, excitation_signals, recording.rig.sample_rate_hz):
+        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]
+    findings = motion_findings or [*first_faults, *_spike_findings(live_channels, _channel_names(first_faults))]
+    return [*findings, *waveforms.copy_findings([c.name for c in live_channels], [c.samples for c in live_channels])]
 
 
 def _channel_names(findings: Iterable[Finding]) -> set[str]:
@@ -199,13 +199,13 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
 def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
     """The forces on bodies, and the sensors of the quantity in use."""
     rig = recording.rig
-    used = {
+    used_names = {
         *recording.force_names[: count_on_bodies(rig)],
         *(s.name for s in rig.sensors if use in ("auto", s.quantity)),
     }
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
-            if name in used:
+            if name in used_names:
                 forces_n, force_names = excitations(recording), excitation_names(rig)
                 yield _Channel(
                     group, name, samples, rig.sample_rate_hz, forces_n, force_names, _impact_sensors(rig, name)
@@ -228,30 +228,33 @@ def _first_fault(channel: _Channel) -> Finding | None:
     name, samples, rate_hz = channel.name, channel.samples, channel.rate_hz
     forces_n, force_names = channel.record_forces_n, channel.force_names
     checks: list[Callable[[], Finding | None]] = [
-        lambda: waveforms.dead(name, samples, force_names),
-        lambda: waveforms.clipped(name, samples),
-        lambda: waveforms.quantised(name, samples),
-        lambda: waveforms.held(name, samples, forces_n, force_names),
+        lambda: waveforms.dead_finding(name, samples, force_names),
+        lambda: waveforms.clipped_finding(name, samples),
+        lambda: waveforms.quantised_finding(name, samples),
+        lambda: waveforms.held_finding(name, samples, forces_n, force_names),
     ]
     if not channel.is_force:
         checks += [
-            lambda: waveforms.hum(name, rate_hz, samples, forces_n),
-            lambda: waveforms.noise(name, rate_hz, samples, forces_n, force_names),
+            lambda: waveforms.hum_finding(name, rate_hz, samples, forces_n),
+            lambda: waveforms.noise_finding(name, rate_hz, samples, forces_n, force_names),
         ]
     if channel.group == "acceleration":
-        checks += [lambda: waveforms.drift(name, rate_hz, samples), lambda: waveforms.offset(name, samples)]
+        checks += [
+            lambda: waveforms.drift_finding(name, rate_hz, samples),
+            lambda: waveforms.offset_finding(name, samples),
+        ]
     elif not channel.is_force and (quiet := quiet_samples(forces_n, rate_hz)):
-        checks.append(lambda: waveforms.offset(name, samples[:quiet], float(samples.std())))
+        checks.append(lambda: waveforms.offset_finding(name, samples[:quiet], float(samples.std())))
     return next((fault for check in checks if (fault := check()) is not None), None)
 
 
-def _spike_findings(channels: Sequence[_Channel], faulty: set[str]) -> Iterator[Finding]:
+def _spike_findings(channels: Sequence[_Channel], faulty_names: set[str]) -> Iterator[Finding]:
     """Spikes in the channels that show no fault of another kind."""
     deviations = {c.name: waveforms.neighbour_deviation(c.samples) for c in channels}
     for channel in channels:
-        if channel.name not in faulty:
+        if channel.name not in faulty_names:
             other_deviations = [deviation for name, deviation in deviations.items() if name in channel.impact_sensors]
-            finding = waveforms.spikes(channel.name, deviations[channel.name], other_deviations)
+            finding = waveforms.spikes_finding(channel.name, deviations[channel.name], other_deviations)
             if finding is not None:
                 yield finding
 
@@ -268,8 +271,8 @@ def _runs_backwards(channels: Sequence[_Channel], force: Rows, rate_hz: float) -
 
 def _motion_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Channels that move from the record's first samples on; none if only few do."""
-    checked = [
-        waveforms.not_at_rest(c.name, c.rate_hz, c.samples, START_S[c.group]) for c in channels if c.group in START_S
+    motions = [
+        waveforms.motion_finding(c.name, c.rate_hz, c.samples, START_S[c.group]) for c in channels if c.group in START_S
     ]
-    findings = [f for f in checked if f is not None]
-    return findings if len(findings) > MOVING_CHANNELS_SHARE * len(checked) else []
+    findings = [f for f in motions if f is not None]
+    return findings if len(findings) > MOVING_CHANNELS_SHARE * len(motions) else []

@@ -20,23 +20,23 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
 
     `spectra` hold all lines. None is reported if one of several forces breaks off, such as a hammer's.
     """
-    ratio, at_s = discontinuity_ratio(rig, spectra, channel_indices)
+    ratio, time_s = discontinuity_ratio(rig, spectra, channel_indices)
     if ratio < BREAK_RATIO or len(channel_indices) < len(rig.contacts) + 3:
         return []
     force_count = len(spectra.forces) if len(spectra.forces) > 1 else 0
-    if any(discontinuity_ratio(rig, spectra, channel_indices, force)[0] < BREAK_RATIO for force in range(force_count)):
+    if any(discontinuity_ratio(rig, spectra, channel_indices, k)[0] < BREAK_RATIO for k in range(force_count)):
         return []
     ratio_without = {
         k: discontinuity_ratio(rig, spectra, [i for i in channel_indices if i != k])[0] for k in channel_indices
     }
-    worst = min(ratio_without, key=lambda k: ratio_without[k])
-    if ratio_without[worst] < BREAK_RATIO:
-        name = spectra.sensors[worst].name
+    worst_index = min(ratio_without, key=lambda k: ratio_without[k])
+    if ratio_without[worst_index] < BREAK_RATIO:
+        name = spectra.sensors[worst_index].name
         return [
             Finding(
                 cause="glitch",
                 channels=(name,),
-                evidence=f"{name} leaves what all others predict at {at_s:.2f} s",
+                evidence=f"{name} leaves what all others predict at {time_s:.2f} s",
                 mend="check its cable and connector, or leave that part of the record out",
             )
         ]
@@ -44,7 +44,7 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
         Finding(
             cause="jump",
             channels=tuple(spectra.sensors[i].name for i in channel_indices),
-            evidence=f"all channels together leave the linear model at {at_s:.2f} s, and only there",
+            evidence=f"all channels together leave the linear model at {time_s:.2f} s, and only there",
             mend="samples were lost there, records were joined, or something struck the rig: use the part before it",
         )
     ]
@@ -56,11 +56,11 @@ def discontinuity_ratio(
     """Largest residual power over the motion's in any part, over the 30 % quantile of all parts; and its time, s."""
     check = linear_check(rig, spectra, channel_indices)
     residual = Projector(check, channel_indices, doubted_force_index)(
-        (spectra.acceleration - check.by_force)[channel_indices]
+        (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
     )
-    acceleration = spectra.in_time((spectra.acceleration / check.scale)[channel_indices])
-    residual_share = _part_powers(residual, spectra.per_s)
-    motion_power = _part_powers(acceleration, spectra.per_s)
+    acceleration = spectra.in_time((spectra.acceleration / check.error_scale)[channel_indices])
+    residual_share = _part_powers(residual, spectra.in_time_rate_hz)
+    motion_power = _part_powers(acceleration, spectra.in_time_rate_hz)
     residual_share = residual_share / (motion_power + QUIET_SHARE * motion_power.mean())
     worst = int(np.argmax(residual_share))
     usual_share = float(np.quantile(residual_share, 0.3))

@@ -68,11 +68,11 @@ def force_in_words(force: str) -> str:
     return "the force" if force == "force" else force
 
 
-def listed(channels: tuple[str, ...], most: int = 3) -> str:
+def names_in_words(names: tuple[str, ...], max_count: int = 3) -> str:
     """Names in a sentence; of more than `most`, the first two and the number of the others."""
-    if len(channels) <= most:
-        return " and ".join(channels)
-    return f"{channels[0]}, {channels[1]} and {len(channels) - 2} more"
+    if len(names) <= max_count:
+        return " and ".join(names)
+    return f"{names[0]}, {names[1]} and {len(names) - 2} more"
 
 
 def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]:
@@ -80,7 +80,7 @@ def merge_by_cause(findings: Sequence[Finding], rig: Rig) -> tuple[Finding, ...]
     merged_findings: list[Finding] = []
     for cause in dict.fromkeys(f.cause for f in findings):
         same_cause = [f for f in findings if f.cause == cause]
-        names = tuple(dict.fromkeys(n for f in same_cause for n in f.channels))
+        names = tuple(dict.fromkeys(name for f in same_cause for name in f.channels))
         if len(same_cause) < 3:
             merged_findings += same_cause
             continue

@@ -28,7 +28,7 @@ MIN_DELAY_CHANGE_S = 3e-4
 """Change of a channel's delay over the record from which on samples have slipped."""
 ALLOWANCE = 1.5
 """Factor on the misfit of a change that frees a channel."""
-PARTS = 4
+PART_COUNT = 4
 
 FullSpectra = Callable[[], Spectra]
 """Spectra on all lines, computed on demand."""
@@ -39,12 +39,12 @@ class GrossFaults:
     """Gross findings, the channels that can be trusted, and whether these fit the model."""
 
     findings: tuple[Finding, ...]
-    trusted_channels: list[int]
-    sound: bool
+    trusted_indices: list[int]
+    is_sound: bool
 
 
 def gross_faults(
-    rig: Rig, spectra: Spectra, usable: list[int], full_spectra: FullSpectra, doubted: bool = False
+    rig: Rig, spectra: Spectra, usable: list[int], full_spectra: FullSpectra, is_doubted: bool = False
 ) -> GrossFaults:
     """Findings by the change with the smallest misfit.
 
@@ -54,14 +54,14 @@ def gross_faults(
     """
     check = linear_check(rig, spectra, usable)
     misfit = check.prediction(usable).misfit
-    forces = list(_force_trials(check, usable))
+    force_trials = list(_force_trials(check, usable))
     # with several forces, the estimate of a weak one follows the errors of the model
-    force_findings = forces[0].findings() if len(forces) == 1 else ()
-    wrong_force = [f for f in force_findings if f.cause in ("force", "filtered")]
-    if misfit < SOUND_MISFIT and (wrong_force or not doubted):
-        return GrossFaults(tuple(wrong_force), usable, not wrong_force)
+    force_findings = force_trials[0].findings() if len(force_trials) == 1 else ()
+    force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
+    if misfit < SOUND_MISFIT and (force_faults or not is_doubted):
+        return GrossFaults(tuple(force_faults), usable, not force_faults)
     trials = [
-        *forces,
+        *force_trials,
         *_channel_trials(rig, check, usable, full_spectra),
         *_swap_trials(check, usable),
         *_gain_trials(rig, check, usable),
@@ -71,13 +71,13 @@ def gross_faults(
     if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.allowance > DOUBTED_SHARE * misfit:
         return GrossFaults((), usable, True)
     if best_trial.misfit >= SOUND_MISFIT:
-        multiple = _multiple_channel_faults(rig, check, usable, full_spectra)
-        if multiple is not None:
-            return multiple
+        multiple_faults = _multiple_channel_faults(rig, check, usable, full_spectra)
+        if multiple_faults is not None:
+            return multiple_faults
         if best_trial.misfit >= CURED_SHARE * misfit:
             return GrossFaults((_model_finding(misfit),), usable, False)
     is_sound = best_trial.sensors_alone and best_trial.misfit < SOUND_MISFIT
-    return GrossFaults(best_trial.findings(), best_trial.trusted_channels, is_sound)
+    return GrossFaults(best_trial.findings(), best_trial.trusted_indices, is_sound)
 
 
 def _model_finding(misfit: float) -> Finding:
@@ -124,18 +124,20 @@ def _delays_over_time(
 ) -> Float[np.ndarray, " parts"] | None:
     """Delays of a channel against its prediction in each part of the record; None if they are alike or unknown."""
     check = linear_check(rig, spectra, channel_indices)
-    expected = check.prediction(channel_indices).acceleration[channel_index]
-    signals = spectra.in_time(np.stack([spectra.acceleration[channel_index], expected]) / check.scale[channel_index])
-    delays = []
-    for measured, predicted in np.array_split(signals, PARTS, axis=1):
+    predicted_line = check.prediction(channel_indices).accelerations[channel_index]
+    signals = spectra.in_time(
+        np.stack([spectra.acceleration[channel_index], predicted_line]) / check.error_scale[channel_index]
+    )
+    delays_s = []
+    for measured, predicted in np.array_split(signals, PART_COUNT, axis=1):
         window = np.hanning(measured.size)
-        lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
-        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.per_s)
-        to_predicted = relation(omega[1:], lines[0][1:], lines[1][1:], np.ones(omega.size - 1))
+        windowed_lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
+        omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.in_time_rate_hz)
+        to_predicted = relation(omega[1:], windowed_lines[0][1:], windowed_lines[1][1:], np.ones(omega.size - 1))
         if to_predicted.coherence < 0.8:
             return None
-        delays.append(to_predicted.delay_s)
-    return np.array(delays) if np.ptp(delays) > MIN_DELAY_CHANGE_S else None
+        delays_s.append(to_predicted.delay_s)
+    return np.array(delays_s) if np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
 def _force_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
@@ -151,12 +153,12 @@ def _force_findings(
     check: LinearCheck, usable: list[int], force_index: int, prediction: Prediction
 ) -> tuple[Finding, ...]:
     """Finding on a force by its estimate."""
-    by_force = check.accelerance[force_index][usable]
-    response = by_force / check.scale[usable]
+    force_accelerance = check.accelerance[force_index][usable]
+    response = force_accelerance / check.error_scale[usable]
     if len(check.spectra.forces) > 1:  # what no contact force does too
-        response = check.unknown_input_projection(usable).applied_to(by_force)[0]
-    weight = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
-    return (force_finding(check.spectra, force_index, prediction.forces[force_index], weight),)
+        response = check.unknown_input_projection(usable).applied_to(force_accelerance)[0]
+    line_weights = np.sqrt(np.mean(np.abs(response) ** 2, axis=0))
+    return (force_finding(check.spectra, force_index, prediction.force_spectra[force_index], line_weights),)
 
 
 def _swap_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
@@ -166,12 +168,12 @@ def _swap_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
         rows = spectra.acceleration.copy()
         rows[[first, second]] = rows[[second, first]]
         names = spectra.sensors[first].name, spectra.sensors[second].name
-        trusted = [i for i in usable if i not in (first, second)]
-        yield Trial(check.misfit(spectra.with_rows(rows), usable), trusted, partial(_swap_findings, names))
-    for pair in combinations(range(len(spectra.forces)), 2):
+        trusted_indices = [i for i in usable if i not in (first, second)]
+        yield Trial(check.misfit(spectra.with_rows(rows), usable), trusted_indices, partial(_swap_findings, names))
+    for force_pair in combinations(range(len(spectra.forces)), 2):
         forces = spectra.forces.copy()
-        forces[[*pair]] = forces[[*pair[::-1]]]
-        names = spectra.force_names[pair[0]], spectra.force_names[pair[1]]
+        forces[[*force_pair]] = forces[[*force_pair[::-1]]]
+        names = spectra.force_names[force_pair[0]], spectra.force_names[force_pair[1]]
         misfit = check.misfit(replace(spectra, forces=forces), usable)
         yield Trial(misfit, usable, partial(_swap_findings, names), False)
 
@@ -194,44 +196,44 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable: list[int]) -> Iterator[Tr
     Finds polarities, units and gains of several channels at once, in three rounds, each in the scale of the one before.
     """
     spectra, gains = check.spectra, np.ones(len(check.spectra.sensors))
-    rows = spectra.acceleration
+    scaled_rows = spectra.acceleration
     for _ in range(3):
-        check = check.with_spectra(spectra.with_rows(rows), usable)
+        check = check.with_spectra(spectra.with_rows(scaled_rows), usable)
         projection = check.unknown_input_projection(usable)
-        columns = np.array([projection.applied_to(rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
-        target = projection.applied_to(check.by_force[usable])[0].ravel()
-        normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ target).real
+        columns = np.array([projection.applied_to(scaled_rows[[i]], [k])[0].ravel() for k, i in enumerate(usable)])
+        force_column = projection.applied_to(check.acceleration_by_all_forces[usable])[0].ravel()
+        normal, right_side = (columns.conj() @ columns.T).real, (columns.conj() @ force_column).real
         factors = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(usable)), right_side)
         if not np.all(np.isfinite(factors)) or np.any(np.abs(factors) < 1e-9):
             return
-        rows = rows.copy()
-        rows[usable] *= factors[:, None]
+        scaled_rows = scaled_rows.copy()
+        scaled_rows[usable] *= factors[:, None]
         gains[usable] /= factors
-    misfit = check.misfit(spectra.with_rows(rows), usable)
+    misfit = check.misfit(spectra.with_rows(scaled_rows), usable)
     miscalibrated = [i for i in usable if abs(gains[i] - 1) > GAIN_ERROR]
     if miscalibrated:
         findings = [gain_finding(spectra.sensors[i].name, float(gains[i])) for i in miscalibrated]
-        trusted = [i for i in usable if i not in miscalibrated]
-        yield Trial(misfit, trusted, partial(merge_by_cause, findings, rig), allowance=ALLOWANCE**2)
+        trusted_indices = [i for i in usable if i not in miscalibrated]
+        yield Trial(misfit, trusted_indices, partial(merge_by_cause, findings, rig), allowance=ALLOWANCE**2)
 
 
 def _multiple_channel_faults(
-    rig: Rig, check: LinearCheck, usable_indices: list[int], full_spectra: FullSpectra
+    rig: Rig, check: LinearCheck, usable: list[int], full_spectra: FullSpectra
 ) -> GrossFaults | None:
-    """Channels excluded_indices one after the other, the worst first, while three more than the contacts remain."""
-    trusted_indices, excluded_indices = list(usable_indices), list[int]()
-    while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable_indices) / 2:
+    """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
+    trusted_indices, excluded_indices = list(usable), list[int]()
+    while len(trusted_indices) > len(rig.contacts) + 3 and len(excluded_indices) < len(usable) / 2:
         trials = []
-        for channel in trusted_indices:
-            remaining = [i for i in trusted_indices if i != channel]
-            trials.append((check.misfit(check.spectra, remaining), channel))
+        for index in trusted_indices:
+            remaining_indices = [i for i in trusted_indices if i != index]
+            trials.append((check.misfit(check.spectra, remaining_indices), index))
         misfit, worst = min(trials)
         trusted_indices, excluded_indices = [i for i in trusted_indices if i != worst], [*excluded_indices, worst]
         if misfit < SOUND_MISFIT:
             check = check.with_spectra(check.spectra, trusted_indices)
             prediction = check.prediction(trusted_indices)
             findings = list[Finding]()
-            for channel in sorted(excluded_indices):
-                findings += _channel_findings(rig, check, prediction, channel, trusted_indices, full_spectra)
+            for index in sorted(excluded_indices):
+                findings += _channel_findings(rig, check, prediction, index, trusted_indices, full_spectra)
             return GrossFaults(merge_by_cause(findings, rig), trusted_indices, True)
     return None

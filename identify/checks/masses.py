@@ -3,7 +3,7 @@
     m a + c v + k x = F
 
 with the measured force, or 0 where none acts. The equation is fitted to the samples in the middle of the clearances,
-with a constant for each passage (slow motion that accelerometers miss), and m, c and k are compared with rig.json. The
+with a constant for each p (slow motion that accelerometers miss), and m, c and k are compared with rig.json. The
 share of the force that stays unexplained is noise of the acceleration, or passages with closed contacts: both lower the
 mass by about that share, and closed contacts raise the stiffness.
 """
@@ -24,21 +24,21 @@ from rig.model.description import ON_GROUND, Body, Rig, Station
 from rig.model.modes import loaded_mass
 from rig.model.tolerances import Tolerances
 
-OPEN_QUANTILES, CLEAN_SHARE = (0.4, 0.2, 0.1), 0.95
+OPEN_QUANTILES, EXPLAINED_SHARE = (0.4, 0.2, 0.1), 0.95
 """Contacts are open below this quantile of the distance from the median displacement; below the next one, if less than
 this share of the force is explained, as closed contacts are then among the samples."""
-INNER_SHARE = 0.5
+INNER_CLEARANCE_SHARE = 0.5
 """Where several contacts join the same places, a soft one hides in the explained force: distances are then also below
 this share of the smallest clearance in rig.json."""
 MIN_PASSAGE_SAMPLES = 8
 RATE_BY_FORCE_HZ = 3.0
 """Half the decimated rate, over the force's highest frequency."""
 MAX_DEVIATIONS, MIN_TOLERANCE = 4.0, 2e-3
-"""Largest error in standard deviations of tolerances and fit; smallest tolerance."""
+"""Largest error in standard spreads of tolerances and fit; smallest tolerance."""
 UNRELATED_SHARE = 0.3
 """Force and motion belong to different records if a smaller share of the force is explained."""
 CLOCK_PULL, CLOCK_REMAINDER, MAX_CLOCK_ERROR = 3.5, 2.0, 0.03
-"""A clock is wrong if its error exceeds so many standard deviations and leaves mass and frequency at most so many; no
+"""A clock is wrong if its error exceeds so many standard spreads and leaves mass and frequency at most so many; no
 clock errs by more than the last share."""
 MAX_DELAY_S = 0.02
 MAX_DAMPING_RATIO = 0.5
@@ -53,7 +53,7 @@ class MassFit:
     delay_s is the delay of the force against the sensor with the best fit, explained the explained share of the force.
     """
 
-    values: Float[np.ndarray, "3"]
+    coefficients: Float[np.ndarray, "3"]
     errors: Float[np.ndarray, "3"]
     delay_s: float
     explained: float
@@ -83,7 +83,7 @@ def _driven_body(rig: Rig, motion: Kinematics) -> tuple[Body, int | None]:
 
 
 def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
-    """Largest error of mass, frequency or clock of the driven mass, in standard deviations of tolerances and fit.
+    """Largest error of mass, frequency or clock of the driven mass, in standard spreads of tolerances and fit.
 
     0 if nothing tells it, or other bodies' channels tell more.
     """
@@ -94,25 +94,25 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     if fit is None or fit.explained < UNRELATED_SHARE:
         return 0.0
     order = motion.sensors[row].measures.order
-    errors, deviation, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
-    clock_pull = abs(clock_effect / deviation @ (errors / deviation)) / float(np.linalg.norm(clock_effect / deviation))
-    return float(max(clock_pull, *np.abs(errors / deviation)))
+    errors, spreads, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
+    clock_pull = abs(clock_effect / spreads @ (errors / spreads)) / float(np.linalg.norm(clock_effect / spreads))
+    return float(max(clock_pull, *np.abs(errors / spreads)))
 
 
 def open_fit(rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the open passages; None if they have too few samples, or no force acts in them."""
-    best: MassFit | None = None
+    best_fit: MassFit | None = None
     for quantile in OPEN_QUANTILES:
-        fit = _fit_below(quantile, rig, motion, station_index)
-        if fit is None or (best and fit.explained < best.explained):
+        fit = _fit_below_quantile(quantile, rig, motion, station_index)
+        if fit is None or (best_fit and fit.explained < best_fit.explained):
             break
-        best = fit
-        if best.explained > CLEAN_SHARE:
+        best_fit = fit
+        if best_fit.explained > EXPLAINED_SHARE:
             break
-    return best
+    return best_fit
 
 
-def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
+def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_index: int) -> MassFit | None:
     """Fit to the samples below a quantile of the distance from the middle; None as in `open_fit`."""
     high_hz = force_band(motion.forces_n, motion.sample_rate_hz)[1]
     factor = max(1, int(motion.sample_rate_hz / 2 / (RATE_BY_FORCE_HZ * high_hz)))
@@ -125,7 +125,7 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
     signals = decimated(
         np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *rows]), factor
     )
-    passages = _passages(_open(rig, motion, station_index, factor, quantile), motion.excited_from // factor + 1)
+    passages = _passages(_open_mask(rig, motion, station_index, factor, quantile), motion.excited_from // factor + 1)
     if sum(p.stop - p.start for p in passages) < 50:
         return None
     if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
@@ -134,55 +134,57 @@ def _fit_below(quantile: float, rig: Rig, motion: Kinematics, station_index: int
     def fitted(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         force = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
         segments = [np.stack([force[p], *signals[1:, p]]) for p in passages]
-        centred = [s - s.mean(axis=1, keepdims=True) for s in segments]
+        centred = [segment - segment.mean(axis=1, keepdims=True) for segment in segments]
         samples = np.concatenate(centred, axis=1)
-        deviations = samples[1:].std(axis=1)
-        scaled = samples[1:] / deviations[:, None]
-        if not np.isfinite(scaled).all():
+        motion_rms = samples[1:].std(axis=1)
+        scaled_motion = samples[1:] / motion_rms[:, None]
+        if not np.isfinite(scaled_motion).all():
             raise RigError("while contacts are open nothing moves, or by more than any machine")
-        pseudo_inverse = np.linalg.pinv(scaled.T)
-        values = pseudo_inverse @ samples[0] / deviations
-        residual = samples[0] - values @ samples[1:]
+        pseudo_inverse = np.linalg.pinv(scaled_motion.T)
+        coefficients = pseudo_inverse @ samples[0] / motion_rms
+        residual = samples[0] - coefficients @ samples[1:]
         boundaries = np.cumsum([s.shape[1] for s in centred])[:-1]
-        by_segment = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
-        scores = [influence @ error for influence, error in by_segment]
-        errors = np.sqrt(np.sum(np.square(scores), axis=0)) / deviations
-        return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), values, errors, residual
+        segment_parts = zip(np.split(pseudo_inverse, boundaries, axis=1), np.split(residual, boundaries), strict=True)
+        scores = [influence @ error for influence, error in segment_parts]
+        errors = np.sqrt(np.sum(np.square(scores), axis=0)) / motion_rms
+        return 1 - float(np.mean(residual**2) / np.mean(samples[0] ** 2)), coefficients, errors, residual
 
-    delays = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz)
-    delay_s = float(delays[int(np.argmax([fitted(delay)[0] for delay in delays]))])
-    fine_delays = delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz
-    delay_s = float(fine_delays[int(np.argmax([fitted(delay)[0] for delay in fine_delays]))])
-    undelayed = fitted(0.0)
-    if fitted(delay_s)[0] - undelayed[0] < 0.2 * (1 - undelayed[0]):
+    delays_s = np.arange(-MAX_DELAY_S, MAX_DELAY_S + 1e-9, 0.5 / rate_hz)
+    delay_s = float(delays_s[int(np.argmax([fitted(trial_s)[0] for trial_s in delays_s]))])
+    fine_delays_s = delay_s + np.linspace(-0.5, 0.5, 21) / rate_hz
+    delay_s = float(fine_delays_s[int(np.argmax([fitted(delay)[0] for delay in fine_delays_s]))])
+    undelayed_share = fitted(0.0)
+    if fitted(delay_s)[0] - undelayed_share[0] < 0.2 * (1 - undelayed_share[0]):
         delay_s = 0.0
-    explained, values, errors, _ = fitted(delay_s)
-    return MassFit(values, errors, delay_s, explained)
+    explained, coefficients, errors, _ = fitted(delay_s)
+    return MassFit(coefficients, errors, delay_s, explained)
 
 
-def _open(rig: Rig, motion: Kinematics, station_index: int, factor: int, quantile: float) -> Bool[np.ndarray, " fewer"]:
+def _open_mask(
+    rig: Rig, motion: Kinematics, station_index: int, factor: int, quantile: float
+) -> Bool[np.ndarray, " fewer"]:
     """Mask of the samples at which every contact of the force's body is in the middle of its clearance; none where a
     spring holds the body to another."""
     is_open = np.ones(-(-motion.samples // factor), dtype=bool)
-    for pair in contact_groups(rig):
-        contact = pair.contact
+    for group in contact_groups(rig):
+        contact = group.contact
         if motion.stations[station_index].body not in (
             contact.at.body,
             contact.against.body if contact.against else None,
         ):
             continue
-        if not all(rig.contacts[j].law.has_stops for j in pair.contact_indices):
+        if not all(rig.contacts[j].law.has_stops for j in group.contact_indices):
             return np.zeros_like(is_open)
-        sides = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
-        if None in sides:
+        rows = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
+        if None in rows:
             continue
-        eta_m = motion.displacement_m[sides[0]] - (motion.displacement_m[sides[1]] if len(sides) > 1 else 0.0)
+        eta_m = motion.displacement_m[rows[0]] - (motion.displacement_m[rows[1]] if len(rows) > 1 else 0.0)
         distance_m = np.abs(eta_m - np.median(eta_m))[::factor]
         is_open &= distance_m < np.quantile(distance_m[motion.excited_from // factor :], quantile)
-        if len(pair.contact_indices) > 1:
-            laws = [rig.contacts[j].law for j in pair.contact_indices]
+        if len(group.contact_indices) > 1:
+            laws = [rig.contacts[j].law for j in group.contact_indices]
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
-            is_open &= distance_m < INNER_SHARE * min(clearances_m)
+            is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open
 
 
@@ -190,7 +192,7 @@ def _passages(is_open: Bool[np.ndarray, " fewer"], start: int) -> list[slice]:
     """Runs of open samples that begin after `start` and are long enough."""
     edges = np.flatnonzero(np.diff(np.r_[0, is_open.astype(np.int8), 0]))
     runs = zip(edges[::2], edges[1::2], strict=True)
-    return [slice(a, b) for a, b in runs if a >= start and b - a >= MIN_PASSAGE_SAMPLES]
+    return [slice(first, end) for first, end in runs if first >= start and end - first >= MIN_PASSAGE_SAMPLES]
 
 
 def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, tolerances: Tolerances) -> list[Finding]:
@@ -198,7 +200,7 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
 
     channels are those of the forces and, last, of the sensor.
     """
-    mass, damping, stiffness = fit.values
+    mass, damping, stiffness = fit.coefficients
     if fit.explained < UNRELATED_SHARE:
         return [
             Finding(
@@ -231,9 +233,9 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
     natural_hz = _identifiable_hz(body)
     if natural_hz:
         fitted_hz = float(np.sqrt(max(stiffness / mass, 0.0))) / (2 * np.pi)
-        error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
+        relative_error = 0.5 * float(np.hypot(fit.errors[2] / abs(stiffness), fit.errors[0] / abs(mass)))
         tolerance = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE))
-        if abs(fitted_hz / natural_hz - 1) > tolerance + unexplained + MAX_DEVIATIONS * error:
+        if abs(fitted_hz / natural_hz - 1) > tolerance + unexplained + MAX_DEVIATIONS * relative_error:
             findings.append(
                 Finding(
                     cause="frequency",
@@ -245,9 +247,9 @@ def _comparison_findings(body: Body, channels: tuple[str, ...], fit: MassFit, to
             )
         stated_damping = 2 * float(body.damping_ratios(1)[0]) * 2 * np.pi * natural_hz
         damping_factor = damping / mass / stated_damping if stated_damping else 1.0
-        error = fit.errors[1] / abs(mass) / (stated_damping or np.inf)
+        relative_error = fit.errors[1] / abs(mass) / (stated_damping or np.inf)
         tolerance = MAX_DEVIATIONS * float(np.hypot(np.sqrt(2) * tolerances.damping, 10 * MIN_TOLERANCE))
-        if not findings and abs(damping_factor - 1) > tolerance + MAX_DEVIATIONS * error:
+        if not findings and abs(damping_factor - 1) > tolerance + MAX_DEVIATIONS * relative_error:
             findings.append(
                 Finding(
                     cause="damping",
@@ -266,14 +268,14 @@ def _clock_finding(body: Body, order: int, fit: MassFit, tolerances: Tolerances)
     Times that are too short by a factor s raise the frequency by s, and change the mass by s^(order - 2), with the
     order of the derivative that the sensor measures.
     """
-    mass, _, stiffness = fit.values
+    mass, _, stiffness = fit.coefficients
     if order > 1 or not _identifiable_hz(body) or mass <= 0 or stiffness <= 0:
         return None
-    errors, deviation, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
-    norm = float(np.linalg.norm(clock_effect / deviation))
-    clock_error = (clock_effect / deviation @ (errors / deviation)) / norm**2
-    remainder = np.abs(errors - clock_error * clock_effect) / deviation
-    is_plausible = CLOCK_PULL / norm < abs(clock_error) < MAX_CLOCK_ERROR and remainder.max() <= CLOCK_REMAINDER
+    errors, spreads, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
+    norm = float(np.linalg.norm(clock_effect / spreads))
+    clock_error = (clock_effect / spreads @ (errors / spreads)) / norm**2
+    remainders = np.abs(errors - clock_error * clock_effect) / spreads
+    is_plausible = CLOCK_PULL / norm < abs(clock_error) < MAX_CLOCK_ERROR and remainders.max() <= CLOCK_REMAINDER
     if fit.delay_s or not is_plausible:
         return None
     return Finding(
@@ -292,21 +294,21 @@ def _identifiable_hz(body: Body) -> float:
 def _mass_and_frequency_errors(
     body: Body, order: int, fit: MassFit, tolerances: Tolerances
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Errors of mass and frequency as logarithms; their standard deviations; their changes by a clock.
+    """Errors of mass and frequency as logarithms; their standard spreads; their changes by a clock.
 
     An error is zero if it cannot be identified: of a mass without a spring, or where a sign is wrong.
     """
-    mass, _, stiffness = fit.values
+    mass, _, stiffness = fit.coefficients
     natural_hz = _identifiable_hz(body)
     ratio = mass / float(getattr(body, "mass_kg", np.nan)) / fit.explained
     mass_error, stiffness_error = fit.errors[0] / abs(mass), fit.errors[2] / abs(stiffness)
-    fit_deviation = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained])
+    fit_errors = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained])
     mass_tolerance = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]))
-    deviation = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_deviation)
+    spreads = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_errors)
     frequency_known = natural_hz > 0 and stiffness > 0 and mass > 0
     frequency_error = np.log(np.sqrt(stiffness / mass) / (2 * np.pi * natural_hz)) if frequency_known else 0.0
     errors = np.array([np.log(ratio) if ratio > 0 else 0.0, frequency_error])
-    return errors, deviation, np.array([order - 2.0, 1.0])
+    return errors, spreads, np.array([order - 2.0, 1.0])
 
 
 def _gain_finding(body: Body, channels: tuple[str, ...], ratio: float) -> Finding:

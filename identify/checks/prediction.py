@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.checks.spectra import SMOOTHED, Spectra
+from identify.checks.spectra import SMOOTHED_LINES, Spectra
 from identify.linear.model import ResponseCache, accelerances, input_shapes, real_product, response_of
 from identify.linear.projection import Projection, projection
 from identify.signals.scores import COUNTED_HZ
@@ -40,9 +40,9 @@ class Prediction:
     """
 
     misfit: float
-    acceleration: Complex[np.ndarray, "sensors lines"]
-    forces: Complex[np.ndarray, "forces lines"]
-    contacts: Complex[np.ndarray, "contacts lines"]
+    accelerations: Complex[np.ndarray, "sensors lines"]
+    force_spectra: Complex[np.ndarray, "forces lines"]
+    contact_spectra: Complex[np.ndarray, "contacts lines"]
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class LinearCheck:
 
     spectra: Spectra
     accelerance: Complex[np.ndarray, "inputs sensors lines"]
-    scale: Float[np.ndarray, "sensors lines"]
+    error_scale: Float[np.ndarray, "sensors lines"]
     driven_lines: Bool[np.ndarray, "forces lines"]
 
     @property
-    def contacts(self) -> int:
+    def contact_count(self) -> int:
         return len(self.contact_accelerance)
 
     @property
@@ -71,44 +71,46 @@ class LinearCheck:
         )
 
     @property
-    def by_each_force(self) -> Complex[np.ndarray, "forces sensors lines"]:
+    def acceleration_by_force(self) -> Complex[np.ndarray, "forces sensors lines"]:
         return self.accelerance[: len(self.spectra.forces)] * self.spectra.forces[:, None]
 
     @property
-    def by_force(self) -> Complex[np.ndarray, "sensors lines"]:
+    def acceleration_by_all_forces(self) -> Complex[np.ndarray, "sensors lines"]:
         """Accelerations by all measured forces."""
-        return np.asarray(self.by_each_force.sum(axis=0))
+        return np.asarray(self.acceleration_by_force.sum(axis=0))
 
     def with_spectra(self, spectra: Spectra, channel_indices: list[int]) -> "LinearCheck":
         """Check of other spectra of the same sensors and lines; see `linear_check`."""
-        return LinearCheck(spectra, self.accelerance, _scale(spectra, channel_indices), driven_lines(spectra.forces))
+        return LinearCheck(spectra, self.accelerance, _scale_of(spectra, channel_indices), driven_lines(spectra.forces))
 
     def unknown_input_projection(
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        unknown, scale = self.unknown_inputs(doubted_force_index)[:, channel_indices], self.scale[channel_indices]
+        unknown, scale = self.unknown_inputs(doubted_force_index)[:, channel_indices], self.error_scale[channel_indices]
         return projection(unknown / scale, scale, len(unknown))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
         """Prediction from these channels and the measured forces, without a doubted one."""
         spectra, unknown = self.spectra, self.unknown_inputs(doubted_force_index)
-        by_each_force = self.by_each_force
+        known_force_motion = self.acceleration_by_force
         if doubted_force_index is not None:
-            by_each_force = np.delete(by_each_force, doubted_force_index, axis=0)
-        by_known_forces = np.asarray(by_each_force.sum(axis=0))
-        unexplained = (spectra.acceleration - by_known_forces)[channel_indices]
+            known_force_motion = np.delete(known_force_motion, doubted_force_index, axis=0)
+        known_motion = np.asarray(known_force_motion.sum(axis=0))
+        unexplained = (spectra.acceleration - known_motion)[channel_indices]
         residual, inputs = self.unknown_input_projection(channel_indices, doubted_force_index).applied_to(unexplained)
-        freedom = len(channel_indices) - len(unknown)
-        per_line, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channel_indices)
-        misfit_by_force = (per_line[lines & informative] for lines in self.driven_lines if np.any(lines & informative))
-        worst = max(float(np.median(x)) for x in (per_line[informative], *misfit_by_force))
-        misfit = worst / freedom if freedom > 0 else np.nan
+        freedom_count = len(channel_indices) - len(unknown)
+        line_squares, informative = np.sum(np.abs(residual) ** 2, axis=0), self._informative_lines(channel_indices)
+        misfit_by_force = (
+            line_squares[lines & informative] for lines in self.driven_lines if np.any(lines & informative)
+        )
+        largest_median = max(float(np.median(squares)) for squares in (line_squares[informative], *misfit_by_force))
+        misfit = largest_median / freedom_count if freedom_count > 0 else np.nan
         forces, contacts = spectra.forces, inputs
         if doubted_force_index is not None:
             forces, contacts = forces.copy(), inputs[1:]
             forces[doubted_force_index] = inputs[0]
-        return Prediction(misfit, by_known_forces + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
+        return Prediction(misfit, known_motion + np.einsum("isl,il->sl", unknown, inputs), forces, contacts)
 
     def misfit(self, spectra: Spectra, channel_indices: list[int]) -> float:
         """Misfit of other spectra, predicted from these channels."""
@@ -116,7 +118,7 @@ class LinearCheck:
 
     def _informative_lines(self, channel_indices: list[int]) -> Bool[np.ndarray, " lines"]:
         """Mask of the lines on which the motion of these channels exceeds their noise."""
-        noise = np.mean((self.spectra.noise[channel_indices] / self.scale[channel_indices]) ** 2, axis=0)
+        noise = np.mean((self.spectra.line_noise[channel_indices] / self.error_scale[channel_indices]) ** 2, axis=0)
         informative = noise < NOISE_SHARE
         return np.asarray(informative) if np.mean(informative) > MIN_LINES_SHARE else np.ones_like(informative)
 
@@ -130,18 +132,18 @@ def linear_check(
     """
     channel_indices = list(range(len(spectra.sensors))) if channel_indices is None else channel_indices
     accelerance = _accelerances(rig, spectra, cache or ResponseCache(spectra.omega, 0))
-    return LinearCheck(spectra, accelerance, _scale(spectra, channel_indices), driven_lines(spectra.forces))
+    return LinearCheck(spectra, accelerance, _scale_of(spectra, channel_indices), driven_lines(spectra.forces))
 
 
-def _scale(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
+def _scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
     """Scale of the median channel of each body, among channel_indices if any, so that no single one rules it."""
-    bodies = [s.station.body for s in spectra.sensors]
-    scale = np.empty(spectra.noise.shape)
-    for body in dict.fromkeys(bodies):
-        on_body = [i for i, b in enumerate(bodies) if b == body]
+    body_names = [s.station.body for s in spectra.sensors]
+    scale = np.empty(spectra.line_noise.shape)
+    for body in dict.fromkeys(body_names):
+        on_body = [i for i, name in enumerate(body_names) if name == body]
         averaged_channels = [i for i in on_body if i in channel_indices] or on_body
-        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.level[averaged_channels], axis=0)
-    scale = np.hypot(scale, spectra.noise)
+        scale[on_body] = MODEL_ERROR_SHARE * np.median(spectra.line_level[averaged_channels], axis=0)
+    scale = np.hypot(scale, spectra.line_noise)
     return np.asarray(np.maximum(scale, 1e-9 * float(scale.max()) or 1.0))
 
 
@@ -149,7 +151,7 @@ def acceleration_by_forces(
     rig: Rig, predicted: Prediction, omega: Float[np.ndarray, " lines"], stations: list[Station]
 ) -> Complex[np.ndarray, "stations lines"]:
     """Accelerations at any stations by the forces and the estimated contact forces."""
-    forces, cache = np.concatenate([predicted.forces, predicted.contacts]), ResponseCache(omega, 0)
+    forces, cache = np.concatenate([predicted.force_spectra, predicted.contact_spectra]), ResponseCache(omega, 0)
     responses = (response_of(rig, body, cache) for body in rig.bodies)
     rows = (
         real_product(r.shapes(stations), r.accelerance * real_product(input_shapes(rig, r, rig.forces).T, forces))
@@ -160,7 +162,7 @@ def acceleration_by_forces(
 
 def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray, "forces lines"]:
     """Mask of the lines on which each force has a share of its largest level."""
-    force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED, axis=1), 0.0))
+    force_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(forces) ** 2, SMOOTHED_LINES, axis=1), 0.0))
     return np.asarray(force_level > DRIVEN_SHARE * force_level.max(axis=1, keepdims=True))
 
 
@@ -177,15 +179,15 @@ class Projector:
     """
 
     def __init__(self, check: LinearCheck, channel_indices: list[int], doubted_force_index: int | None = None) -> None:
-        noise = check.spectra.noise[channel_indices]
-        signal_level = np.sqrt(np.maximum(check.scale[channel_indices] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
+        noise = check.spectra.line_noise[channel_indices]
+        signal_level = np.sqrt(np.maximum(check.error_scale[channel_indices] ** 2 - noise**2, 0)) / MODEL_ERROR_SHARE
         self._scale = np.hypot(MIN_MODEL_ERROR_SHARE * signal_level, noise)
         self._scale = np.maximum(self._scale, 1e-9 * self._scale.max())
         unknown = check.unknown_inputs(doubted_force_index)[:, channel_indices]
         self._projection = projection(unknown / self._scale, self._scale, len(unknown))
         self._spectra = check.spectra
         motion = self._spectra.in_time(check.spectra.acceleration[channel_indices] / self._scale)
-        duration_s = motion_duration_s(motion, self._spectra.per_s)
+        duration_s = motion_duration_s(motion, self._spectra.in_time_rate_hz)
         self._counted = np.float32(np.sqrt(min(1.0, COUNTED_HZ * duration_s / len(motion.T))))
 
     def __call__(self, rows: Complex[np.ndarray, "sensors lines"]) -> Float[np.ndarray, "sensors times"]:

@@ -21,11 +21,11 @@ from identify.linear.nuisance import SINGLE_FORCE_NAME, BodyMotion, Nuisance, Ob
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
 
-BROKEN_PULL, CLOCK_PULL = 5.0, 2.7
+MIN_BROKEN_PULL, MIN_CLOCK_PULL = 5.0, 2.7
 """Smallest scores z of a parameter that is named; a clock is one question, tolerances are many."""
-BROKEN_TOLERANCES = 4.0
+MIN_BROKEN_TOLERANCES = 4.0
 """Smallest error of a parameter that is named, in tolerances."""
-MAX_BROKEN, MIN_PULL_SHARE = 4, 0.25
+MAX_BROKEN_COUNT, MIN_PULL_SHARE = 4, 0.25
 """Most parameters that are named, and the smallest score of one as a share of the first one's."""
 BATCH_SAMPLES = 1024
 """Samples of all columns in memory at once."""
@@ -44,31 +44,31 @@ def suspects_of(
     parameters: list[Nuisance],
     bodies: tuple[BodyMotion, ...],
     sensors: tuple[Sensor, ...],
-    by_force: Complex[np.ndarray, "forces sensors lines"],
+    acceleration_by_force: Complex[np.ndarray, "forces sensors lines"],
     omega: Float[np.ndarray, " lines"],
     tolerances: Tolerances,
 ) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
     """All nuisance parameters; then, with columns of their own, densities, the clock and delays of forces."""
     suspects = [_suspect_of(p, tolerances) for p in parameters]
-    with_columns = []
-    by_clock = np.zeros_like(by_force[0])
+    added_suspects = []
+    clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
         response = body.response
         rows = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
         shapes = response.shapes([sensors[i].station for i in rows])
-        by_frequency = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
-        by_clock[rows] += by_frequency
+        frequency_motion = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
+        clock_column[rows] += frequency_motion
         if response.body.length_m and tolerances.mass:
-            by_density = np.zeros_like(by_clock)
-            by_density[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * by_frequency)
-            with_columns.append((Suspect("density", response.body.name, tolerances.mass), by_density))
-    with_columns.append((Suspect("clock", "", 1.0), by_clock))
+            density_column = np.zeros_like(clock_column)
+            density_column[rows] = -tolerances.mass * (real_product(shapes, body.acceleration) + 0.5 * frequency_motion)
+            added_suspects.append((Suspect("density", response.body.name, tolerances.mass), density_column))
+    added_suspects.append((Suspect("clock", "", 1.0), clock_column))
     if tolerances.delay_s:
-        for name, by_one_force in zip(force_names(len(by_force)), by_force, strict=True):
-            with_columns.append(
-                (Suspect("force delay", name, tolerances.delay_s), 1j * omega * tolerances.delay_s * by_one_force)
+        for name, force_motion in zip(force_names(len(acceleration_by_force)), acceleration_by_force, strict=True):
+            added_suspects.append(
+                (Suspect("force delay", name, tolerances.delay_s), 1j * omega * tolerances.delay_s * force_motion)
             )
-    return [*suspects, *(suspect for suspect, _ in with_columns)], np.stack([column for _, column in with_columns])
+    return [*suspects, *(suspect for suspect, _ in added_suspects)], np.stack([column for _, column in added_suspects])
 
 
 def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
@@ -93,7 +93,7 @@ class BrokenTolerance:
     """A parameter beyond its tolerance: its error in units of the suspect's column, and its score z (pull)."""
 
     suspect: Suspect
-    size: float
+    size_in_tolerances: float
     pull: float
 
 
@@ -104,71 +104,71 @@ def broken_tolerances(
 
     A pull is the estimate in standard deviations, with the broken parameters free.
     """
-    if len(channel_indices) <= check.contacts:
+    if len(channel_indices) <= check.contact_count:
         return [], np.zeros(0)
     observed = _observed(rig, check, channel_indices, tolerances)
-    project = Projector(check, channel_indices)
+    projector = Projector(check, channel_indices)
     nuisance_parameters, columns = [], []
     for change in changes_of(observed):
         nuisance_parameters.append(change.parameter)
-        columns.append(_Column.of(project(change.at_all_sensors(len(channel_indices)))))
+        columns.append(_Column.of(projector(change.at_all_sensors(len(channel_indices)))))
     if not nuisance_parameters:
         return [], np.zeros(0)
-    candidates, added = suspects_of(
+    candidates, added_columns = suspects_of(
         nuisance_parameters, observed.bodies, observed.sensors, observed.force_accelerations, observed.omega, tolerances
     )
-    columns += [_Column.of(project(spectra)) for spectra in added]
-    residual = project((check.spectra.acceleration - check.by_force)[channel_indices])
-    return _free_the_violated(residual, columns, len(nuisance_parameters), candidates, tolerances)
+    columns += [_Column.of(projector(spectra)) for spectra in added_columns]
+    residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
+    return _broken_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
 def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> ObservedSignals:
     """Motion as these channels show it, with the contact forces that explain it best."""
     sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
     prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
-    explained = prediction.acceleration[channel_indices]
+    signals = prediction.accelerations[channel_indices]
     return ObservedSignals(
         sensors=sensors,
         displaced_by=sensors,
         tolerances=tolerances,
         omega=omega,
-        sensor_response=np.ones_like(explained),
-        signals=explained,
-        force_accelerations=check.by_each_force[:, channel_indices],
-        displacements=np.zeros_like(explained),
+        sensor_response=np.ones_like(signals),
+        signals=signals,
+        force_accelerations=check.acceleration_by_force[:, channel_indices],
+        displacements=np.zeros_like(signals),
         bodies=tuple(
             _body_motion(rig, response_of(rig, body, cache), check, channel_indices, prediction) for body in rig.bodies
         ),
     )
 
 
-def _free_the_violated(
+def _broken_and_pulls(
     residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
 ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
-    freed: list[BrokenTolerance] = []
+    broken: list[BrokenTolerance] = []
     free_columns: list[int] = []
     weights = np.ones(residual.shape[1], residual.dtype)
     while True:
-        result = _scores(residual, columns, prior_count, free_columns, weights)
+        scores = _scores(residual, columns, prior_count, free_columns, weights)
         for _ in range(3):  # lines that nothing explains weigh little
-            explained_by_free = _combination([columns[k] for k in free_columns], result.free_sizes)
-            unexplained = residual - _combination(columns[:prior_count], result.pulls) - explained_by_free
-            per_line = np.mean(unexplained**2, axis=0)
-            weights = 1 / np.sqrt(1 + per_line / max(4 * np.median(per_line), np.float32(1)))
-            result = _scores(residual, columns, prior_count, free_columns, weights)
-        min_pull = MIN_PULL_SHARE * abs(freed[0].pull) if freed else 0.0
-        violated = [
+            free_residual = _column_sum([columns[k] for k in free_columns], scores.free_sizes)
+            remaining = residual - _column_sum(columns[:prior_count], scores.pulls) - free_residual
+            power_by_time = np.mean(remaining**2, axis=0)
+            weights = 1 / np.sqrt(1 + power_by_time / max(4 * np.median(power_by_time), np.float32(1)))
+            scores = _scores(residual, columns, prior_count, free_columns, weights)
+        min_pull = MIN_PULL_SHARE * abs(broken[0].pull) if broken else 0.0
+        violated_indices = [
             k
             for k, candidate in enumerate(candidates)
             if k not in free_columns
-            and abs(result.scores[k]) > max(_required_pull(candidate), min_pull)
-            and _exceeds_tolerance(candidate, float(result.sizes[k]), tolerances)
+            and abs(scores.scores[k]) > max(_required_pull(candidate), min_pull)
+            and _exceeds_tolerance(candidate, float(scores.sizes[k]), tolerances)
         ]
-        if not violated or len(freed) == MAX_BROKEN:
-            return freed, result.pulls
-        worst = max(violated, key=lambda k: abs(result.scores[k]))
-        freed.append(BrokenTolerance(candidates[worst], float(result.sizes[worst]), float(result.scores[worst])))
+        if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
+            return broken, scores.pulls
+        worst = max(violated_indices, key=lambda k: abs(scores.scores[k]))
+        broken.append(BrokenTolerance(candidates[worst], float(scores.sizes[worst]), float(scores.scores[worst])))
         free_columns.append(worst)
 
 
@@ -176,8 +176,8 @@ def _free_the_violated(
 class _Column:
     """Column in half precision, in units of its largest value: there are hundreds, and scores need no more digits."""
 
-    halves: np.ndarray
-    largest: np.float32
+    half_values: np.ndarray
+    largest_value: np.float32
 
     @classmethod
     def of(cls, values: np.ndarray) -> "_Column":
@@ -185,10 +185,10 @@ class _Column:
         return cls((values / largest).astype(np.float16), largest)
 
     def values(self, samples: slice = slice(None)) -> np.ndarray:
-        return np.asarray(self.largest * self.halves[:, samples].astype(np.float32))
+        return np.asarray(self.largest_value * self.half_values[:, samples].astype(np.float32))
 
 
-def _combination(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
+def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
     """Sum of the columns times their coefficients."""
     return sum(
         (np.float32(value) * column.values() for value, column in zip(coefficients, columns, strict=True)), start=0.0
@@ -209,17 +209,17 @@ def _scores(
     residual: np.ndarray, columns: list[_Column], prior_count: int, free_columns: list[int], weights: np.ndarray
 ) -> _Scores:
     """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_columns` none."""
-    fitted = [*range(prior_count), *free_columns]
+    fitted_indices = [*range(prior_count), *free_columns]
     products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
-    for first in range(0, residual.shape[1], BATCH_SAMPLES):
-        batch = slice(first, first + BATCH_SAMPLES)
+    for first_sample in range(0, residual.shape[1], BATCH_SAMPLES):
+        batch = slice(first_sample, first_sample + BATCH_SAMPLES)
         rows = np.stack([column.values(batch) * weights[batch] for column in columns]).reshape(len(columns), -1)
         products += rows @ rows.T
         correlations += rows @ (residual[:, batch] * weights[batch]).reshape(-1)
-    prior = np.r_[np.ones(prior_count), np.full(len(free_columns), 1e-9)]
-    covariance = np.linalg.inv(products[np.ix_(fitted, fitted)] + np.diag(prior))
-    to_fitted = products[:, fitted]
-    estimates = covariance @ correlations[fitted]
+    prior_precision = np.r_[np.ones(prior_count), np.full(len(free_columns), 1e-9)]
+    covariance = np.linalg.inv(products[np.ix_(fitted_indices, fitted_indices)] + np.diag(prior_precision))
+    to_fitted = products[:, fitted_indices]
+    estimates = covariance @ correlations[fitted_indices]
     unexplained = correlations - to_fitted @ estimates
     variance = np.maximum(np.diag(products) - np.einsum("ij,jk,ik->i", to_fitted, covariance, to_fitted), 1e-12)
     sizes, pulls, free_sizes = unexplained / variance, estimates[:prior_count], estimates[prior_count:]
@@ -228,12 +228,12 @@ def _scores(
 
 def _required_pull(candidate: Suspect) -> float:
     """Smallest score that counts: of the clock, which is one question, or of one of many tolerances."""
-    return CLOCK_PULL if candidate.kind == "clock" else BROKEN_PULL
+    return MIN_CLOCK_PULL if candidate.kind == "clock" else MIN_BROKEN_PULL
 
 
 def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
-    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else BROKEN_TOLERANCES)
+    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
 
 
 def _body_motion(
@@ -241,7 +241,7 @@ def _body_motion(
 ) -> BodyMotion:
     """Modal accelerations by the forces and the contact forces; as many elastic modes as sensors may be off."""
     inputs = input_shapes(rig, response, rig.forces)
-    forces = np.concatenate([prediction.forces, prediction.contacts])
+    forces = np.concatenate([prediction.force_spectra, prediction.contact_spectra])
     sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channel_indices)
     elastic = elastic_modes(response, min(sensor_count, response.mode_count))
     return BodyMotion(response, response.accelerance * real_product(inputs.T, forces), elastic)
@@ -249,34 +249,34 @@ def _body_motion(
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:
     """Finding on a broken tolerance, in words."""
-    suspect, size = violation.suspect, violation.size * violation.suspect.unit
-    in_tolerances = f"({abs(violation.size):.0f} tolerances)"
+    suspect, error_size = violation.suspect, violation.size_in_tolerances * violation.suspect.unit
+    in_tolerances = f"({abs(violation.size_in_tolerances):.0f} tolerances)"
     if suspect.kind == "clock":
         return Finding(
             cause="clock",
-            evidence=f"all modes of all bodies lie {100 * size:+.2g} % off the frequencies of rig.json",
+            evidence=f"all modes of all bodies lie {100 * error_size:+.2g} % off the frequencies of rig.json",
             mend="check the sampling rate: a clock that is off shifts all frequencies alike",
         )
     if suspect.kind == "force gain":
         return Finding(
             cause="gain",
             channels=("force" if suspect.of == SINGLE_FORCE_NAME else suspect.of,),
-            evidence=f"{suspect.of} is {100 * size:+.2g} % off what all sensors imply {in_tolerances}",
+            evidence=f"{suspect.of} is {100 * error_size:+.2g} % off what all sensors imply {in_tolerances}",
             mend="calibrate the load cell, or check all masses of rig.json",
         )
     if suspect.kind == "force delay":
         return Finding(
             cause="delay",
             channels=(suspect.of,),
-            evidence=f"{force_in_words(suspect.of)} comes {1e3 * abs(size):.2g} ms "
-            f"{'late' if size > 0 else 'early'} against all sensors",
+            evidence=f"{force_in_words(suspect.of)} comes {1e3 * abs(error_size):.2g} ms "
+            f"{'late' if error_size > 0 else 'early'} against all sensors",
             mend="synchronise the force's clock with the sensors'",
         )
     if suspect.kind in ("mass", "density"):
         return Finding(
             cause="mass",
             of=suspect.of,
-            evidence=f"{suspect.of} moves as if its {suspect.kind} were {100 * size:+.2g} % off rig.json "
+            evidence=f"{suspect.of} moves as if its {suspect.kind} were {100 * error_size:+.2g} % off rig.json "
             f"{in_tolerances}",
             mend="weigh it and correct rig.json",
         )
@@ -284,25 +284,25 @@ def tolerance_finding(violation: BrokenTolerance) -> Finding:
         return Finding(
             cause="frequency" if suspect.kind == "frequency" else "damping",
             of=suspect.of,
-            evidence=f"the {suspect.kind} of {suspect.of} is {100 * size:+.2g} % off rig.json {in_tolerances}",
+            evidence=f"the {suspect.kind} of {suspect.of} is {100 * error_size:+.2g} % off rig.json {in_tolerances}",
             mend="fit rig.json to a modal test, or widen its tolerance if it is known no better",
         )
-    deviations = {
-        "gain": f"is {100 * size:+.2g} % off in gain against the others and the model",
-        "position": f"moves as if it stood {1e3 * size:+.3g} mm from its station",
-        "delay": f"comes {1e3 * abs(size):.2g} ms {'late' if size > 0 else 'early'} against the others",
-        "high-pass": f"is high-passed at about {abs(size):.2g} Hz",
+    deviation_words = {
+        "gain": f"is {100 * error_size:+.2g} % off in gain against the others and the model",
+        "position": f"moves as if it stood {1e3 * error_size:+.3g} mm from its station",
+        "delay": f"comes {1e3 * abs(error_size):.2g} ms {'late' if error_size > 0 else 'early'} against the others",
+        "high-pass": f"is high-passed at about {abs(error_size):.2g} Hz",
     }
-    remedies = {
+    remedy_words = {
         "gain": "calibrate it again",
         "position": "measure its place and correct rig.json",
-        "delay": f"set delay_s = {size:.2g} in rig.json, or synchronise its clock",
+        "delay": f"set delay_s = {error_size:.2g} in rig.json, or synchronise its clock",
         "high-pass": "take the coupling off, or widen high_pass_hz of its tolerance",
     }
     causes: dict[str, Cause] = {"gain": "gain", "position": "station", "delay": "delay", "high-pass": "filtered"}
     return Finding(
         cause=causes[suspect.kind],
         channels=(suspect.of,),
-        evidence=f"{suspect.of} {deviations[suspect.kind]} {in_tolerances}",
-        mend=remedies[suspect.kind],
+        evidence=f"{suspect.of} {deviation_words[suspect.kind]} {in_tolerances}",
+        mend=remedy_words[suspect.kind],
     )

@@ -16,12 +16,12 @@ UNIT_FACTORS = {
     "root mean square for peak": float(np.sqrt(2)),
 }
 """Usual mistakes of units, each possible in either direction."""
-FACTOR_TOLERANCE = 0.03
+UNIT_FACTOR_TOLERANCE = 0.03
 """Relative deviation within which a factor is taken for a usual one."""
 MIN_COHERENCE = 0.5
 """A channel whose coherence with its prediction is lower does not follow the motion."""
 MAX_DELAY_S = 0.1
-BANDS = 10
+BAND_COUNT = 10
 
 
 @dataclass(frozen=True)
@@ -48,14 +48,14 @@ def relation(
         return Relation(0.0, 0.0, 0.0)
     step_s = 0.25 * np.pi / float(omega[-1])
     delays_to_try_s = step_s * np.arange(-int(max_delay_s / step_s), int(max_delay_s / step_s) + 1)
-    sums = np.concatenate(
+    cross_sums = np.concatenate(
         [(np.exp(1j * delays_s[:, None] * omega) @ cross).real for delays_s in np.array_split(delays_to_try_s, 8)]
     )
-    strongest = int(np.argmax(np.abs(sums)))
-    delay_s = delays_to_try_s[strongest]
+    best_index = int(np.argmax(np.abs(cross_sums)))
+    delay_s = delays_to_try_s[best_index]
     for _ in range(4):  # of the real part's slope
-        shifted = np.exp(1j * delay_s * omega) * cross
-        slope, curvature = float(np.sum((1j * omega * shifted).real)), float(np.sum((-(omega**2) * shifted).real))
+        turned = np.exp(1j * delay_s * omega) * cross
+        slope, curvature = float(np.sum((1j * omega * turned).real)), float(np.sum((-(omega**2) * turned).real))
         if curvature:
             delay_s -= float(np.clip(slope / curvature, -step_s, step_s))
     covariance = float(np.sum((np.exp(1j * delay_s * omega) * cross).real))
@@ -65,7 +65,7 @@ def relation(
 def unit_mistake(gain: float) -> str | None:
     """Mistake of units that multiplies a channel by this gain, or None."""
     for name, factor in UNIT_FACTORS.items():
-        if any(abs(abs(gain) * f - 1) < FACTOR_TOLERANCE for f in (factor, 1 / factor)):
+        if any(abs(abs(gain) * f - 1) < UNIT_FACTOR_TOLERANCE for f in (factor, 1 / factor)):
             return name
     return None
 
@@ -73,17 +73,18 @@ def unit_mistake(gain: float) -> str | None:
 def gain_by_band(
     omega: Float[np.ndarray, " lines"],
     measured: Complex[np.ndarray, " lines"],
-    expected: Complex[np.ndarray, " lines"],
+    predicted: Complex[np.ndarray, " lines"],
     weight: Float[np.ndarray, " lines"],
-) -> tuple[Complex[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
-    """Complex gain in each band, the share of the measured power left unexplained, and the bands' centres (rad/s)."""
-    edges = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BANDS + 1)[1:-1])
-    bands = [band for band in np.split(np.arange(omega.size), edges) if band.size > 5]
+) -> tuple[Float[np.ndarray, " bands"], float, Float[np.ndarray, " bands"]]:
+    """Size of the complex gain in each band, unexplained share of the measured power, and the bands' centres, Hz."""
+    edge_indices = np.searchsorted(omega, np.geomspace(omega[0], omega[-1], BAND_COUNT + 1)[1:-1])
+    bands = [band for band in np.split(np.arange(omega.size), edge_indices) if band.size > 5]
     gains, residual_power = [], 0.0
     for band in bands:
-        output, input_ = measured[band] * weight[band], expected[band] * weight[band]
-        gain = np.vdot(input_, output) / max(float(np.vdot(input_, input_).real), 1e-300)
+        measured_band, predicted_band = measured[band] * weight[band], predicted[band] * weight[band]
+        gain = np.vdot(predicted_band, measured_band) / max(float(np.vdot(predicted_band, predicted_band).real), 1e-300)
         gains.append(gain)
-        residual_power += float(np.sum(np.abs(output - gain * input_) ** 2))
+        residual_power += float(np.sum(np.abs(measured_band - gain * predicted_band) ** 2))
     total_power = float(np.sum(np.abs(measured * weight) ** 2)) or 1.0
-    return np.array(gains), residual_power / total_power, np.array([omega[band[band.size // 2]] for band in bands])
+    centres_hz = np.array([omega[band[band.size // 2]] for band in bands]) / (2 * np.pi)
+    return np.abs(gains), residual_power / total_power, centres_hz

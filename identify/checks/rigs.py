@@ -25,15 +25,15 @@ class Trial:
     """
 
     misfit: float
-    trusted_channels: list[int]
+    trusted_indices: list[int]
     findings: Callable[[], tuple[Finding, ...]]
     sensors_alone: bool = True
     allowance: float = 1.0
 
 
-MAX_FACTOR = 3.0
+MAX_CHANGE_FACTOR = 3.0
 """Masses and frequencies are varied within this factor."""
-POSITIONS = 21
+POSITION_COUNT = 21
 
 
 def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]:
@@ -47,11 +47,11 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
     def trial(trial_misfit: float, finding: Callable[[], Finding]) -> Trial:
         return Trial(trial_misfit, usable, lambda: (finding(),), False)
 
-    def best_factor(rig_of: Callable[[float], Rig], factor: float = MAX_FACTOR) -> tuple[float, float]:
+    def best_factor(rig_of: Callable[[float], Rig], factor: float = MAX_CHANGE_FACTOR) -> tuple[float, float]:
         grid = np.linspace(-np.log(factor), np.log(factor), 13)
-        misfits = [misfit(rig_of(float(np.exp(x)))) for x in grid]
-        k = int(np.argmin(misfits))
-        bounds = (grid[max(k - 1, 0)], grid[min(k + 1, len(grid) - 1)])
+        misfits = [misfit(rig_of(float(np.exp(log_factor)))) for log_factor in grid]
+        best = int(np.argmin(misfits))
+        bounds = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
         optimum = minimize_scalar(
             lambda x: misfit(rig_of(float(np.exp(x)))), bounds=bounds, method="bounded", options={"xatol": 2e-3}
         )
@@ -61,24 +61,24 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
         for changed_body, description in _other_ends(rig, body):
             yield trial(misfit(_with_body(rig, changed_body)), partial(_ends_finding, body.name, description))
         if body.length_m:
-            yield trial(misfit(rig, _mirrored(spectra, body)), partial(_mirrored_finding, body.name, spectra))
+            yield trial(misfit(rig, _mirrored_spectra(spectra, body)), partial(_mirrored_finding, body.name, spectra))
         for finding_of, change in BODY_CHANGES.items():
             factor, least_misfit = best_factor(partial(_with_changed_body, rig, body, change))
             yield trial(least_misfit, partial(finding_of, body.name, factor))
     clock_factor, least_misfit = best_factor(partial(_with_clock, rig), 1.2)
     yield trial(least_misfit, partial(_clock_finding, clock_factor))
-    for number, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
-        for position in _other_positions(rig.body(stated.body), stated):
-            stations = (*rig.forces[:number], position, *rig.forces[number + 1 :])
-            changed_rig = replace(rig, force_at=stations if len(stations) > 1 else position)
-            yield trial(misfit(changed_rig), partial(_force_place_finding, name, position))
+    for force_index, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
+        for other_station in _other_positions(rig.body(stated.body), stated):
+            stations = (*rig.forces[:force_index], other_station, *rig.forces[force_index + 1 :])
+            changed_rig = replace(rig, force_at=stations if len(stations) > 1 else other_station)
+            yield trial(misfit(changed_rig), partial(_force_place_finding, name, other_station))
     for contact in rig.contacts:
         for side in ("at", "against"):
-            station = getattr(contact, side)
-            for position in _other_positions(rig.body(station.body), station) if station else ():
-                contacts = tuple(replace(c, **{side: position}) if c is contact else c for c in rig.contacts)
+            stated_side = getattr(contact, side)
+            for other_station in _other_positions(rig.body(stated_side.body), stated_side) if stated_side else ():
+                contacts = tuple(replace(c, **{side: other_station}) if c is contact else c for c in rig.contacts)
                 changed_rig = replace(rig, contacts=contacts)
-                yield trial(misfit(changed_rig), partial(_contact_place_finding, contact.name, position))
+                yield trial(misfit(changed_rig), partial(_contact_place_finding, contact.name, other_station))
 
 
 def _with_clock(rig: Rig, factor: float) -> Rig:
@@ -89,7 +89,7 @@ def _other_positions(body: Body, stated: Station) -> list[Station]:
     """Other places along the body, at least a hundredth of its length away."""
     if not body.length_m:
         return []
-    positions_m = np.linspace(0, body.length_m, POSITIONS)
+    positions_m = np.linspace(0, body.length_m, POSITION_COUNT)
     return [Station(body.name, float(x)) for x in positions_m if abs(x - stated.position_m) > 0.01 * body.length_m]
 
 
@@ -108,7 +108,7 @@ def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
                 yield replace(beam, ends=support), description
 
 
-def _mirrored(spectra: Spectra, body: Body) -> Spectra:
+def _mirrored_spectra(spectra: Spectra, body: Body) -> Spectra:
     sensors = tuple(
         replace(s, station=replace(s.station, position_m=body.length_m - s.station.position_m))
         if s.station.body == body.name

@@ -20,10 +20,10 @@ LOWEST_HZ = 2.0
 """Accelerometers show drift and AC coupling below."""
 LINES_TO_FORCE_HZ = 2.0
 """Highest frequency of the lines, over the force's."""
-RING_S, CUT_S = 4.0, 2.5
+RING_S, RING_CUT_S = 4.0, 2.5
 """Silence after the record; part of its end that is not compared over time, as the ringing is cut off there."""
 MAX_LINES = 1600
-SMOOTHED = 41
+SMOOTHED_LINES = 41
 """Lines over which levels are averaged."""
 
 
@@ -36,32 +36,32 @@ class Spectra:
     """
 
     sensors: tuple[Sensor, ...]
-    omega: Float[np.ndarray, " lines"]
+    omega: Float[np.ndarray, " line_numbers"]
     acceleration: Complex[np.ndarray, "sensors lines"]
     forces: Complex[np.ndarray, "forces lines"]
-    noise: Float[np.ndarray, "sensors lines"]
-    lines: Int[np.ndarray, " lines"]
-    length: int
+    line_noise: Float[np.ndarray, "sensors lines"]
+    line_numbers: Int[np.ndarray, " line_numbers"]
+    padded_length: int
     compared_s: tuple[float, float]
     sample_rate_hz: float
 
     @cached_property
-    def level(self) -> Float[np.ndarray, "sensors lines"]:
+    def line_level(self) -> Float[np.ndarray, "sensors lines"]:
         """Each sensor's root mean square over neighbouring lines."""
-        return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED, axis=1))
+        return np.sqrt(uniform_filter1d(np.abs(self.acceleration) ** 2, SMOOTHED_LINES, axis=1))
 
     @property
-    def per_s(self) -> float:
+    def in_time_rate_hz(self) -> float:
         """Samples a second of `in_time`."""
-        return 2 * (int(self.lines[-1]) + 1) * self.sample_rate_hz / self.length
+        return 2 * (int(self.line_numbers[-1]) + 1) * self.sample_rate_hz / self.padded_length
 
     def in_time(self, rows: Complex[np.ndarray, "*some lines"]) -> Float[np.ndarray, "*some times"]:
         """Signals from consecutive lines over the compared time; their mean squares are those of the lines."""
-        high = int(self.lines[-1]) + 1
-        full_spectra = np.zeros((*rows.shape[:-1], high + 1), np.complex64)
-        full_spectra[..., self.lines] = rows
-        signals = irfft(full_spectra, 2 * high) * np.sqrt(2 * high**2 / self.lines.size)
-        start, stop = (round(time_s * self.per_s) for time_s in self.compared_s)
+        line_end = int(self.line_numbers[-1]) + 1
+        full_spectra = np.zeros((*rows.shape[:-1], line_end + 1), np.complex64)
+        full_spectra[..., self.line_numbers] = rows
+        signals = irfft(full_spectra, 2 * line_end) * np.sqrt(2 * line_end**2 / self.line_numbers.size)
+        start, stop = (round(time_s * self.in_time_rate_hz) for time_s in self.compared_s)
         return np.asarray(signals[..., start:stop])
 
     @property
@@ -77,30 +77,30 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
 
     Raises RigError if the force is zero or its band is too low or too narrow.
     """
-    rate = recording.rig.sample_rate_hz
-    forces_n, samples = recording.forces_n, recording.samples
-    ending = taper(samples, min(round(TAPER_S * rate), samples // 4))
-    length = next_fast_len(samples + round(RING_S * rate), real=True)
-    high_hz = min(LINES_TO_FORCE_HZ * force_band(forces_n, rate)[1], PASSBAND * rate)
-    first, last = int(np.ceil(LOWEST_HZ * length / rate)), int(high_hz * length / rate)
-    if last - first < SMOOTHED:
+    rate_hz = recording.rig.sample_rate_hz
+    forces_n, sample_count = recording.forces_n, recording.samples
+    end_taper = taper(sample_count, min(round(TAPER_S * rate_hz), sample_count // 4))
+    padded_length = next_fast_len(sample_count + round(RING_S * rate_hz), real=True)
+    high_hz = min(LINES_TO_FORCE_HZ * force_band(forces_n, rate_hz)[1], PASSBAND * rate_hz)
+    first_line, last_line = int(np.ceil(LOWEST_HZ * padded_length / rate_hz)), int(high_hz * padded_length / rate_hz)
+    if last_line - first_line < SMOOTHED_LINES:
         raise RigError("the force's band is too low or too narrow")
-    lines = np.arange(first, last, 1 if max_lines is None else max(1, (last - first) // max_lines))
-    omega = 2 * np.pi * lines * rate / length
-    rows = np.stack([recording.values_of(s) for s in sensors])
-    sensor_spectra = rfft(rows * ending, length)[:, lines]
-    quiet_count = quiet_samples(forces_n, rate)
-    quiet_rows = rows[:, :quiet_count]
-    chains = np.stack([acceleration_by_signal(s, omega) for s in sensors])
-    sensor_spectra *= chains
-    if quiet_rows.shape[1]:
-        deviation = quiet_rows.std(axis=1)
+    lines = np.arange(first_line, last_line, 1 if max_lines is None else max(1, (last_line - first_line) // max_lines))
+    omega = 2 * np.pi * lines * rate_hz / padded_length
+    signals = np.stack([recording.values_of(s) for s in sensors])
+    sensor_spectra = rfft(signals * end_taper, padded_length)[:, lines]
+    quiet_count = quiet_samples(forces_n, rate_hz)
+    quiet_signals = signals[:, :quiet_count]
+    chain_factors = np.stack([acceleration_by_signal(s, omega) for s in sensors])
+    sensor_spectra *= chain_factors
+    if quiet_signals.shape[1]:
+        noise_rms = quiet_signals.std(axis=1)
     else:
-        deviation = np.array([s.noise_density * np.sqrt(rate / 2) for s in sensors])
-    noise = np.sqrt(samples) * deviation[:, None] * np.abs(chains)
-    compared_s = (quiet_count / rate, max(samples / rate - CUT_S, 0.5 * samples / rate))
-    forces = rfft(forces_n * ending, length)[:, lines]
-    return Spectra(sensors, omega, sensor_spectra, forces, noise, lines, length, compared_s, rate)
+        noise_rms = np.array([s.noise_density * np.sqrt(rate_hz / 2) for s in sensors])
+    noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
+    compared_s = (quiet_count / rate_hz, max(sample_count / rate_hz - RING_CUT_S, 0.5 * sample_count / rate_hz))
+    forces = rfft(forces_n * end_taper, padded_length)[:, lines]
+    return Spectra(sensors, omega, sensor_spectra, forces, noise, lines, padded_length, compared_s, rate_hz)
 
 
 def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -> Complex[np.ndarray, " lines"]:
@@ -110,5 +110,5 @@ def acceleration_by_signal(sensor: Sensor, omega: Float[np.ndarray, " lines"]) -
 
 def quiet_samples(force: Float[np.ndarray, "*forces samples"], rate_hz: float) -> int:
     """Number of samples before the force, at least a quarter second; otherwise zero."""
-    before = force_onset(force, rate_hz) - round(0.05 * rate_hz)
-    return before if before > QUIET_S * rate_hz else 0
+    quiet_count = force_onset(force, rate_hz) - round(0.05 * rate_hz)
+    return quiet_count if quiet_count > QUIET_S * rate_hz else 0

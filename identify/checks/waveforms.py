@@ -9,13 +9,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from jaxtyping import Float
 
-from identify.checks.findings import Finding, listed
+from identify.checks.findings import Finding, names_in_words
 from identify.checks.spectra import quiet_samples
 from rig.model.quantities import QUANTITIES
 
 CLIPPED_SHARE = 1e-3
 """A channel is clipped if it has its largest or smallest value for a larger share of the record."""
-COARSE_STEP = 0.01
+COARSE_STEP_SHARE = 0.01
 """Largest step of a quantiser, as a share of the channel's root mean square."""
 MIN_RECURRENCE = 3.0
 """Levels that recur less often are not those of a quantiser."""
@@ -46,7 +46,7 @@ Row = Float[np.ndarray, " samples"]
 Rows = Float[np.ndarray, "*rows samples"]
 
 
-def dead(name: str, samples: Row, forces: Sequence[str] = ("force",)) -> Finding | None:
+def dead_finding(name: str, samples: Row, force_names: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: the channel is constant."""
     if np.ptp(samples) > 1e-9 * max(abs(float(samples[0])), 1e-300) and np.ptp(samples) > 0:
         return None
@@ -55,29 +55,29 @@ def dead(name: str, samples: Row, forces: Sequence[str] = ("force",)) -> Finding
         channels=(name,),
         evidence=f"{name} stands at {samples[0]:.4g} throughout",
         mend="check its cable and amplifier, unless it did not act, as in a free decay"
-        if name in forces
+        if name in force_names
         else "check its cable and amplifier, or take it out of rig.json",
     )
 
 
-def out_of_range(name: str, group: str, samples: Row) -> Finding | None:
+def out_of_range_finding(name: str, group: str, samples: Row) -> Finding | None:
     """Finding: values larger than anything on a test rig (100 m, 1e4 m/s, 1e7 m/s^2, a strain of 10, 1e9 N).
 
     The model is linear except for the clearances, and cannot tell if all channels are too large by the same factor.
     """
     largest, unit = (LARGEST_FORCE_N, "N") if group == "force" else (QUANTITIES[group].largest, QUANTITIES[group].unit)
-    reached = float(np.abs(samples).max())
-    if reached <= largest:
+    reached_value = float(np.abs(samples).max())
+    if reached_value <= largest:
         return None
     return Finding(
         cause="units",
         channels=(name,),
-        evidence=f"{name} reaches {reached:.3g} {unit}, and nothing on a test rig exceeds {largest:g} {unit}",
+        evidence=f"{name} reaches {reached_value:.3g} {unit}, and nothing on a test rig exceeds {largest:g} {unit}",
         mend="check the unit and the scale that it was recorded or imported with",
     )
 
 
-def clipped(name: str, samples: Row) -> Finding | None:
+def clipped_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the signal rests at its largest or smallest value, and not only because it is coarse."""
     for side, value in (("largest", samples.max()), ("smallest", samples.min())):
         share = float(np.mean(samples == value))
@@ -91,14 +91,14 @@ def clipped(name: str, samples: Row) -> Finding | None:
     return None
 
 
-def quantised(name: str, samples: Row) -> Finding | None:
+def quantised_finding(name: str, samples: Row) -> Finding | None:
     """Finding: the usual step between levels is large, and levels recur, unlike those of a single blow."""
     levels, counts = np.unique(samples[:: max(1, samples.size // 20_000)], return_counts=True)
-    recur = (counts.sum() - counts.max()) / levels.size
-    if levels.size > 2000 or levels.size < 3 or recur < MIN_RECURRENCE:
+    recurrence = (counts.sum() - counts.max()) / levels.size
+    if levels.size > 2000 or levels.size < 3 or recurrence < MIN_RECURRENCE:
         return None
     step, rms = float(np.median(np.diff(levels))), float(samples.std())
-    if step < COARSE_STEP * rms:
+    if step < COARSE_STEP_SHARE * rms:
         return None
     return Finding(
         cause="quantised",
@@ -108,19 +108,19 @@ def quantised(name: str, samples: Row) -> Finding | None:
     )
 
 
-def held(name: str, samples: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
+def held_finding(name: str, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)) -> Finding | None:
     """Finding: runs of equal samples in a channel that otherwise moves: lost samples that were filled."""
     is_repeated = np.diff(samples) == 0
     edges = np.flatnonzero(np.diff(np.r_[0, is_repeated.astype(np.int8), 0]))
     starts, stops = edges[::2], edges[1::2]
     if not starts.size or np.mean(is_repeated) > 0.3:
         return None
-    force_size = np.abs(np.atleast_2d(force))
+    force_size = np.abs(np.atleast_2d(forces_n))
     onset = int(np.argmax((force_size > 0.05 * force_size.max(axis=1, keepdims=True)).any(axis=0)))
     is_held = (
         (stops - starts >= HELD_SAMPLES) & (starts > onset) & ~np.isin(samples[starts], (samples.max(), samples.min()))
     )
-    if name in forces:
+    if name in force_names:
         is_held &= samples[starts] != 0
     if not is_held.any():
         return None
@@ -142,31 +142,29 @@ def neighbour_deviation(samples: Row) -> Row:
     )
 
 
-def spikes(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
+def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
     """Finding: single samples that their neighbours do not explain; not at the record's ends.
 
     What other channels show too is an impact. In an only channel, spikes stand out from all impacts.
     """
     margin = deviation.size // 50
     interior = deviation[margin:-margin]
-    samples = [
-        int(k) + margin for k in np.flatnonzero(interior > SPIKE_RATIO) if _is_single(deviation, int(k) + margin)
-    ]
+    spikes = [int(k) + margin for k in np.flatnonzero(interior > SPIKE_RATIO) if _is_single(deviation, int(k) + margin)]
     if other_deviations:
-        samples = [k for k in samples if max(float(d[k - 3 : k + 4].max()) for d in other_deviations) < IMPACT_RATIO]
-    elif samples:
+        spikes = [k for k in spikes if max(float(d[k - 3 : k + 4].max()) for d in other_deviations) < IMPACT_RATIO]
+    elif spikes:
         peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][
             : MAX_SPIKES + 1
         ]
         ratios = peaks[:-1] / np.maximum(peaks[1:], 1e-300)
         widest = int(np.argmax(ratios))
-        samples = [k for k in samples if deviation[k] >= peaks[widest]] if ratios[widest] > SEPARATION_RATIO else []
-    if not 0 < len(samples) <= MAX_SPIKES:
+        spikes = [k for k in spikes if deviation[k] >= peaks[widest]] if ratios[widest] > SEPARATION_RATIO else []
+    if not 0 < len(spikes) <= MAX_SPIKES:
         return None
     return Finding(
         cause="spikes",
         channels=(name,),
-        evidence=f"{name} jumps for single samples in {len(samples)} places, first at sample {samples[0]}",
+        evidence=f"{name} jumps for single samples in {len(spikes)} places, first at sample {spikes[0]}",
         mend="check cables and connectors, and record again",
     )
 
@@ -189,11 +187,12 @@ def _moving_mean(values: Row, width: int) -> Row:
     return np.asarray((sums[high] - sums[low] - values) / np.maximum(high - low - 1, 1))
 
 
-def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
+def copy_findings(names: list[str], rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
     thinned = [r[:: max(1, r.size // 8192)] for r in rows]
     unit_vectors = [
-        (t - t.mean()) / n if (n := float(np.linalg.norm(t - t.mean()))) > 0 else np.zeros_like(t) for t in thinned
+        (row - row.mean()) / norm if (norm := float(np.linalg.norm(row - row.mean()))) > 0 else np.zeros_like(row)
+        for row in thinned
     ]
     correlation = np.abs(np.array(unit_vectors) @ np.array(unit_vectors).T)
     for i, name in enumerate(names):
@@ -202,14 +201,16 @@ def copies(names: list[str], rows: list[Row]) -> Iterator[Finding]:
                 yield Finding(
                     cause="copy",
                     channels=(names[k], name),
-                    evidence=f"{listed((names[k], name))} hold the same samples",
+                    evidence=f"{names_in_words((names[k], name))} hold the same samples",
                     mend="check the channel map: one of them was recorded or imported twice",
                 )
 
 
-def noise(name: str, rate_hz: float, samples: Row, force: Rows, forces: Sequence[str] = ("force",)) -> Finding | None:
+def noise_finding(
+    name: str, rate_hz: float, samples: Row, forces_n: Rows, force_names: Sequence[str] = ("force",)
+) -> Finding | None:
     """Finding: noise in the quiet start; or motion there, if it is as smooth as later motion."""
-    quiet = quiet_samples(force, rate_hz)
+    quiet = quiet_samples(forces_n, rate_hz)
     share = float(samples[:quiet].std() / samples.std()) if quiet else 0.0
     if share < NOISE_SHARE:
         return None
@@ -219,7 +220,7 @@ def noise(name: str, rate_hz: float, samples: Row, force: Rows, forces: Sequence
     if quiet_roughness < ROUGHNESS_RATIO * driven_roughness:
         return Finding(
             cause="force",
-            channels=(*forces, name),
+            channels=(*force_names, name),
             evidence=f"{name} moves as it does later, with {100 * share:.2g} % of its root mean square, before "
             "the force begins",
             mend="check that the force is of this record and on its clock, or let the rig come to rest first",
@@ -232,11 +233,11 @@ def noise(name: str, rate_hz: float, samples: Row, force: Rows, forces: Sequence
     )
 
 
-def mains(rate_hz: float, samples: Row, force: Rows) -> tuple[float, float] | None:
+def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, float] | None:
     """Frequency and amplitude of a mains tone that stands out, in the quiet start if there is one."""
-    quiet = quiet_samples(force, rate_hz)
-    quietest = samples[:quiet] if quiet > 0.4 * rate_hz else samples
-    centred = quietest - quietest.mean()
+    quiet_count = quiet_samples(forces_n, rate_hz)
+    quiet_part = samples[:quiet_count] if quiet_count > 0.4 * rate_hz else samples
+    centred = quiet_part - quiet_part.mean()
     amplitude = np.abs(np.fft.rfft(centred * np.hanning(centred.size))) * 4 / centred.size
     hz = np.fft.rfftfreq(centred.size, 1 / rate_hz)
     resolution_hz = hz[1]
@@ -258,22 +259,22 @@ def mains(rate_hz: float, samples: Row, force: Rows) -> tuple[float, float] | No
     return None
 
 
-def hum(name: str, rate_hz: float, samples: Row, force: Rows) -> Finding | None:
+def hum_finding(name: str, rate_hz: float, samples: Row, forces_n: Rows) -> Finding | None:
     """Finding: a mains tone."""
-    tone, amplitude = mains(rate_hz, samples, force), float(samples.std() * np.sqrt(2))
-    if tone is None or amplitude == 0:  # also of values so small that their squares are zero
+    tone, channel_amplitude = mains_tone(rate_hz, samples, forces_n), float(samples.std() * np.sqrt(2))
+    if tone is None or channel_amplitude == 0:  # also of values so small that their squares are zero
         return None
     hz, tone_amplitude = tone
     return Finding(
         cause="hum",
         channels=(name,),
-        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * tone_amplitude / amplitude:.2g} % of its size, "
+        evidence=f"{name} holds a tone of {hz:.3g} Hz, {100 * tone_amplitude / channel_amplitude:.2g} % of its size, "
         "that the force does not make: mains hum",
         mend="ground the cables at one end, keep them away from mains cables, and record again",
     )
 
 
-def offset(name: str, samples: Row, usual_rms: float | None = None) -> Finding | None:
+def offset_finding(name: str, samples: Row, usual_rms: float | None = None) -> Finding | None:
     """Finding: samples with a mean that should have none: of an acceleration, or of motion before the force begins."""
     mean, rms = (
         (float(samples.mean()), float(samples.std())) if usual_rms is None else (float(samples.mean()), usual_rms)
@@ -288,11 +289,11 @@ def offset(name: str, samples: Row, usual_rms: float | None = None) -> Finding |
     )
 
 
-def drift(name: str, rate_hz: float, samples: Row) -> Finding | None:
+def drift_finding(name: str, rate_hz: float, samples: Row) -> Finding | None:
     """Finding: slow motion that the acceleration of a moving rig cannot have."""
-    length = samples.size
-    power = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(length))) ** 2
-    slow_lines = int(DRIFT_BELOW_HZ * length / rate_hz) + 1
+    sample_count = samples.size
+    power = np.abs(np.fft.rfft((samples - samples.mean()) * np.hanning(sample_count))) ** 2
+    slow_lines = int(DRIFT_BELOW_HZ * sample_count / rate_hz) + 1
     share = float(np.sqrt(np.sum(power[1:slow_lines]) / np.sum(power)))
     if share < DRIFT_SHARE:
         return None
@@ -304,10 +305,10 @@ def drift(name: str, rate_hz: float, samples: Row) -> Finding | None:
     )
 
 
-def not_at_rest(name: str, rate_hz: float, samples: Row, first_s: float) -> Finding | None:
+def motion_finding(name: str, rate_hz: float, samples: Row, first_s: float) -> Finding | None:
     """Finding: the channel moves by a part of its usual motion within the record's first moments."""
-    first = samples[: max(8, round(first_s * rate_hz))]
-    if first.std() < MOVING_SHARE * samples.std():
+    first_samples = samples[: max(8, round(first_s * rate_hz))]
+    if first_samples.std() < MOVING_SHARE * samples.std():
         return None
     return Finding(
         cause="not at rest",
@@ -317,7 +318,7 @@ def not_at_rest(name: str, rate_hz: float, samples: Row, first_s: float) -> Find
     )
 
 
-def reversed_time(names: tuple[str, ...]) -> Finding:
+def reversed_time_finding(names: tuple[str, ...]) -> Finding:
     """Finding: all motion stops with the force, without ringing, and does not begin from rest."""
     return Finding(
         cause="not at rest",

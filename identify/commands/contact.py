@@ -15,7 +15,7 @@ from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
 from identify.contacts.results import ContactReport, Estimate
 from identify.pages.wording import interval, number
-from identify.signals.spectra import POWERS, Averaging
+from identify.signals.spectra import WINDOW_POWERS, Averaging
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 from rig.model.tolerances import tolerances_named
@@ -43,7 +43,7 @@ def contact(
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
     block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
-    window: Annotated[str, typer.Option(help=f"Window: {', '.join(POWERS)}.")] = "hann",
+    window: Annotated[str, typer.Option(help=f"Window: {', '.join(WINDOW_POWERS)}.")] = "hann",
     tolerances: TolerancesOption = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
@@ -69,8 +69,8 @@ def contact(
     identify contact recordings --out results
     """
     sensors = checked_use(use)
-    if window not in POWERS:
-        raise typer.BadParameter(f"{window!r} is none of {', '.join(POWERS)}", param_hint="--window")
+    if window not in WINDOW_POWERS:
+        raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_POWERS)}", param_hint="--window")
     check_export(export, out)
     settings = ContactSettings(
         use=sensors,

@@ -12,7 +12,7 @@ from rich.table import Table
 from identify.api import plan as plan_test
 from identify.commands.options import TolerancesOption, print_json
 from identify.planning import page
-from identify.planning.ranking import MOST_CHANGES
+from identify.planning.ranking import MAX_CHANGES
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
 
 SHOWN_CHANGES = 8
@@ -38,7 +38,7 @@ def plan(
     tolerances: TolerancesOption = None,
     changes: Annotated[
         int, typer.Option(min=0, help="How many changes of the test to try at most; 0: expected intervals alone.")
-    ] = MOST_CHANGES,
+    ] = MAX_CHANGES,
     workers: Annotated[
         int | None, typer.Option(min=1, help="How many processes; otherwise one for each core, at most 8.")
     ] = None,
@@ -78,7 +78,7 @@ def plan(
     say(f"Planned: {page.test_sentence(report)}.")
     if report.contacts:
         console.print(
-            _console_table(page.HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %")
+            _console_table(page.CONTACT_HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %")
         )
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identify.checks import check_recording, naming
+from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Cause, Finding
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
@@ -72,7 +72,7 @@ def checked_contacts(
     channel of a free decay is dead. Raises RigError as `find_contacts` does, with the first finding.
     """
     findings = tuple(f for f in check_recording(recording, use, tolerances) if f.cause != "not at rest")
-    with naming(findings):
+    with naming_first_finding(findings):
         contacts = find_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY, forms)
     if is_unforced(contacts.separation.motion):
         findings = without_dead_force(findings, recording.force_names)

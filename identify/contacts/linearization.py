@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix, diags, spmatrix
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.law_evaluation import evaluated
+from identify.signals.law_evaluation import evaluated_law
 from identify.signals.spectra import decimated
 
 CHUNK_SAMPLES = 1 << 14
@@ -84,7 +84,7 @@ def sample_chunks(samples: int) -> Iterator[slice]:
 def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters, knots: Knots, pulls: Pulls) -> State:
     """State at some parameters; its cost, which needs weights, is left infinite."""
     eta, velocity = corrected_motion(record, knots, pulls)
-    law_force_n = evaluated(
+    law_force_n = evaluated_law(
         partial(form.force_n, law_parameters), np.stack([eta, velocity]), record.sample_rate_hz, record.decimation
     )
     unexplained_n = record.force_n - _weighted_sum(pulls, record.nuisance_n) - law_force_n[: record.force_n.size]

@@ -24,7 +24,7 @@ from identify.linear.modal import (
 from identify.paper.nifo import Form, Nifo, nifo
 from identify.paper.surface import Stops, Surface, clearance_from_occurrence, fit_surface
 from identify.signals.kinematics import Kinematics
-from identify.signals.law_evaluation import evaluated
+from identify.signals.law_evaluation import evaluated_law
 from identify.signals.spectra import Averaging, Blocks, blocks, force_band
 from rig.errors import RigError
 from rig.model.description import Body, Rig
@@ -125,7 +125,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
             eta[j] = sign * eta_m
             if names[j] in estimated_names:
                 estimate = outcomes.estimates[names[j]]
-                penetration_m[j] = evaluated(estimate.spring_m, eta[j][None], record.sample_rate_hz)
+                penetration_m[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
                 force_n[j] = estimate.force_n(eta[j], sign * rate)
     return SignalsByLaw(eta, force_n, penetration_m)
 

@@ -19,7 +19,7 @@ from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift, spline
 from identify.signals.kinematics import Kinematics, Use, kinematics
-from identify.signals.noise import BAND, acceleration_noise
+from identify.signals.noise import NOISE_BAND, acceleration_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.modes import condensed
@@ -127,7 +127,7 @@ def highest_vibration_hz(motion: Kinematics) -> float:
     displacements_m = motion.displacement_m[np.any(motion.displacement_m, axis=1)]
     segment_samples = min(motion.samples, round(WELCH_SEGMENT_S * motion.sample_rate_hz))
     hz, power = welch(displacements_m, motion.sample_rate_hz, nperseg=segment_samples)
-    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in BAND)
+    noise_low_hz, noise_high_hz = (share * motion.sample_rate_hz for share in NOISE_BAND)
     noise_power = np.median(power[:, (hz > noise_low_hz) & (hz < noise_high_hz)], axis=1, keepdims=True)
     exceeds_noise = power > NOISE_POWER_RATIO * noise_power
     highest_hz = hz[power.shape[1] - 1 - np.argmax(exceeds_noise[:, ::-1], axis=1)]

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
-from identify.signals.law_evaluation import evaluated, interpolated, low_passed
+from identify.signals.law_evaluation import evaluated_law, interpolated, low_passed
 from identify.signals.scores import part_scores
 
 HAT_COUNT, HAT_GROUP_COUNT = 81, 9
@@ -87,7 +87,7 @@ class ForceSamples:
         if isinstance(law, SlidingFriction):
             force_n = low_passed(law.force_n(self.course), self.sample_rate_hz, self.decimation)
         else:
-            force_n = evaluated(law, np.stack([self.eta_m, *arguments]), self.sample_rate_hz, self.decimation)
+            force_n = evaluated_law(law, np.stack([self.eta_m, *arguments]), self.sample_rate_hz, self.decimation)
         return force_n[..., : self.force_n.size]
 
     def error_n(self, law: LawFunction, rows: Rows) -> float:

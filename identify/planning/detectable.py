@@ -44,7 +44,7 @@ from rig.model.description import Rig
 from rig.model.tolerances import Tolerances
 from rig.recording.interfaces import Simulate
 
-ODDS, POWER_QUANTILE = 19.0, 1.645
+NAMED_ODDS, POWER_QUANTILE = 19.0, 1.645
 """Posterior odds of an effect that is named, and the normal quantile of 95 % power. Convention."""
 ALIKE = 0.95
 """Correlation from which two effects look alike: together their strengths are known three times worse. Set by hand."""
@@ -70,74 +70,76 @@ class DetectableEffect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def detectable_effects(
-    test: PlannedTest, simulate: Simulate, seed: int, longest_s: float
+    test: PlannedTest, simulate: Simulate, seed: int, max_simulated_s: float
 ) -> tuple[DetectableEffect, ...]:
     """Smallest named sizes of every effect of the library, of a record of the planned length.
 
     Effects known by their spectrum, and tones, are left out. Raises RigError where the rig cannot be simulated or its
     record not diagnosed.
     """
-    simulated_s = min(test.duration_s, longest_s)
+    simulated_s = min(test.duration_s, max_simulated_s)
     forces_n = drawn_forces_n(test.with_duration(simulated_s), seed)
-    machine = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINES)[0])
+    drawn_rig = draw_rig(test.rig, test.tolerances, standard_normals(test.rig, DRAWN_MACHINES)[0])
     with threadpool_limits(1):
-        recording = simulate(test.rig, machine, forces_n, seed)
+        recording = simulate(test.rig, drawn_rig, forces_n, seed)
         record = record_of(recording, tolerances=test.tolerances)
         variances = nominal_variances_of(linearized(record, record.rig))
         linearization, residual = fit_nuisance(record, record.rig)
         scale = scale_of(record, record.rig)
-        fits = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
+        estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
         library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.has_force)
         steady = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
         nominal = Search(variances, linearization, residual, tuple(steady)).nominal_fit().hypothesis
         model = local_model(linearization, residual, variances, record.rig, nominal, steady)
-    by_contacts = {c.name: _by_contact_fit(c, record.rig, fits, test.tolerances) for c in steady}
-    return _detectable(model, library, by_contacts, test.duration_s / simulated_s)
+    contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in steady}
+    return _smallest_effects(model, library, contact_info, test.duration_s / simulated_s)
 
 
-def _by_contact_fit(candidate: Candidate, rig: Rig, fits: Mapping[str, LawEstimate], tolerances: Tolerances) -> float:
+def _contact_information(
+    candidate: Candidate, rig: Rig, estimates: Mapping[str, LawEstimate], tolerances: Tolerances
+) -> float:
     """Information F of the contact fit on a step of an effect that changes the numbers of dead zones and springs alone;
     zero of any other effect, and of a contact that is not determined."""
-    values = candidate.typical_values.copy()
-    values[0] = candidate.neutral_strength + candidate.step_sizes[0]
-    changed = candidate.applied(rig, values)
-    if replace(changed, contacts=rig.contacts) != rig:
+    parameter_values = candidate.typical_values.copy()
+    parameter_values[0] = candidate.neutral_strength + candidate.step_sizes[0]
+    changed_rig = candidate.applied(rig, parameter_values)
+    if replace(changed_rig, contacts=rig.contacts) != rig:
         return 0.0
     information = 0.0
-    for contact, after in zip(rig.contacts, changed.contacts, strict=True):
-        if after == contact:
+    for contact, changed_contact in zip(rig.contacts, changed_rig.contacts, strict=True):
+        if changed_contact == contact:
             continue
-        fit = fits.get(contact.name)
-        if fit is None or not numbers_alone_differ(after.law, contact.law):
+        estimate = estimates.get(contact.name)
+        if estimate is None or not numbers_alone_differ(changed_contact.law, contact.law):
             return 0.0
-        distance = fit.quantity_weights @ (parameters_of_law(after.law) - parameters_of_law(contact.law))
-        covariance = law_distance(fit, contact, contact, tolerances).covariance
-        information += float(distance @ np.linalg.solve(covariance, distance))
+        law_difference = estimate.quantity_weights @ (parameters_of_law(changed_contact.law) - parameters_of_law(contact.law))
+        covariance = law_distance(estimate, contact, contact, tolerances).covariance
+        information += float(law_difference @ np.linalg.solve(covariance, law_difference))
     return information
 
 
-def _detectable(
-    model: LocalModel, library: Sequence[Candidate], by_contacts: Mapping[str, float], length_ratio: float
+def _smallest_effects(
+    model: LocalModel, library: Sequence[Candidate], contact_info: Mapping[str, float], length_ratio: float
 ) -> tuple[DetectableEffect, ...]:
     """Sizes by candidate, from the information of each of its terms, which grows with the record's length, and of the
     contact fit."""
     terms = [term for term in model.candidate_terms if len(term.column_indices) == 1]
     columns = np.array([term.column_indices[0] for term in terms], dtype=int)
-    information, is_hidden = _information(model, columns)
+    information, is_hidden = _term_information(model, columns)
     information_by_term = np.where(is_hidden, 0.0, np.diag(information)) * length_ratio
-    scale = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
-    correlation = np.abs(information) * np.outer(scale, scale)
+    inverse_root = np.where(is_hidden, 0.0, 1 / np.sqrt(np.where(is_hidden, 1.0, np.diag(information))))
+    correlation = np.abs(information) * np.outer(inverse_root, inverse_root)
     counts = Counter(candidate.kind.name for candidate in library)
-    by_candidate: dict[str, list[int]] = {}
+    terms_by_candidate: dict[str, list[int]] = {}
     for k, term in enumerate(terms):
-        by_candidate.setdefault(term.candidate.name, []).append(k)
+        terms_by_candidate.setdefault(term.candidate.name, []).append(k)
     effects = []
-    for name, indices in by_candidate.items():
-        candidate = terms[indices[0]].candidate
-        log_odds = float(np.log(ODDS) + log_prior((), counts) - log_prior((candidate.kind.name,), counts))
-        steps = [_named_step(float(information_by_term[k]), by_contacts[name], log_odds) for k in indices]
-        sizes = sorted(_size(terms[k], step) for k, step in zip(indices, steps, strict=True))
-        largest_correlations = np.max(correlation[indices], axis=0)
+    for name, term_rows in terms_by_candidate.items():
+        candidate = terms[term_rows[0]].candidate
+        log_odds = float(np.log(NAMED_ODDS) + log_prior((), counts) - log_prior((candidate.kind.name,), counts))
+        steps = [_named_step(float(information_by_term[k]), contact_info[name], log_odds) for k in term_rows]
+        sizes = sorted(_effect_size(terms[k], step) for k, step in zip(term_rows, steps, strict=True))
+        largest_correlations = np.max(correlation[term_rows], axis=0)
         alike = {terms[k].candidate.name for k in np.flatnonzero(largest_correlations > ALIKE)} - {name}
         strength = next(p for p in candidate.parameters if p.neutral is not None)
         effects.append(
@@ -145,43 +147,45 @@ def _detectable(
                 effect=candidate.kind.name,
                 place=", ".join(target or "all" for target in candidate.place.values()),
                 unit=strength.unit,
-                size=_finite(sizes[len(sizes) // 2]),
-                least=_finite(sizes[0]),
-                greatest=_finite(sizes[-1]),
+                size=_finite_or_none(sizes[len(sizes) // 2]),
+                least=_finite_or_none(sizes[0]),
+                greatest=_finite_or_none(sizes[-1]),
                 alike=tuple(sorted(alike)),
             )
         )
     return tuple(effects)
 
 
-def _information(
+def _term_information(
     model: LocalModel, columns: Int[np.ndarray, " terms"]
 ) -> tuple[Float[np.ndarray, "terms terms"], Bool[np.ndarray, " terms"]]:
     """Matrix C of the terms' columns, and a mask of those that the tolerances hide."""
-    normal, _ = model.normal_equations(np.zeros(len(model.column_spectra)), np.arange(len(model.column_spectra)))
+    normal_matrix, _ = model.normal_equations(np.zeros(len(model.column_spectra)), np.arange(len(model.column_spectra)))
     base = model.base_columns
-    response = np.linalg.solve(normal[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal[np.ix_(base, columns)])
-    full = normal[np.ix_(columns, columns)]
-    information = full - normal[np.ix_(columns, base)] @ response
-    return information, np.diag(information) <= MIN_REMAINING_SHARE * np.diag(full)
+    response = np.linalg.solve(
+        normal_matrix[np.ix_(base, base)] + 1e-12 * np.eye(base.size), normal_matrix[np.ix_(base, columns)]
+    )
+    term_products = normal_matrix[np.ix_(columns, columns)]
+    information = term_products - normal_matrix[np.ix_(columns, base)] @ response
+    return information, np.diag(information) <= MIN_REMAINING_SHARE * np.diag(term_products)
 
 
-def _named_step(information: float, by_contacts: float, log_odds: float) -> float:
+def _named_step(information: float, contact_info: float, log_odds: float) -> float:
     """Strength, in steps, that is named with 95 % power; infinite without information."""
-    total = information / TEMPERATURE + by_contacts
-    if not total > 0:
+    total_information = information / TEMPERATURE + contact_info
+    if not total_information > 0:
         return np.inf
-    power = POWER_QUANTILE * (1.0 if by_contacts else 1 / np.sqrt(TEMPERATURE))
-    step = (np.sqrt(2 * log_odds) + power) / np.sqrt(total)
-    return float(step if by_contacts else max(step, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
+    power_margin = POWER_QUANTILE * (1.0 if contact_info else 1 / np.sqrt(TEMPERATURE))
+    step = (np.sqrt(2 * log_odds) + power_margin) / np.sqrt(total_information)
+    return float(step if contact_info else max(step, (np.sqrt(MIN_GAIN) + POWER_QUANTILE) / np.sqrt(information)))
 
 
-def _size(term: CandidateTerm, step: float) -> float:
+def _effect_size(term: CandidateTerm, step: float) -> float:
     """Size of a strength; infinite beyond the effect's range."""
     if step > max(-float(term.theta_min[0]), float(term.theta_max[0])):
         return np.inf
     return step * abs(float(term.candidate.step_sizes[term.strength_indices[0]]))
 
 
-def _finite(size: float) -> float | None:
+def _finite_or_none(size: float) -> float | None:
     return float(size) if np.isfinite(size) else None

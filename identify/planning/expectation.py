@@ -33,7 +33,7 @@ from rig.recording import Recording
 Source = Literal["scatter", "slow motion", "tolerances", "law"]
 """Source of the larger part of a variance."""
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
-MISS_ERRORS = 3.5
+MAX_MISS_ERRORS = 3.5
 """Standard errors by which an estimate may miss the value that was simulated before it is noted."""
 
 Simulate = Callable[[Rig, Rig, Float[np.ndarray, "forces samples"], int], Recording]
@@ -42,42 +42,46 @@ noise."""
 
 
 class ErrorParts(msgspec.Struct, frozen=True, kw_only=True):
-    """Value that was simulated, estimate, and parts of its variance, in squares of the quantity's unit; widened is the
-    factor of the standard error by the pulls of nuisance parameters."""
+    """Simulated value, estimate, and parts of its variance, in squares of the quantity's unit; widening_factor is that
+    of the standard error by the pulls of nuisance parameters."""
 
-    value: float
+    simulated_value: float
     estimate: float
-    scatter: float
-    slow_motion: float
-    tolerances: float
-    law: float
-    widened: float
+    scatter_variance: float
+    slow_motion_variance: float
+    tolerance_variance: float
+    law_variance: float
+    widening_factor: float
 
     @property
     def stated_error(self) -> float:
         """Standard error that is stated, with its factor."""
-        return self.widened * self.standard_error
+        return self.widening_factor * self.standard_error
 
     @property
     def standard_error(self) -> float:
         """Standard error without its factor."""
-        return float(np.sqrt(self.scatter + self.slow_motion + self.tolerances + self.law))
+        return float(
+            np.sqrt(self.scatter_variance + self.slow_motion_variance + self.tolerance_variance + self.law_variance)
+        )
 
     @property
     def source(self) -> Source:
         """Largest part of the variance."""
         variances: dict[Source, float] = {
-            "scatter": self.scatter,
-            "slow motion": self.slow_motion,
-            "tolerances": self.tolerances,
-            "law": self.law,
+            "scatter": self.scatter_variance,
+            "slow motion": self.slow_motion_variance,
+            "tolerances": self.tolerance_variance,
+            "law": self.law_variance,
         }
         return max(variances, key=lambda source: variances[source])
 
-    def over(self, length_ratio: float) -> "ErrorParts":
+    def for_longer_record(self, length_ratio: float) -> "ErrorParts":
         """Parts for a record that is longer by a ratio."""
         return msgspec.structs.replace(
-            self, scatter=self.scatter / length_ratio, slow_motion=self.slow_motion / length_ratio
+            self,
+            scatter_variance=self.scatter_variance / length_ratio,
+            slow_motion_variance=self.slow_motion_variance / length_ratio,
         )
 
 
@@ -93,8 +97,8 @@ class RefusedContact(msgspec.Struct, frozen=True):
 class SimulatedTest(msgspec.Struct, frozen=True):
     """Outcome of one simulated record: errors of the three `QUANTITIES` of each contact, and refused contacts."""
 
-    errors: dict[str, tuple[ErrorParts, ...]]
-    refused: dict[str, RefusedContact]
+    error_parts: dict[str, tuple[ErrorParts, ...]]
+    refused_contacts: dict[str, RefusedContact]
 
 
 class ExpectedQuantity(msgspec.Struct, frozen=True, kw_only=True):
@@ -133,29 +137,29 @@ class Undetermined(msgspec.Struct, frozen=True, kw_only=True):
     code: RefusalCode
 
 
-def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, longest_s: float) -> SimulatedTest:
-    """Outcome of the planned test, simulated for at most `longest_s` and scaled to its duration.
+def simulated_test(test: PlannedTest, simulate: Simulate, seed: int, max_simulated_s: float) -> SimulatedTest:
+    """Outcome of the planned test, simulated for at most `max_simulated_s` and scaled to its duration.
 
     Raises RigError where the rig cannot be simulated.
     """
-    simulated_s = min(test.duration_s, longest_s)
+    simulated_s = min(test.duration_s, max_simulated_s)
     rig, short_test = test.rig, test.with_duration(simulated_s)
     with threadpool_limits(1):  # the matrices are small
         recording = simulate(rig, rig, drawn_forces_n(short_test, seed), seed)
         try:
             separation = separate_described(recording, "auto", test.tolerances)
-            determined = determine(separation, FORMS)
-            stated = accept(separation, determined).outcomes
+            determination = determine(separation, FORMS)
+            accepted = accept(separation, determination).outcomes
         except ContactRefusedError as error:
-            return SimulatedTest({}, {contact.name: _refused(error.refusal) for contact in rig.contacts})
-    ratio = test.duration_s / simulated_s
+            return SimulatedTest({}, {contact.name: _refused_contact(error.refusal) for contact in rig.contacts})
+    length_ratio = test.duration_s / simulated_s
     laws = {contact.name: contact.law for contact in rig.contacts}
     return SimulatedTest(
         {
-            name: _error_parts(laws[name], estimate, stated.estimates[name], ratio)
-            for name, estimate in determined.estimates.items()
+            name: _error_parts(laws[name], estimate, accepted.estimates[name], length_ratio)
+            for name, estimate in determination.estimates.items()
         },
-        {name: _refused(refusal) for name, refusal in stated.refusals.items()},
+        {name: _refused_contact(refusal) for name, refusal in accepted.refusals.items()},
     )
 
 
@@ -167,66 +171,62 @@ def expected_contacts(rig: Rig, tests: Sequence[SimulatedTest]) -> tuple[Expecte
 def largest_miss(tests: Sequence[SimulatedTest]) -> tuple[float, str]:
     """Largest difference between an estimate and the simulated value in standard errors, and the contact's name."""
     misses = [
-        (abs(parts.estimate - parts.value) / parts.stated_error, name)
+        (abs(parts.estimate - parts.simulated_value) / parts.stated_error, name)
         for test in tests
-        for name, quantities in test.errors.items()
-        for parts in quantities
+        for name, all_parts in test.error_parts.items()
+        for parts in all_parts
         if parts.stated_error > 0
     ]
     return max(misses, default=(0.0, ""))
 
 
-def _refused(refusal: Refusal) -> RefusedContact:
+def _refused_contact(refusal: Refusal) -> RefusedContact:
     return RefusedContact(refusal.cause, refusal.advice, refusal.code, refusal.remedy)
 
 
 def _error_parts(
-    law: ContactLaw, estimate: JointEstimate, stated: JointEstimate, length_ratio: float
+    law: ContactLaw, estimate: JointEstimate, accepted: JointEstimate, length_ratio: float
 ) -> tuple[ErrorParts, ...]:
-    simulated = parameters_of_law(law)
+    true_numbers = parameters_of_law(law)
     parts_by_quantity = []
     for gradient in (estimate.clearance_gradient, STIFFNESS_GRADIENT, DAMPING_GRADIENT):
-        total, tolerances, slow_motion, misfit = (
+        total_variance, tolerance_variance, slow_motion_variance, law_variance = (
             float(gradient @ covariance @ gradient)
             for covariance in (estimate.covariance, *(estimate.covariances[s] for s in ("tolerances", "drift", "law")))
         )
-        simulated_parts = ErrorParts(
-            value=float(gradient @ simulated),
+        record_parts = ErrorParts(
+            simulated_value=float(gradient @ true_numbers),
             estimate=float(gradient @ estimate.values),
-            scatter=max(0.0, total - tolerances - slow_motion - misfit),
-            slow_motion=slow_motion,
-            tolerances=tolerances,
-            law=misfit,
-            widened=stated.error(gradient) / float(np.sqrt(total)) if total > 0 else 1.0,
+            scatter_variance=max(0.0, total_variance - tolerance_variance - slow_motion_variance - law_variance),
+            slow_motion_variance=slow_motion_variance,
+            tolerance_variance=tolerance_variance,
+            law_variance=law_variance,
+            widening_factor=accepted.error(gradient) / float(np.sqrt(total_variance)) if total_variance > 0 else 1.0,
         )
-        parts_by_quantity.append(simulated_parts.over(length_ratio))
+        parts_by_quantity.append(record_parts.for_longer_record(length_ratio))
     return tuple(parts_by_quantity)
 
 
 def _expected_contact(name: str, tests: Sequence[SimulatedTest]) -> ExpectedContact | Undetermined:
-    determined = [test.errors[name] for test in tests if name in test.errors]
-    share = len(determined) / len(tests)
+    parts_by_record = [test.error_parts[name] for test in tests if name in test.error_parts]
+    share = len(parts_by_record) / len(tests)
     if share < 0.5:
-        refused = next(test.refused[name] for test in tests if name in test.refused)
+        refused = next(test.refused_contacts[name] for test in tests if name in test.refused_contacts)
         return Undetermined(
             name=name, determined_share=share, reason=refused.cause, remedy=refused.advice, code=refused.code
         )
-    clearance, stiffness, damping = (_expected_quantity(draws) for draws in zip(*determined, strict=True))
+    clearance, stiffness, damping = (_expected_quantity(draws) for draws in zip(*parts_by_record, strict=True))
     return ExpectedContact(
-        name=name,
-        determined_share=share,
-        clearance_m=clearance,
-        stiffness_n_per_m=stiffness,
-        damping_n_s_per_m=damping,
+        name=name, determined_share=share, clearance_m=clearance, stiffness_n_per_m=stiffness, damping_n_s_per_m=damping
     )
 
 
-def _expected_quantity(draws: Sequence[ErrorParts]) -> ExpectedQuantity:
-    logarithms = np.log([max(parts.stated_error, np.finfo(float).tiny) for parts in draws])
-    middle = sorted(draws, key=lambda parts: parts.stated_error)[len(draws) // 2]
+def _expected_quantity(parts_by_record: Sequence[ErrorParts]) -> ExpectedQuantity:
+    log_errors = np.log([max(parts.stated_error, np.finfo(float).tiny) for parts in parts_by_record])
+    median_parts = sorted(parts_by_record, key=lambda parts: parts.stated_error)[len(parts_by_record) // 2]
     return ExpectedQuantity(
-        value=draws[0].value,
-        standard_error=float(np.exp(np.median(logarithms))) if middle.stated_error else 0.0,
-        spread_factor=float(np.exp(np.std(logarithms, ddof=1))) if len(draws) > 1 else 1.0,
-        limited_by=middle.source,
+        value=parts_by_record[0].simulated_value,
+        standard_error=float(np.exp(np.median(log_errors))) if median_parts.stated_error else 0.0,
+        spread_factor=float(np.exp(np.std(log_errors, ddof=1))) if len(parts_by_record) > 1 else 1.0,
+        limited_by=median_parts.source,
     )

@@ -13,12 +13,12 @@ from identify.planning.results import ADDS_NOTHING_FACTOR, HELPS_FACTOR, Interva
 from rig.model.description import Rig
 from rig.model.quantities import printed_unit
 
-WORDS = {
+QUANTITY_UNITS = {
     "clearance_m": ("clearance", "mm", 1e3),
     "stiffness_n_per_m": ("stiffness", "N/m", 1.0),
     "damping_n_s_per_m": ("damping", "N s/m", 1.0),
 }
-LIMITS = {
+LIMIT_TEXTS = {
     "scatter": "the scatter of one record: a longer record shortens it",
     "slow motion": "the slow motion that accelerometers miss: displacement sensors shorten it",
     "tolerances": "the tolerances of rig.json: calibration shortens it, a longer record does not",
@@ -26,7 +26,7 @@ LIMITS = {
 }
 ADVISED = 3
 """Number of changes in the sentence."""
-HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
+CONTACT_HEAD = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
 CHANGE_HEAD = ("change", "widest interval", "times", "changes most")
 KIND_HEAD = ("effect", "smallest that is named")
 EFFECT_HEAD = ("effect", "at", "smallest that is named", "looks like")
@@ -37,15 +37,15 @@ def sentence(plan: PlanReport) -> str:
     """Sentence on what the test determines, and on the best change."""
     names = [contact.name for contact in plan.contacts]
     widest = widest_share(plan)
-    parts = []
+    clauses = []
     if names:
-        parts.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
-    parts += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
+        clauses.append(f"{', '.join(names)} will be told, clearance and stiffness within ± {percent(widest)} or better")
+    clauses += [f"{contact.name} will not be told ({contact.reason})" for contact in plan.undetermined]
     if plan.advice:
-        parts.append(f"what helps most: {change_sentence(plan.advice[0])}")
+        clauses.append(f"what helps most: {change_sentence(plan.advice[0])}")
     elif plan.changes:
-        parts.append("of the changes that were tried, none shortens the widest interval by a tenth")
-    return "; ".join(parts) + "."
+        clauses.append("of the changes that were tried, none shortens the widest interval by a tenth")
+    return "; ".join(clauses) + "."
 
 
 def change_sentence(change: TriedChange) -> str:
@@ -64,11 +64,11 @@ def widest_share(plan: PlanReport) -> float:
 def contact_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     """Row of each contact: its name and expected 95 % intervals."""
     for contact in plan.contacts:
-        quantities = zip(WORDS.values(), contact.quantities, strict=True)
-        yield contact.name, *(_interval(quantity, scale, "1") for (_, _, scale), quantity in quantities)
+        quantities = zip(QUANTITY_UNITS.values(), contact.quantities, strict=True)
+        yield contact.name, *(_interval_text(quantity, scale, "1") for (_, _, scale), quantity in quantities)
 
 
-def _interval(quantity: ExpectedQuantity, scale: float, unit: str) -> str:
+def _interval_text(quantity: ExpectedQuantity, scale: float, unit: str) -> str:
     """Expected interval; empty of the clearance of a spring, which is no estimate."""
     if not quantity.standard_error:
         return ""
@@ -80,40 +80,41 @@ def change_rows(changes: Sequence[TriedChange]) -> Iterator[tuple[str, ...]]:
     for change in changes:
         notes = [f"tells {name}" for name in change.gained] + [f"loses {name}" for name in change.lost]
         if change.largest and abs(change.largest.factor - 1) > 0.01:
-            notes.append(_factor(change.largest))
+            notes.append(_factor_text(change.largest))
         share = f"± {number(100 * change.widest_share, 2)} %"
         yield change.words, share, number(change.widest_factor, 3), "; ".join(notes)
 
 
-def _factor(largest: IntervalFactor) -> str:
-    return f"{largest.contact}: {WORDS[largest.quantity][0]} times {number(largest.factor, 2)}"
+def _factor_text(interval_factor: IntervalFactor) -> str:
+    quantity_name, _, _ = QUANTITY_UNITS[interval_factor.quantity]
+    return f"{interval_factor.contact}: {quantity_name} times {number(interval_factor.factor, 2)}"
 
 
 def effect_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each effect and place: the smallest size that is named, and what looks like it."""
     for effect in effects:
-        yield effect.effect, effect.place, _sizes([effect]), ", ".join(effect.alike)
+        yield effect.effect, effect.place, _size_range_text([effect]), ", ".join(effect.alike)
 
 
 def kind_rows(effects: Sequence[DetectableEffect]) -> Iterator[tuple[str, ...]]:
     """Row of each kind of effect: the range over all its places."""
     for kind in dict.fromkeys(effect.effect for effect in effects):
-        of_kind = [effect for effect in effects if effect.effect == kind]
-        yield kind, _sizes(of_kind)
+        kind_effects = [effect for effect in effects if effect.effect == kind]
+        yield kind, _size_range_text(kind_effects)
 
 
-def _sizes(effects: Sequence[DetectableEffect]) -> str:
+def _size_range_text(effects: Sequence[DetectableEffect]) -> str:
     """Smallest named sizes from the best to the worst place."""
     unit = "" if effects[0].unit == "1" else f" {printed_unit(effects[0].unit)}"
-    least = min((e.least for e in effects if e.least is not None), default=None)
-    if least is None:
+    least_size = min((e.least for e in effects if e.least is not None), default=None)
+    if least_size is None:
         return "none of its range"
     if any(e.greatest is None for e in effects):
-        return f"{number(least, 2)}{unit}, at some places none"
-    greatest = max(e.greatest for e in effects if e.greatest is not None)
-    if greatest < 1.1 * least:
-        return f"{number(least, 2)}{unit}"
-    return f"{number(least, 2)} to {number(greatest, 2)}{unit}"
+        return f"{number(least_size, 2)}{unit}, at some places none"
+    greatest_size = max(e.greatest for e in effects if e.greatest is not None)
+    if greatest_size < 1.1 * least_size:
+        return f"{number(least_size, 2)}{unit}"
+    return f"{number(least_size, 2)} to {number(greatest_size, 2)}{unit}"
 
 
 def idle_sentence(plan: PlanReport) -> str:
@@ -130,18 +131,18 @@ def test_sentence(plan: PlanReport) -> str:
     """Sentence on the test that is planned."""
     low_hz, high_hz = plan.force.band_hz
     levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(plan.force.rms_n))
-    kind = "a Gaussian force" if len(plan.force.rms_n) == 1 else f"{len(plan.force.rms_n)} Gaussian forces, each"
-    return f"{plan.duration_s:g} s of {kind} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
+    force_text = "a Gaussian force" if len(plan.force.rms_n) == 1 else f"{len(plan.force.rms_n)} Gaussian forces, each"
+    return f"{plan.duration_s:g} s of {force_text} of {levels} N rms from {low_hz:.3g} to {high_hz:.3g} Hz"
 
 
 def _limit_rows(plan: PlanReport) -> Iterator[tuple[str, ...]]:
     for contact in plan.contacts:
-        for (name, unit, scale), quantity in zip(WORDS.values(), contact.quantities, strict=True):
+        for (name, unit, scale), quantity in zip(QUANTITY_UNITS.values(), contact.quantities, strict=True):
             yield (
                 f"{name} of {contact.name}",
-                _interval(quantity, scale, unit),
+                _interval_text(quantity, scale, unit),
                 f"{number(quantity.spread_factor, 3)}",
-                LIMITS[quantity.limited_by],
+                LIMIT_TEXTS[quantity.limited_by],
             )
 
 
@@ -151,8 +152,8 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         contact.name: [
             text
             for text in (
-                _interval(contact.clearance_m, 1e3, "mm"),
-                _interval(contact.stiffness_n_per_m, 1.0, "N/m"),
+                _interval_text(contact.clearance_m, 1e3, "mm"),
+                _interval_text(contact.stiffness_n_per_m, 1.0, "N/m"),
             )
             if text
         ]
@@ -160,11 +161,11 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     }
     lines |= {contact.name: ("will not be told",) for contact in plan.undetermined}
     caption = "<figcaption>The rig, to scale along the bodies, and the expected 95 % intervals.</figcaption>"
-    best = [f"{change_sentence(change)[:1].upper()}{change_sentence(change)[1:]}." for change in plan.advice[:ADVISED]]
-    best += [f"{c.name}: {c.remedy}." for c in plan.undetermined]
-    advice = (
-        page.list_html(best) if best else "<p>No change that was tried shortens the widest interval by a tenth.</p>"
-    )
+    advised = (change_sentence(change) for change in plan.advice[:ADVISED])
+    sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised]
+    sentences += [f"{contact.name}: {contact.remedy}." for contact in plan.undetermined]
+    no_advice = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
+    advice = page.list_html(sentences) if sentences else no_advice
     verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
     page.write(
         path,
@@ -172,7 +173,7 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
         answer=page.Answer("yellow" if plan.undetermined or plan.notes else "green", verdict, [sentence(plan)]),
         top_blocks=[f"<figure>{rig_drawing(rig, lines)}{caption}</figure>", f"<h2>What would help</h2>{advice}"],
         sections=_sections(plan),
-        folded_sections=_folded(plan),
+        folded_sections=_folded_sections(plan),
         foot_text="Made by identify plan; the numbers are in plan.json.",
         sources=sources,
     )
@@ -183,49 +184,49 @@ def _sections(plan: PlanReport) -> list[tuple[str, str]]:
         f"<p>± 95 %. Planned: {test_sentence(plan)}. The rig was simulated as described, {plan.simulations} times with "
         f"other forces for {plan.simulated_s:g} s, and each record identified as identify contact does.</p>"
     )
-    sections = [("Expected intervals", note + page.table(HEAD, contact_rows(plan)))]
+    sections = [("Expected intervals", note + page.table(CONTACT_HEAD, contact_rows(plan)))]
     if plan.undetermined:
         rows = ((c.name, c.reason, c.remedy) for c in plan.undetermined)
         sections.append(("What will not be told", page.table(("contact", "why", "what would help"), rows)))
     if plan.effects:
-        text = (
+        intro = (
             "<p>Of two such records, the size that identify gap names in 95 % of all cases, beside all tolerances: "
             "a difference from what rig.json says, from the best to the worst place.</p>"
         )
-        sections.append(("Which effects would be named", text + page.table(KIND_HEAD, kind_rows(plan.effects))))
+        sections.append(("Which effects would be named", intro + page.table(KIND_HEAD, kind_rows(plan.effects))))
     if plan.notes:
         sections.append(("To note", page.list_html(f"{note[:1].upper()}{note[1:]}." for note in plan.notes)))
     if plan.changes:
-        text = (
+        intro = (
             "<p>Each change was simulated and identified under the same forces. Widest interval: the widest of all "
             "clearances and stiffnesses, as a share of the value; a contact that is not told counts as 100 %. "
             f"A change helps from {HELPS_FACTOR:g} times on; less may be chance where force, band, place or duration "
             "change.</p>"
         )
-        sections.append(("What would help, ranked", text + page.table(CHANGE_HEAD, change_rows(plan.changes))))
+        sections.append(("What would help, ranked", intro + page.table(CHANGE_HEAD, change_rows(plan.changes))))
     if plan.sensors:
-        idle = f"<p>{escape(idle_sentence(plan))}</p>" if plan.idle_sensors else ""
-        sections.append(("Each sensor left out", idle + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
+        idle_html = f"<p>{escape(idle_sentence(plan))}</p>" if plan.idle_sensors else ""
+        sections.append(("Each sensor left out", idle_html + page.table(SENSOR_HEAD, change_rows(plan.sensors))))
     return sections
 
 
-def _folded(plan: PlanReport) -> list[tuple[str, str]]:
-    effects = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
+def _folded_sections(plan: PlanReport) -> list[tuple[str, str]]:
+    intro = "<p>Each effect at each of its places, and what the record does not tell from it.</p>"
     table = page.table(EFFECT_HEAD, effect_rows(plan.effects))
-    folded = [("Which effects would be named, place by place", effects + table)] if plan.effects else []
-    return [*folded, *_limits(plan)]
+    effect_sections = [("Which effects would be named, place by place", intro + table)] if plan.effects else []
+    return [*effect_sections, *_limit_sections(plan)]
 
 
-def _limits(plan: PlanReport) -> list[tuple[str, str]]:
+def _limit_sections(plan: PlanReport) -> list[tuple[str, str]]:
     if not plan.contacts:
         return []
-    text = (
+    intro = (
         "<p>Factor: by which the interval of one record may be longer or shorter, one standard deviation over the "
         "simulated records.</p>"
     )
     return [
         (
             "What limits each interval",
-            text + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
+            intro + page.table(("value", "expected", "factor", "limited by"), _limit_rows(plan)),
         )
     ]

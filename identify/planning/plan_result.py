@@ -49,5 +49,5 @@ class PlanResult(Summarized):
 
     def summary(self) -> Summary:
         """Sentence on what the test will tell and what helps most, and the expected interval of each contact."""
-        rows = tuple(dict(zip(page.HEAD, row, strict=True)) for row in page.contact_rows(self.report))
+        rows = tuple(dict(zip(page.CONTACT_HEAD, row, strict=True)) for row in page.contact_rows(self.report))
         return Summary(rows, above=(page.sentence(self.report),), below=self.report.notes)

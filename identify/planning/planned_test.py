@@ -22,13 +22,13 @@ from rig.recording import Recording
 
 QUIET_S, RISE_S = 1.0, 1 / 32
 """Quiet start, s, and time in which the force sets in, as in simulated recordings."""
-DURATION_S, SHORTEST_S, LONGEST_S = 60.0, 4.0, 1e5
+DEFAULT_DURATION_S, SHORTEST_S, LONGEST_S = 60.0, 4.0, 1e5
 """Default, shortest and longest duration, s: in less than four seconds no contact is determined."""
-HIGHEST_TO_SAMPLE_RATE = 0.25
+MAX_BAND_TO_RATE = 0.25
 """Highest end of the band over the sampling rate: cubic interpolation of the force is right up to there."""
-POWER_SHARES = (0.01, 0.99)
+BAND_POWER_SHARES = (0.01, 0.99)
 """Shares of a measured force's power that lie below the two ends of its band."""
-FORCE_STREAM = 3
+FORCE_SEED_STREAM = 3
 """Last number of the force's seed: apart from that of the sensors' noise."""
 
 
@@ -48,10 +48,10 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
                 f"the planned test lasts {self.duration_s:g} s; give {SHORTEST_S:g} to {LONGEST_S:g} s with --duration"
             )
         if not all(0 < rms_n < np.inf for rms_n in self.force_rms_n):
-            level_n = ", ".join(f"{rms_n:g}" for rms_n in self.force_rms_n)
-            raise RigError(f"the planned force is {level_n} N rms; give a finite level above zero with --force-rms")
+            level_text = ", ".join(f"{rms_n:g}" for rms_n in self.force_rms_n)
+            raise RigError(f"the planned force is {level_text} N rms; give a finite level above zero with --force-rms")
         low_hz, high_hz = self.band_hz
-        highest_hz = HIGHEST_TO_SAMPLE_RATE * self.rig.sample_rate_hz
+        highest_hz = MAX_BAND_TO_RATE * self.rig.sample_rate_hz
         if not (0 <= low_hz < high_hz <= highest_hz):
             raise RigError(
                 f"the planned force has the band {low_hz:g} to {high_hz:g} Hz; give 0 <= low < high <= "
@@ -67,10 +67,10 @@ class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
         return replace(self, duration_s=duration_s)
 
     @property
-    def level(self) -> str:
+    def level_text(self) -> str:
         """Level of the forces in words."""
-        levels = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(self.force_rms_n))
-        return f"{levels} N rms"
+        rms_texts = " and ".join(number(rms_n, 3) for rms_n in dict.fromkeys(self.force_rms_n))
+        return f"{rms_texts} N rms"
 
 
 def planned_test(
@@ -96,7 +96,7 @@ def planned_test(
     return PlannedTest(
         rig=rig,
         tolerances=tolerances or rig.tolerances or LABORATORY,
-        duration_s=DURATION_S if duration_s is None else duration_s,
+        duration_s=DEFAULT_DURATION_S if duration_s is None else duration_s,
         force_rms_n=levels_n or (rattling(rig, *band_hz).rms_n,) * len(rig.forces),
         band_hz=band_hz,
     )
@@ -105,20 +105,20 @@ def planned_test(
 def drawn_forces_n(test: PlannedTest, seed: int) -> Float[np.ndarray, "forces samples"]:
     """Forces of the planned test, drawn with a seed, N."""
     rate_hz = test.rig.sample_rate_hz
-    samples, quiet = round(test.duration_s * rate_hz), round(QUIET_S * rate_hz)
-    excited = samples - quiet
-    frequency_hz = np.fft.rfftfreq(excited, 1 / rate_hz)
+    sample_count, quiet_count = round(test.duration_s * rate_hz), round(QUIET_S * rate_hz)
+    excited_count = sample_count - quiet_count
+    frequency_hz = np.fft.rfftfreq(excited_count, 1 / rate_hz)
     low_hz, high_hz = test.band_hz
     in_band = (frequency_hz >= low_hz) & (frequency_hz <= high_hz) & (frequency_hz > 0)
-    forces_n = np.zeros((len(test.force_rms_n), samples))
-    rise = np.sin(np.pi / 2 * np.clip(np.arange(excited) / rate_hz / RISE_S, 0, 1)) ** 2
-    for number_of_force, rms_n in enumerate(test.force_rms_n):
-        lines = (
-            np.random.default_rng([seed, number_of_force, FORCE_STREAM]).standard_normal((2, frequency_hz.size))
+    forces_n = np.zeros((len(test.force_rms_n), sample_count))
+    rise_weights = np.sin(np.pi / 2 * np.clip(np.arange(excited_count) / rate_hz / RISE_S, 0, 1)) ** 2
+    for force_index, rms_n in enumerate(test.force_rms_n):
+        line_values = (
+            np.random.default_rng([seed, force_index, FORCE_SEED_STREAM]).standard_normal((2, frequency_hz.size))
             * in_band
         )
-        noise = np.fft.irfft(lines[0] + 1j * lines[1], excited) * rise
-        forces_n[number_of_force, quiet:] = rms_n * noise / np.sqrt(np.mean(noise**2))
+        gaussian_force = np.fft.irfft(line_values[0] + 1j * line_values[1], excited_count) * rise_weights
+        forces_n[force_index, quiet_count:] = rms_n * gaussian_force / np.sqrt(np.mean(gaussian_force**2))
     return forces_n
 
 
@@ -130,7 +130,7 @@ def _excited_rms_n(force_n: Float[np.ndarray, " samples"]) -> float:
 
 def _measured_band_hz(forces_n: Float[np.ndarray, "forces samples"], rate_hz: float) -> tuple[float, float]:
     """Band that holds all but two hundredths of the power of the forces, Hz."""
-    power = np.cumsum(np.sum(np.abs(np.fft.rfft(forces_n, axis=1)) ** 2, axis=0)[1:])
-    lines = np.searchsorted(power, np.array(POWER_SHARES) * power[-1]) + 1
-    low_hz, high_hz = lines * rate_hz / forces_n.shape[1]
-    return float(low_hz), float(min(high_hz, HIGHEST_TO_SAMPLE_RATE * rate_hz))
+    cumulative_power = np.cumsum(np.sum(np.abs(np.fft.rfft(forces_n, axis=1)) ** 2, axis=0)[1:])
+    edge_lines = np.searchsorted(cumulative_power, np.array(BAND_POWER_SHARES) * cumulative_power[-1]) + 1
+    low_hz, high_hz = edge_lines * rate_hz / forces_n.shape[1]
+    return float(low_hz), float(min(high_hz, MAX_BAND_TO_RATE * rate_hz))

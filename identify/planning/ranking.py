@@ -2,7 +2,7 @@
 
 Notes for maintainers
 1. A change is compared with the unchanged test under the same seeds, on records of at most
-   `MOST_TRIED_SAMPLES`: where the motion stays as it is (tolerances, noise, sensors), chance cancels.
+   `MAX_TRIED_SAMPLES`: where the motion stays as it is (tolerances, noise, sensors), chance cancels.
 2. Where it does not (force, band, place, duration), one record's interval may be short by chance: all changes are tried
    under the force whose intervals are usual among several, and the best ones under the others, too.
 3. Medians are taken: a part of one record may tell so little that its interval is several times as long.
@@ -18,7 +18,7 @@ from identify.pages.wording import COVERED
 from identify.planning.changes import PlannedChange, changes_of
 from identify.planning.detectable import DetectableEffect, detectable_effects
 from identify.planning.expectation import (
-    MISS_ERRORS,
+    MAX_MISS_ERRORS,
     QUANTITIES,
     ExpectedContact,
     SimulatedTest,
@@ -31,28 +31,28 @@ from identify.planning.planned_test import PlannedTest
 from identify.planning.results import IntervalFactor, PlannedForce, PlanReport, TriedChange
 from rig.processes import mapped
 
-LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES = 60.0, 2**16
+LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES = 60.0, 2**16
 """Longest simulated record, s, and most samples of one that compares a change. Effort."""
 SEEDS = (1, 2, 3)
 SIMULATIONS = len(SEEDS)
 """Number of simulated records for the expected intervals, and for the best changes; odd, as medians are taken."""
-FINALISTS = 4
+FINALIST_COUNT = 4
 """Number of changes that get further simulations. Effort."""
-MOST_CHANGES = 40
+MAX_CHANGES = 40
 """Default of the largest number of changes, sensors left out included."""
-RANKED = ("clearance_m", "stiffness_n_per_m")
+RANKED_QUANTITIES = ("clearance_m", "stiffness_n_per_m")
 """Quantities whose intervals rank changes: a damping of zero has no share."""
 
-Run = tuple[PlannedTest, str, int, float]
+SimulationRun = tuple[PlannedTest, str, int, float]
 """Test, name of the simulator, seed, and longest simulated time, s."""
-Shares = Mapping[tuple[str, str], float]
+IntervalShares = Mapping[tuple[str, str], float]
 """Half of the 95 % interval over the value by contact and quantity."""
 
 
-def planned(
+def ranked_plan(
     test: PlannedTest,
     simulator: str = "modal",
-    most_changes: int = MOST_CHANGES,
+    most_changes: int = MAX_CHANGES,
     workers: int = 1,
     progress: Callable[[float], None] = lambda _: None,
 ) -> PlanReport:
@@ -64,34 +64,36 @@ def planned(
     simulator_named(simulator)
     all_changes = list(changes_of(test))
     changes = all_changes[:most_changes]
-    finalist_count = min(FINALISTS, sum(change.kind != "leave out sensor" for change in changes))
+    finalist_count = min(FINALIST_COUNT, sum(change.kind != "leave out sensor" for change in changes))
     run_count = SIMULATIONS * (2 if changes else 1) + len(changes) + finalist_count * (SIMULATIONS - 1) + 1
 
-    def run_all(runs: Sequence[Run], finished_before: int) -> list[SimulatedTest]:
-        return mapped(_run, runs, workers, lambda finished: progress((finished_before + finished) / run_count))
+    def run_all(runs: Sequence[SimulationRun], finished_count: int) -> list[SimulatedTest]:
+        return mapped(_simulated_run, runs, workers, lambda finished: progress((finished_count + finished) / run_count))
 
-    expected = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
-    results = _tried(test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished))
-    effects, effect_notes = _effects(test, simulator)
+    outcomes = run_all([(test, simulator, seed, LONGEST_SIMULATED_S) for seed in SEEDS], 0)
+    tried_changes = _tried_changes(
+        test, changes, simulator, lambda runs, finished: run_all(runs, SIMULATIONS + finished)
+    )
+    effects, effect_notes = _effects_and_notes(test, simulator)
     progress(1.0)
-    contacts = expected_contacts(test.rig, expected)
-    without = sorted((r for r in results if r.kind == "leave out sensor"), key=_need, reverse=True)
+    contacts = expected_contacts(test.rig, outcomes)
+    sensor_removals = sorted((r for r in tried_changes if r.kind == "leave out sensor"), key=_need_key, reverse=True)
     return PlanReport(
         rig=test.rig.name,
         duration_s=test.duration_s,
         force=PlannedForce(rms_n=test.force_rms_n, band_hz=test.band_hz),
         contacts=tuple(c for c in contacts if isinstance(c, ExpectedContact)),
         undetermined=tuple(c for c in contacts if isinstance(c, Undetermined)),
-        changes=tuple(sorted((r for r in results if r.kind != "leave out sensor"), key=_rank)),
-        sensors=tuple(without),
+        changes=tuple(sorted((r for r in tried_changes if r.kind != "leave out sensor"), key=_rank_key)),
+        sensors=tuple(sensor_removals),
         simulations=SIMULATIONS,
         simulated_s=min(test.duration_s, LONGEST_SIMULATED_S),
         effects=effects,
-        notes=(*_notes(test, expected, len(changes) < len(all_changes)), *effect_notes),
+        notes=(*_plan_notes(test, outcomes, len(changes) < len(all_changes)), *effect_notes),
     )
 
 
-def _effects(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect, ...], tuple[str, ...]]:
+def _effects_and_notes(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect, ...], tuple[str, ...]]:
     """Smallest named effects; or none, and a note, where this side analysis fails."""
     try:
         return detectable_effects(test, simulator_named(simulator).simulate, SEEDS[0], LONGEST_SIMULATED_S), ()
@@ -99,62 +101,68 @@ def _effects(test: PlannedTest, simulator: str) -> tuple[tuple[DetectableEffect,
         return (), (f"which effects would be named could not be computed: {error}",)
 
 
-def _tried(
+def _tried_changes(
     test: PlannedTest,
     changes: Sequence[PlannedChange],
     simulator: str,
-    run_all: Callable[[Sequence[Run], int], list[SimulatedTest]],
+    run_all: Callable[[Sequence[SimulationRun], int], list[SimulatedTest]],
 ) -> list[TriedChange]:
     """Changes against the unchanged test, in their order. `run_all` takes runs, and how many were done before them."""
     if not changes:
         return []
     unchanged = run_all([_tried_run(test, test, simulator, seed) for seed in SEEDS], 0)
-    order = sorted(range(SIMULATIONS), key=lambda index: _widest(unchanged[index]))
+    order = sorted(range(SIMULATIONS), key=lambda index: _widest_share(unchanged[index]))
     usual_index = order.pop(SIMULATIONS // 2)
     first_runs = [_tried_run(test, change.test, simulator, SEEDS[usual_index]) for change in changes]
-    outcomes = [[outcome] for outcome in run_all(first_runs, SIMULATIONS)]
+    outcome_lists = [[outcome] for outcome in run_all(first_runs, SIMULATIONS)]
     reference = [unchanged[usual_index], *(unchanged[index] for index in order)]
-    results = [_compared(change, reference[:1], of_change) for change, of_change in zip(changes, outcomes, strict=True)]
-    finalists = _finalists(results)
-    runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in order]
-    further = iter(run_all(runs, SIMULATIONS + len(changes)))
+    tried_changes = [
+        _tried_change(change, reference[:1], outcomes) for change, outcomes in zip(changes, outcome_lists, strict=True)
+    ]
+    finalists = _finalist_indices(tried_changes)
+    further_runs = [_tried_run(test, changes[k].test, simulator, SEEDS[index]) for k in finalists for index in order]
+    further_outcomes = iter(run_all(further_runs, SIMULATIONS + len(changes)))
     for k in finalists:
-        outcomes[k] += [next(further) for _ in order]
-        results[k] = _compared(changes[k], reference, outcomes[k])
-    return results
+        outcome_lists[k] += [next(further_outcomes) for _ in order]
+        tried_changes[k] = _tried_change(changes[k], reference, outcome_lists[k])
+    return tried_changes
 
 
-def _tried_run(test: PlannedTest, changed: PlannedTest, simulator: str, seed: int) -> Run:
+def _tried_run(test: PlannedTest, changed_test: PlannedTest, simulator: str, seed: int) -> SimulationRun:
     """Run of a changed test for as long as that of the unchanged one; of one that lasts longer, longer in
     proportion."""
-    longest_s = min(test.duration_s, LONGEST_SIMULATED_S, MOST_TRIED_SAMPLES / test.rig.sample_rate_hz)
-    return changed, simulator, seed, longest_s * changed.duration_s / test.duration_s
+    max_simulated_s = min(test.duration_s, LONGEST_SIMULATED_S, MAX_TRIED_SAMPLES / test.rig.sample_rate_hz)
+    return changed_test, simulator, seed, max_simulated_s * changed_test.duration_s / test.duration_s
 
 
-def _run(run: Run) -> SimulatedTest:
-    test, simulator, seed, longest_s = run
-    return simulated_test(test, simulator_named(simulator).simulate, seed, longest_s)
+def _simulated_run(run: SimulationRun) -> SimulatedTest:
+    test, simulator, seed, max_simulated_s = run
+    return simulated_test(test, simulator_named(simulator).simulate, seed, max_simulated_s)
 
 
-def _shares(outcome: SimulatedTest) -> Shares:
+def _interval_shares(outcome: SimulatedTest) -> IntervalShares:
     return {
-        (name, quantity): COVERED * parts.standard_error / abs(parts.value)
-        for name, all_parts in outcome.errors.items()
-        for quantity, parts in zip(QUANTITIES, all_parts, strict=True)
-        if quantity in RANKED and parts.value
+        (name, quantity): COVERED * parts.standard_error / abs(parts.simulated_value)
+        for name, quantity_parts in outcome.error_parts.items()
+        for quantity, parts in zip(QUANTITIES, quantity_parts, strict=True)
+        if quantity in RANKED_QUANTITIES and parts.simulated_value
     }
 
 
-def _compared(
+def _tried_change(
     change: PlannedChange, unchanged: Sequence[SimulatedTest], changed: Sequence[SimulatedTest]
 ) -> TriedChange:
     """Change against the unchanged test under the same seeds: medians over these."""
-    pairs = [(_shares(before), _shares(after)) for before, after in zip(unchanged, changed, strict=True)]
-    determined_before, determined_after = (_determined(outcomes) for outcomes in (unchanged, changed))
-    both = set.intersection(*(set(before) & set(after) for before, after in pairs))
-    logarithms = {key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in both}
-    widest = np.array([[_widest(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
-    largest = max(logarithms, key=lambda key: (abs(logarithms[key]), key), default=None)
+    pairs = [
+        (_interval_shares(before), _interval_shares(after)) for before, after in zip(unchanged, changed, strict=True)
+    ]
+    determined_before, determined_after = (_determined_contacts(outcomes) for outcomes in (unchanged, changed))
+    common = set.intersection(*(set(before) & set(after) for before, after in pairs))
+    log_factors = {
+        key: float(np.median([np.log(after[key] / before[key]) for before, after in pairs])) for key in common
+    }
+    widest = np.array([[_widest_share(outcome) for outcome in outcomes] for outcomes in (unchanged, changed)])
+    largest = max(log_factors, key=lambda key: (abs(log_factors[key]), key), default=None)
     return TriedChange(
         kind=change.kind,
         words=change.words,
@@ -162,41 +170,41 @@ def _compared(
         widest_factor=float(np.median(widest[1] / widest[0])),
         largest=None
         if largest is None
-        else IntervalFactor(contact=largest[0], quantity=largest[1], factor=float(np.exp(logarithms[largest]))),
+        else IntervalFactor(contact=largest[0], quantity=largest[1], factor=float(np.exp(log_factors[largest]))),
         gained=tuple(sorted(determined_after - determined_before)),
         lost=tuple(sorted(determined_before - determined_after)),
         simulations=len(changed),
-        largest_growth=float(np.exp(max(logarithms.values(), default=0.0))),
+        largest_growth=float(np.exp(max(log_factors.values(), default=0.0))),
     )
 
 
-def _determined(outcomes: Sequence[SimulatedTest]) -> set[str]:
+def _determined_contacts(outcomes: Sequence[SimulatedTest]) -> set[str]:
     """Contacts that at least half of the records determine."""
-    names = {name for outcome in outcomes for name in outcome.errors}
-    return {name for name in names if sum(name in outcome.errors for outcome in outcomes) >= len(outcomes) / 2}
+    names = {name for outcome in outcomes for name in outcome.error_parts}
+    return {name for name in names if sum(name in outcome.error_parts for outcome in outcomes) >= len(outcomes) / 2}
 
 
-def _widest(outcome: SimulatedTest) -> float:
+def _widest_share(outcome: SimulatedTest) -> float:
     """Widest share; 1 if a contact is not determined."""
-    return max([*_shares(outcome).values(), *(1.0 for _ in outcome.refused)], default=1.0)
+    return max([*_interval_shares(outcome).values(), *(1.0 for _ in outcome.refused_contacts)], default=1.0)
 
 
-def _rank(change: TriedChange) -> tuple[int, float]:
+def _rank_key(change: TriedChange) -> tuple[int, float]:
     return len(change.lost) - len(change.gained), change.widest_factor
 
 
-def _need(change: TriedChange) -> tuple[int, float]:
+def _need_key(change: TriedChange) -> tuple[int, float]:
     """Need of a sensor that is left out."""
     return len(change.lost) - len(change.gained), change.largest_growth
 
 
-def _finalists(results: Sequence[TriedChange]) -> list[int]:
+def _finalist_indices(tried_changes: Sequence[TriedChange]) -> list[int]:
     """Indices of the best changes."""
-    candidates = [index for index, result in enumerate(results) if result.kind != "leave out sensor"]
-    return sorted(candidates, key=lambda index: _rank(results[index]))[:FINALISTS]
+    candidates = [index for index, change in enumerate(tried_changes) if change.kind != "leave out sensor"]
+    return sorted(candidates, key=lambda index: _rank_key(tried_changes[index]))[:FINALIST_COUNT]
 
 
-def _notes(test: PlannedTest, expected: Sequence[SimulatedTest], is_cut: bool) -> Iterator[str]:
+def _plan_notes(test: PlannedTest, outcomes: Sequence[SimulatedTest], is_truncated: bool) -> Iterator[str]:
     """Sentences on what the plan could not take into account."""
     if not any(sensor.noise_density or sensor.bits for sensor in test.rig.sensors):
         yield (
@@ -208,11 +216,11 @@ def _notes(test: PlannedTest, expected: Sequence[SimulatedTest], is_cut: bool) -
             f"{LONGEST_SIMULATED_S:g} s were simulated; for {test.duration_s:g} s scatter and slow motion are taken to "
             "average, and tolerances are not"
         )
-    miss, name = largest_miss(expected)
-    if miss > MISS_ERRORS:
+    miss, name = largest_miss(outcomes)
+    if miss > MAX_MISS_ERRORS:
         yield (
             f"an estimate of {name} from a simulated record missed what was simulated by {miss:.1f} standard errors: "
             "do not rely on its expected interval"
         )
-    if is_cut:
+    if is_truncated:
         yield "not every change was tried; raise --changes for more"

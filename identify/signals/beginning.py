@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 QUIET_S = 0.25
 """Shortest quiet start, s."""
-NORMAL_BY_MEDIAN = 1.4826
+STD_BY_MEDIAN = 1.4826
 """Standard deviation of normal samples, over the median of their sizes."""
 ONSET_DEVIATIONS = 6.0
 """Smallest force that counts as begun, in standard deviations of its noise."""
@@ -28,8 +28,8 @@ def force_onset(force_n: Float[np.ndarray, "*forces samples"], sample_rate_hz: f
 def _onset(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float) -> int:
     """Onset of one force."""
     size_n = np.abs(force_n)
-    start = size_n[: max(1, round(QUIET_S * sample_rate_hz))]
-    threshold_n = ONSET_DEVIATIONS * NORMAL_BY_MEDIAN * float(np.median(start))
+    start_n = size_n[: max(1, round(QUIET_S * sample_rate_hz))]
+    threshold_n = ONSET_DEVIATIONS * STD_BY_MEDIAN * float(np.median(start_n))
     if threshold_n >= np.sqrt(np.mean(size_n**2)):
         return 0
     return int(np.argmax(size_n > max(threshold_n, 1e-3 * float(size_n.max()))))

@@ -51,36 +51,34 @@ class Spline:
         return int(self.value.shape[1])
 
 
-def spline(samples: int, sample_rate_hz: float, drift: Drift | None, knot_s: float = KNOT_S) -> Spline:
+def spline(sample_count: int, sample_rate_hz: float, drift: Drift | None, knot_s: float = KNOT_S) -> Spline:
     """Cubic spline over a record with a knot every `knot_s`; without a drift, one without knots, which is zero.
 
     White noise of b'' with the one-sided density s has the variance s^2 / 2h in its mean over a knot interval h.
     """
     if drift is None:
-        nothing = csr_matrix((samples, 0))
-        return Spline(nothing, nothing, csr_matrix((0, 0)), np.zeros(0))
-    time = np.arange(samples) / sample_rate_hz
-    knot_times_s = np.linspace(0.0, time[-1], max(4, int(np.ceil(time[-1] / knot_s))) + 1)
-    knot_spacing_s = knot_times_s[1]
-    knots = np.concatenate(
-        [-knot_spacing_s * np.arange(3, 0, -1), knot_times_s, knot_times_s[-1] + knot_spacing_s * np.arange(1, 4)]
+        empty_matrix = csr_matrix((sample_count, 0))
+        return Spline(empty_matrix, empty_matrix, csr_matrix((0, 0)), np.zeros(0))
+    times_s = np.arange(sample_count) / sample_rate_hz
+    knot_times_s = np.linspace(0.0, times_s[-1], max(4, int(np.ceil(times_s[-1] / knot_s))) + 1)
+    spacing_s = knot_times_s[1]
+    knots_s = np.concatenate(
+        [-spacing_s * np.arange(3, 0, -1), knot_times_s, knot_times_s[-1] + spacing_s * np.arange(1, 4)]
     )
-    second_difference = (
-        diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knot_times_s.size, knots.size - 4)) / knot_spacing_s**2
-    )
-    deviation = drift.noise_density / np.sqrt(2 * knot_spacing_s)
+    second_difference = diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(knot_times_s.size, knots_s.size - 4)) / spacing_s**2
+    curvature_deviation = drift.noise_density / np.sqrt(2 * spacing_s)
     return Spline(
-        value=csr_matrix(BSpline.design_matrix(time, knots, 3)),
-        rate=_derivative(time, knots),
-        curvature=csr_matrix(second_difference / deviation),
-        target=np.interp(knot_times_s, time, drift.acceleration_m_per_s2) / deviation,
+        value=csr_matrix(BSpline.design_matrix(times_s, knots_s, 3)),
+        rate=_rate_matrix(times_s, knots_s),
+        curvature=csr_matrix(second_difference / curvature_deviation),
+        target=np.interp(knot_times_s, times_s, drift.acceleration_m_per_s2) / curvature_deviation,
     )
 
 
-def _derivative(time: Float[np.ndarray, " samples"], knots: Float[np.ndarray, " places"]) -> csr_matrix:
+def _rate_matrix(times_s: Float[np.ndarray, " samples"], knots_s: Float[np.ndarray, " places"]) -> csr_matrix:
     """First derivative by differences of quadratic splines: b' = sum_i (c_i - c_(i-1)) / h B2_i."""
-    knot_spacing_s = knots[1] - knots[0]
-    quadratic = csr_matrix(BSpline.design_matrix(time, knots[1:-1], 2))
-    count = knots.size - 4
-    differences = diags([-1.0, 1.0], [0, 1], shape=(count - 1, count)) / knot_spacing_s
-    return csr_matrix(quadratic @ differences)
+    spacing_s = knots_s[1] - knots_s[0]
+    quadratic_splines = csr_matrix(BSpline.design_matrix(times_s, knots_s[1:-1], 2))
+    spline_count = knots_s.size - 4
+    differences = diags([-1.0, 1.0], [0, 1], shape=(spline_count - 1, spline_count)) / spacing_s
+    return csr_matrix(quadratic_splines @ differences)

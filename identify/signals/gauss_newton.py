@@ -6,7 +6,7 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-MAX_LENGTHS = 6
+MAX_STEP_LENGTHS = 6
 """Lengths of a step that are tried, shorter and shorter, until the cost falls."""
 
 
@@ -36,7 +36,7 @@ StepOf = TypeVar("StepOf", bound=Step[Any])
 
 
 def gauss_newton(
-    start: State,
+    initial_state: State,
     linearize: Callable[[State], StepOf],
     min_fall_of: Callable[[State], float],
     max_steps: int,
@@ -48,21 +48,21 @@ def gauss_newton(
     its beginning. The iteration stops after a whole step, or a second step in a row, by which the cost falls by less
     than `min_fall_of` the state before it, and before a step that promises less than `negligible_share` of that.
     """
-    state, cost, slow_steps = start, start.cost, 0
+    state, cost, slow_steps = initial_state, initial_state.cost, 0
     for _ in range(max_steps):
         step, share, min_fall = linearize(state), 1.0, min_fall_of(state)
         if step.predicted_decrease < negligible_share * min_fall:
             break
-        candidate, fall = None, -np.inf
-        for _ in range(MAX_LENGTHS):
-            candidate = step.state_after(share)
-            fall = cost - candidate.cost if candidate is not None else -np.inf
+        candidate_state, fall = None, -np.inf
+        for _ in range(MAX_STEP_LENGTHS):
+            candidate_state = step.state_after(share)
+            fall = cost - candidate_state.cost if candidate_state is not None else -np.inf
             if fall > 0 or step.predicted_decrease < min_fall:
                 break
             share *= np.clip(step.predicted_decrease * share / (2 * step.predicted_decrease * share - fall), 0.1, 0.5)
-        if candidate is None or not fall > 0:
+        if candidate_state is None or not fall > 0:
             break
-        state, cost = candidate, cost - fall
+        state, cost = candidate_state, cost - fall
         slow_steps = slow_steps + 1 if fall < min_fall else 0
         if slow_steps and (share == 1 or slow_steps == 2):
             break

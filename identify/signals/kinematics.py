@@ -18,7 +18,7 @@ from rig.recording import Recording
 
 TAPER_S = 0.5
 """Length of the taper at a record's end, s."""
-PASSED_SHARE = 0.05
+PASSBAND_START = 0.05
 """Lowest frequency of a sensor that can be restored, over the corner of its high-pass."""
 CORNER_HZ = 0.5
 """Integrated accelerations are drift below; they are cut off smoothly between half this frequency and itself."""
@@ -80,8 +80,8 @@ class Kinematics:
     @property
     def quiet_samples(self) -> int:
         """Number of samples at the start that show the noise; 0 if they are too few."""
-        before = self.excited_from - round(0.05 * self.sample_rate_hz)
-        return before if before > QUIET_S * self.sample_rate_hz else 0
+        quiet_count = self.excited_from - round(0.05 * self.sample_rate_hz)
+        return quiet_count if quiet_count > QUIET_S * self.sample_rate_hz else 0
 
     def row(self, station: Station) -> int | None:
         return self.stations.index(station) if station in self.stations else None
@@ -116,30 +116,30 @@ class _PaddedTransform:
     """
 
     corner_hz: float
-    ending: Float[np.ndarray, " samples"]
-    length: int
+    end_taper: Float[np.ndarray, " samples"]
+    padded_count: int
     omega: Float[np.ndarray, " lines"]
     usable_count: int
     excited_from: int
     lead_samples: int
 
     def spectrum(
-        self, sensor: Sensor, delivered: Float[np.ndarray, " samples"], lead_samples: int
+        self, sensor: Sensor, signal: Float[np.ndarray, " samples"], lead_samples: int
     ) -> Complex[np.ndarray, " lines"]:
         """Spectrum of the motion behind a sensor's signal: its chain divided out, where it lets anything pass.
 
         `lead_samples` of a lead-in stand before the first sample, at the end of the transform's input.
         """
-        padded = np.zeros(self.length)
-        padded[: delivered.size] = delivered * self.ending
+        padded_signal = np.zeros(self.padded_count)
+        padded_signal[: signal.size] = signal * self.end_taper
         if lead_samples:
-            padded[-lead_samples:] = lead_in(padded[: delivered.size], lead_samples)
-        passes = self.omega >= PASSED_SHARE * 2 * np.pi * sensor.high_pass_hz
+            padded_signal[-lead_samples:] = lead_in(padded_signal[: signal.size], lead_samples)
+        in_passband = self.omega >= PASSBAND_START * 2 * np.pi * sensor.high_pass_hz
         response = sensor.response(self.omega)
-        return np.divide(rfft(padded), response, out=np.zeros(self.omega.size, dtype=complex), where=passes)
+        return np.divide(rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband)
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
-        return np.asarray(irfft(spectrum, self.length)[: self.usable_count])
+        return np.asarray(irfft(spectrum, self.padded_count)[: self.usable_count])
 
 
 @dataclass(frozen=True)
@@ -173,24 +173,24 @@ def kinematics(
     Raises RigError if there is no such sensor, or the record is too short for its ends to be left out.
     """
     sensors = _motion_sensors(recording, use)
-    stations = _by_station(sensors)
-    integrates = any(0 not in by_order for by_order in stations.values())
+    station_sensors = _by_station(sensors)
+    integrates = any(0 not in by_order for by_order in station_sensors.values())
     transform = _transform(recording, sensors, corner_hz, integrates)
-    motion = _motion(recording, stations, transform, least_order)
-    rate, on_bodies = recording.rig.sample_rate_hz, tuple(stations)
+    motion = _motion(recording, station_sensors, transform, least_order)
+    rate_hz, body_stations = recording.rig.sample_rate_hz, tuple(station_sensors)
     forces_n, base = forces_on_bodies(recording)[:, : transform.usable_count], None
     if recording.rig.base_sensors:
-        base, on_bodies = _base_of(motion, stations[ON_GROUND], least_order), on_bodies[1:]
+        base, body_stations = _measured_base(motion, station_sensors[ON_GROUND], least_order), body_stations[1:]
         motion = motion.relative_to_base
         forces_n = np.concatenate([forces_n, -base.acceleration_m_per_s2[None]])
     displacement, velocity, acceleration = motion.derivatives
     return Kinematics(
-        stations=on_bodies,
+        stations=body_stations,
         channels=motion.channels,
-        sensors=tuple(_nearest(stations[s], 2) for s in on_bodies),
-        displaced_by=tuple(_nearest(stations[s], 0) for s in on_bodies),
-        sample_rate_hz=rate,
-        trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate),
+        sensors=tuple(_nearest_sensor(station_sensors[s], 2) for s in body_stations),
+        displaced_by=tuple(_nearest_sensor(station_sensors[s], 0) for s in body_stations),
+        sample_rate_hz=rate_hz,
+        trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
         zero_known=not integrates,
         forces_n=forces_n,
         displacement_m=displacement,
@@ -208,22 +208,22 @@ def _motion_sensors(recording: Recording, use: Use) -> list[Sensor]:
 
     Raises RigError if there are none.
     """
-    on_base = recording.rig.base_sensors
+    base_sensors = recording.rig.base_sensors
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
-    sensors = [s for s in sensors if s not in on_base]
+    sensors = [s for s in sensors if s not in base_sensors]
     if not sensors:
-        required = "sensors of motion" if use == "auto" else f"{use} sensors"
+        required_words = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
-        raise RigError(f"the recording has no {required}; it has {', '.join(sorted(recording.signals))}{advice}")
-    return [*on_base, *sensors]
+        raise RigError(f"the recording has no {required_words}; it has {', '.join(sorted(recording.signals))}{advice}")
+    return [*base_sensors, *sensors]
 
 
 def _by_station(sensors: list[Sensor]) -> ByStation:
     """Sensors by station and order of the derivative."""
-    stations: ByStation = {}
+    station_sensors: ByStation = {}
     for sensor in sensors:
-        stations.setdefault(sensor.station, {})[sensor.measures.order] = sensor
-    return stations
+        station_sensors.setdefault(sensor.station, {})[sensor.measures.order] = sensor
+    return station_sensors
 
 
 def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, integrates: bool) -> _PaddedTransform:
@@ -231,77 +231,79 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
 
     Raises RigError if the record is too short.
     """
-    rate, samples = recording.rig.sample_rate_hz, recording.samples
-    left_out_s = TAPER_S + (2 / corner_hz if integrates else 0.1)
-    usable = samples - round(left_out_s * rate)
-    if usable < samples / 2:
+    rate_hz, sample_count = recording.rig.sample_rate_hz, recording.samples
+    unusable_s = TAPER_S + (2 / corner_hz if integrates else 0.1)
+    usable_count = sample_count - round(unusable_s * rate_hz)
+    if usable_count < sample_count / 2:
         raise RigError(
-            f"the record lasts {recording.duration_s:.3g} s, of which {left_out_s:.3g} s at its end cannot be used; "
+            f"the record lasts {recording.duration_s:.3g} s, of which {unusable_s:.3g} s at its end cannot be used; "
             "record longer or raise the corner frequency"
         )
-    ending = taper(samples, round(TAPER_S * rate))
+    end_taper = taper(sample_count, round(TAPER_S * rate_hz))
     if recording.start_s > 0:
-        ending = ending * ending[::-1]
-    length = next_fast_len(samples + round(2 * left_out_s * rate), real=True)
-    excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate)
+        end_taper = end_taper * end_taper[::-1]
+    padded_count = next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
+    excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate_hz)
     return _PaddedTransform(
         corner_hz=corner_hz,
-        ending=ending,
-        length=length,
-        omega=2 * np.pi * np.fft.rfftfreq(length, 1 / rate),
-        usable_count=usable,
+        end_taper=end_taper,
+        padded_count=padded_count,
+        omega=2 * np.pi * np.fft.rfftfreq(padded_count, 1 / rate_hz),
+        usable_count=usable_count,
         excited_from=excited_from,
-        lead_samples=0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate),
+        lead_samples=0 if excited_from or recording.start_s > 0 else round(TAPER_S * rate_hz),
     )
 
 
-def _motion(recording: Recording, stations: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
+def _motion(recording: Recording, station_sensors: ByStation, transform: _PaddedTransform, least_order: int) -> _Motion:
     """Motion of every station in time, from the orders `least_order` to 2."""
     omega, corner_hz = transform.omega, transform.corner_hz
-    powers = cache(lambda power: integrated(omega, power, corner_hz))
+    order_factor = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)
-    at_contacts = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
+    contact_sides = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
     derivatives = tuple(
-        np.empty((len(stations) if order >= least_order else 0, transform.usable_count)) for order in range(3)
+        np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
-    lost = np.zeros((len(stations), transform.usable_count))
+    lost_m_per_s2 = np.zeros((len(station_sensors), transform.usable_count))
     channels: dict[str, None] = {}
-    for row, (station, by_order) in enumerate(stations.items()):
+    for row, (station, by_order) in enumerate(station_sensors.items()):
         spectra: dict[tuple[str, int], Complex[np.ndarray, " lines"]] = {}
         for order in range(least_order, 3):
-            sensor = _nearest(by_order, order)
+            sensor = _nearest_sensor(by_order, order)
             differentiations = order - sensor.measures.order
-            lead = (
+            lead_samples = (
                 transform.lead_samples if differentiations > 0 else 0
             )  # nothing may precede the record in an integral
-            if (sensor.name, lead) not in spectra:
-                spectra[sensor.name, lead] = transform.spectrum(sensor, recording.values_of(sensor), lead)
-            spectrum = spectra[sensor.name, lead] * powers(differentiations)
+            if (sensor.name, lead_samples) not in spectra:
+                spectra[sensor.name, lead_samples] = transform.spectrum(
+                    sensor, recording.values_of(sensor), lead_samples
+                )
+            spectrum = spectra[sensor.name, lead_samples] * order_factor(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
-        if station in at_contacts and 0 not in by_order:  # the spectrum is the acceleration's
-            lost[row] = transform.usable_samples(spectrum * below_corner)
-    return _Motion(derivatives, lost, tuple(channels))
+        if station in contact_sides and 0 not in by_order:  # the spectrum is the acceleration's
+            lost_m_per_s2[row] = transform.usable_samples(spectrum * below_corner)
+    return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 
 
-def _base_of(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
+def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:
     """Motion of the base, the first of the stations; no displacement where it is left out."""
     displacement, _, acceleration = motion.derivatives
     return MeasuredBase(
-        sensor=_nearest(by_order, 2),
-        displaced_by=_nearest(by_order, 0),
+        sensor=_nearest_sensor(by_order, 2),
+        displaced_by=_nearest_sensor(by_order, 0),
         displacement_m=np.empty(0) if least_order else displacement[0],
         acceleration_m_per_s2=acceleration[0],
         lost_m_per_s2=motion.lost_m_per_s2[0],
     )
 
 
-def _nearest(by_order: dict[int, Sensor], order: int) -> Sensor:
+def _nearest_sensor(by_order: dict[int, Sensor], derivative_order: int) -> Sensor:
     """Sensor of this derivative, else one that needs differentiation, else one that needs integration."""
 
     def cost(sensor: Sensor) -> int:
-        lacking = order - sensor.measures.order
-        return lacking if lacking >= 0 else 10 - lacking
+        missing_orders = derivative_order - sensor.measures.order
+        return missing_orders if missing_orders >= 0 else 10 - missing_orders
 
     return min(by_order.values(), key=cost)
 
@@ -310,8 +312,8 @@ def integrated(omega: Float[np.ndarray, " lines"], exponent: int, corner_hz: flo
     """(i omega)^exponent; a negative exponent integrates, with a high-pass from half the corner to the corner."""
     if exponent >= 0:
         return np.asarray((1j * omega) ** exponent)
-    safe = np.where(omega > 0, omega, 1.0)
-    return np.asarray(_high_pass(omega, corner_hz) * (1j * safe) ** exponent)
+    nonzero_omega = np.where(omega > 0, omega, 1.0)
+    return np.asarray(_high_pass(omega, corner_hz) * (1j * nonzero_omega) ** exponent)
 
 
 def _high_pass(omega: Float[np.ndarray, " lines"], corner_hz: float) -> Float[np.ndarray, " lines"]:

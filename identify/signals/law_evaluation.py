@@ -36,16 +36,16 @@ def oversampling(sample_rate_hz: float) -> int:
     return min(max(1, round(LAW_RATE_HZ / sample_rate_hz)), MAX_OVERSAMPLING)
 
 
-def product_multiple(sample_rate_hz: float, factor: int) -> int:
+def product_rate_multiple(sample_rate_hz: float, factor: int) -> int:
     """Multiple of the rate of every `factor`-th sample at which products of two signals of that rate are exact.
 
     It divides the factor, or that of the rate at which a law is evaluated; 1 where both are 1.
     """
-    times = oversampling(sample_rate_hz)
-    return next((m for m in range(2, max(factor, times) + 1) if not factor % m or not times % m), 1)
+    rate_factor = oversampling(sample_rate_hz)
+    return next((m for m in range(2, max(factor, rate_factor) + 1) if not factor % m or not rate_factor % m), 1)
 
 
-def evaluated(
+def evaluated_law(
     law: Law, signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float, factor: int = 1, multiple: int = 1
 ) -> Float[np.ndarray, "*results fewer"]:
     """law(*signals), for a law without memory, low-passed to every `factor`-th sample.
@@ -54,25 +54,25 @@ def evaluated(
     leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier transforms
     under tapers that are one inside the block, so that it need not be periodic.
     """
-    times, samples = oversampling(sample_rate_hz), signals.shape[1]
+    rate_factor, samples = oversampling(sample_rate_hz), signals.shape[1]
     if not factor % multiple:
         factor, multiple = factor // multiple, 1
-    if times == 1:
+    if rate_factor == 1:
         return decimated(law(*signals), factor)
-    count = -(-samples // BLOCK_SAMPLES)
+    block_count = -(-samples // BLOCK_SAMPLES)
     padded = np.pad(
-        signals, [(0, 0), (2 * MARGIN_SAMPLES, count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples)], mode="edge"
+        signals, [(0, 0), (2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples)], mode="edge"
     )
     blocks = sliding_window_view(padded, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
     signal_taper, result_taper = (
         _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES),
-        _taper(PADDED_SAMPLES * times, MARGIN_SAMPLES * times, MARGIN_SAMPLES * times),
+        _taper(PADDED_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor),
     )
-    inside = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
+    block_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
     results = []
-    for first in range(0, count, batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * times))):
-        fine = law(*_finer(blocks[:, first : first + batch] * signal_taper, times))
-        results.append(_coarser(fine * result_taper, times, multiple)[..., inside])
+    for first in range(0, block_count, batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * rate_factor))):
+        fine = law(*_finer(blocks[:, first : first + batch] * signal_taper, rate_factor))
+        results.append(_coarser(fine * result_taper, rate_factor, multiple)[..., block_samples])
     rows = np.concatenate(results, axis=-2)
     return decimated(rows.reshape(*rows.shape[:-2], -1)[..., : samples * multiple], factor)
 
@@ -91,14 +91,14 @@ def penetration(
     eta_m: Float[np.ndarray, " samples"], lower_m: float, upper_m: float, sample_rate_hz: float
 ) -> Float[np.ndarray, " samples"]:
     """Dead zone of a band-limited relative displacement."""
-    return evaluated(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
+    return evaluated_law(lambda fine_m: penetration_m(fine_m, lower_m, upper_m), eta_m[None], sample_rate_hz)
 
 
 def _finer(blocks: Float[np.ndarray, "rows blocks length"], factor: int) -> Float[np.ndarray, "rows blocks fine"]:
     """Blocks at `factor` times their rate."""
-    lines = rfft(blocks) * factor
-    lines[..., -1] /= 2  # half the rate stands for both signs
-    return np.asarray(irfft(lines, PADDED_SAMPLES * factor))
+    fine_spectra = rfft(blocks) * factor
+    fine_spectra[..., -1] /= 2  # half the rate stands for both signs
+    return np.asarray(irfft(fine_spectra, PADDED_SAMPLES * factor))
 
 
 def _coarser(
@@ -106,13 +106,13 @@ def _coarser(
 ) -> Float[np.ndarray, "*results length"]:
     """Rows at multiple / factor times the rate."""
     length = PADDED_SAMPLES * multiple
-    lines = rfft(fine)[..., : length // 2 + 1] * (multiple / factor)
+    spectra = rfft(fine)[..., : length // 2 + 1] * (multiple / factor)
     if multiple < factor:
-        lines[..., -1] *= 2
-    return np.asarray(irfft(lines, length))
+        spectra[..., -1] *= 2
+    return np.asarray(irfft(spectra, length))
 
 
 def _taper(length: int, zero_samples: int, rise_samples: int) -> Float[np.ndarray, " length"]:
     """Taper of `zero_samples` zeros and a rise to one over `rise_samples`, and the same backwards at the end."""
-    rising = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - zero_samples) / rise_samples, 0, 1)) ** 2
-    return np.asarray(rising * rising[::-1])
+    rising_taper = np.sin(np.pi / 2 * np.clip((np.arange(length) + 0.5 - zero_samples) / rise_samples, 0, 1)) ** 2
+    return np.asarray(rising_taper * rising_taper[::-1])

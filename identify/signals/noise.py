@@ -15,18 +15,18 @@ from rig.model.description import Rig, Sensor
 from rig.model.sensing import PASSBAND
 
 Source = Literal["the quiet start of the record", "noise_density in rig.json", "the highest frequencies of the record"]
-BAND = (0.3, 0.4)
+NOISE_BAND = (0.3, 0.4)
 """Band that shows the noise of a record without a quiet start, as shares of the sampling rate."""
 PART_S, QUIET_QUANTILE = 0.05, 0.05
 """The noise is this quantile of the power in parts of this length."""
-SEGMENT, LINES = 256, 16
+SEGMENT_SAMPLES, CELL_LINES = 256, 16
 """Samples of a segment of the spectrogram, and lines of one of its cells."""
-DEGREES_OF_FREEDOM = 2 * LINES * 18 / 35
+CELL_FREEDOM = 2 * CELL_LINES * 18 / 35
 LOWEST_RATE_SHARE = 0.1
 """Lowest frequency at which noise is estimated, over the sampling rate."""
 FLAT_RATIO, MIN_SEGMENTS = 2.0, 5
 """White noise: in the quietest segments, at least so many, no cell exceeds another by a larger ratio."""
-RESOLUTION = 1e-7
+ROUNDING_SHARE = 1e-7
 """Smallest noise of a channel, over its largest value: that of 24 bits."""
 
 
@@ -36,8 +36,8 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     if source == "the quiet start of the record":
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     if source == "noise_density in rig.json":
-        of_base = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
-        return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), of_base) for s in motion.sensors])
+        base_noise = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
+        return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), base_noise) for s in motion.sensors])
     return np.array(
         [
             _noise_from_high_band(row, s, motion)
@@ -67,13 +67,13 @@ def _described_noise(sensor: Sensor, rate_hz: float) -> float:
 
 def _noise_from_high_band(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematics) -> float:
     """Noise as loud as the quietest parts of a high band: an upper bound of its rms."""
-    rate, differentiations = motion.sample_rate_hz, max(0, 2 - sensor.measures.order)
-    low, high = (share * 2 for share in BAND)
-    high_passed = sosfilt(butter(4, (low, high), "bandpass", output="sos"), row)
-    part_samples = max(1, round(PART_S * rate))
-    power = (high_passed[: row.size // part_samples * part_samples].reshape(-1, part_samples) ** 2).mean(axis=1)
-    share = high ** (2 * differentiations + 1) - low ** (2 * differentiations + 1)
-    return float(np.sqrt(np.quantile(power[1:], QUIET_QUANTILE) / share))
+    rate_hz, differentiations = motion.sample_rate_hz, max(0, 2 - sensor.measures.order)
+    low_share, high_share = (noise_power_ratio * 2 for noise_power_ratio in NOISE_BAND)
+    high_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), row)
+    part_samples = max(1, round(PART_S * rate_hz))
+    part_powers = (high_passed[: row.size // part_samples * part_samples].reshape(-1, part_samples) ** 2).mean(axis=1)
+    share = high_share ** (2 * differentiations + 1) - low_share ** (2 * differentiations + 1)
+    return float(np.sqrt(np.quantile(part_powers[1:], QUIET_QUANTILE) / share))
 
 
 def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> tuple[float, bool]:
@@ -84,16 +84,14 @@ def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: fl
     lines is distributed as chi-square with 2 n degrees of freedom, of which a Hann window leaves 18 of 35; the quantile
     is divided by that of this distribution.
     """
-    segment = min(SEGMENT, signal.size)
-    hz, _, power = spectrogram(signal, rate_hz, "hann", segment, segment // 2, detrend="linear")
+    segment_samples = min(SEGMENT_SAMPLES, signal.size)
+    hz, _, power = spectrogram(signal, rate_hz, "hann", segment_samples, segment_samples // 2, detrend="linear")
     power = power[(hz > LOWEST_RATE_SHARE * rate_hz) & (hz < PASSBAND * rate_hz)]
-    count = len(power) // LINES
-    if not count:
+    cell_count = len(power) // CELL_LINES
+    if not cell_count:
         return 0.0, False
-    cells = power[: count * LINES].reshape(count, LINES, -1).mean(axis=1)
-    power_density = float(np.quantile(cells, QUIET_QUANTILE)) / (
-        chi2.ppf(QUIET_QUANTILE, DEGREES_OF_FREEDOM) / DEGREES_OF_FREEDOM
-    )
+    cells = power[: cell_count * CELL_LINES].reshape(cell_count, CELL_LINES, -1).mean(axis=1)
+    power_density = float(np.quantile(cells, QUIET_QUANTILE)) / (chi2.ppf(QUIET_QUANTILE, CELL_FREEDOM) / CELL_FREEDOM)
     segment_power = np.median(cells, axis=0)
     quiet_share = max(QUIET_QUANTILE, MIN_SEGMENTS / segment_power.size)
     quiet_cells = cells[:, segment_power <= np.quantile(segment_power, min(quiet_share, 1.0))].mean(axis=1)
@@ -102,4 +100,4 @@ def spectrogram_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: fl
 
 def rounding_noise_density(signal: Float[np.ndarray, " samples"], rate_hz: float) -> float:
     """Noise density of rounding: the least that a channel of 24 bits shows."""
-    return float(RESOLUTION * np.max(np.abs(signal)) / np.sqrt(rate_hz / 2))
+    return float(ROUNDING_SHARE * np.max(np.abs(signal)) / np.sqrt(rate_hz / 2))

@@ -6,7 +6,7 @@ from typing import TypeVar
 Estimate = TypeVar("Estimate")
 
 
-def never(_before: Estimate, _after: Estimate) -> bool:
+def never_settled(_before: Estimate, _after: Estimate) -> bool:
     """Criterion of a fixed number of refits."""
     return False
 
@@ -14,7 +14,7 @@ def never(_before: Estimate, _after: Estimate) -> bool:
 def refit_until_settled(
     estimate: Estimate,
     refit: Callable[[Estimate], Estimate],
-    settled: Callable[[Estimate, Estimate], bool] = never,
+    is_settled: Callable[[Estimate, Estimate], bool] = never_settled,
     *,
     rounds: int,
     at_least: int = 0,
@@ -24,8 +24,8 @@ def refit_until_settled(
     At most `rounds` refits are made, and `at_least` so many whatever `settled` says. To keep only improvements, let
     `refit` return the estimate that it was given if the new one is no better: no change counts as settled.
     """
-    for count in range(1, rounds + 1):
-        before, estimate = estimate, refit(estimate)
-        if count >= at_least and settled(before, estimate):
+    for round_number in range(1, rounds + 1):
+        previous, estimate = estimate, refit(estimate)
+        if round_number >= at_least and is_settled(previous, estimate):
             break
     return estimate

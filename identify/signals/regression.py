@@ -9,7 +9,7 @@ from rig.errors import RigError
 
 Spectra = Callable[[Sequence[int]], Complex[np.ndarray, "channels blocks lines"]]
 """Spectra of the blocks with these numbers; the last channel is the response, the others are the inputs."""
-BLOCKS_AT_ONCE = 16
+BLOCKS_PER_BATCH = 16
 """Blocks whose spectra are in memory at once."""
 CHUNK_LINES = 128
 """Lines that are computed at once, so that they stay in the processor's cache."""
@@ -28,32 +28,32 @@ def line_by_line(
     Raises RigError if the inputs are linearly dependent at a line.
     """
     normal_matrix = np.zeros((0, 0, 0), dtype=complex)
-    for first in range(0, block_count, BLOCKS_AT_ONCE):
-        block_spectra = spectra(range(first, min(first + BLOCKS_AT_ONCE, block_count)))
+    for first_block in range(0, block_count, BLOCKS_PER_BATCH):
+        block_spectra = spectra(range(first_block, min(first_block + BLOCKS_PER_BATCH, block_count)))
         channel_count, _, line_count = block_spectra.shape
-        if first == 0:
+        if first_block == 0:
             normal_matrix = np.zeros((line_count, channel_count, channel_count), dtype=complex)
-        for chunk in _chunks(line_count):
-            rows = _by_line(block_spectra, chunk)
-            normal_matrix[chunk] += rows.conj().transpose(0, 2, 1) @ rows
+        for lines in _chunks(line_count):
+            rows = _by_line(block_spectra, lines)
+            normal_matrix[lines] += rows.conj().transpose(0, 2, 1) @ rows
     input_count = normal_matrix.shape[1] - 1
     weights = np.empty((len(normal_matrix), input_count), dtype=complex)
     inverse_normal = normal_matrix[:, :input_count, :input_count]
-    for chunk in _chunks(len(normal_matrix)):
-        scale = np.sqrt(np.einsum("lii->li", normal_matrix[chunk]).real[:, :input_count])
+    for lines in _chunks(len(normal_matrix)):
+        scale = np.sqrt(np.einsum("lii->li", normal_matrix[lines]).real[:, :input_count])
         scale[scale == 0] = 1.0
         scales = scale[:, :, None] * scale[:, None, :]
         try:
-            scaled_inverse = np.linalg.inv(normal_matrix[chunk, :input_count, :input_count] / scales)
+            scaled_inverse = np.linalg.inv(normal_matrix[lines, :input_count, :input_count] / scales)
         except np.linalg.LinAlgError as error:
             raise RigError(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        weights[chunk] = (scaled_inverse @ (normal_matrix[chunk, :input_count, input_count:] / scale[:, :, None]))[
+        weights[lines] = (scaled_inverse @ (normal_matrix[lines, :input_count, input_count:] / scale[:, :, None]))[
             :, :, 0
         ] / scale
-        inverse_normal[chunk] = scaled_inverse / scales
+        inverse_normal[lines] = scaled_inverse / scales
     return weights, inverse_normal
 
 
@@ -69,23 +69,23 @@ def influences(
     `quantities_of` maps the changes of the weights at some lines to those of the quantities of interest, linearly.
     """
     batches = []
-    for first in range(0, len(block_numbers), BLOCKS_AT_ONCE):
-        block_spectra = spectra(block_numbers[first : first + BLOCKS_AT_ONCE])
+    for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
+        block_spectra = spectra(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
         chunk_sums = []
-        for chunk in _chunks(len(weights)):
-            rows = _by_line(block_spectra, chunk)
-            inputs, response = rows[:, :, :-1], rows[:, :, -1]
-            weight_changes = inputs.conj() @ inverse_normal[chunk].transpose(0, 2, 1)
+        for lines in _chunks(len(weights)):
+            spectra_by_line = _by_line(block_spectra, lines)
+            inputs, response = spectra_by_line[:, :, :-1], spectra_by_line[:, :, -1]
+            weight_changes = inputs.conj() @ inverse_normal[lines].transpose(0, 2, 1)
             leverage = np.sum(inputs * weight_changes, axis=2).real
-            residual = response - (inputs @ weights[chunk, :, None])[:, :, 0]
+            residual = response - (inputs @ weights[lines, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
-            chunk_sums.append(quantities_of(weight_changes, chunk))
+            chunk_sums.append(quantities_of(weight_changes, lines))
         batches.append(np.sum(chunk_sums, axis=0))
     return np.concatenate(batches)
 
 
 def variance_of_sum(
-    influence: Callable[[Sequence[int]], Float[np.ndarray, "chosen quantities"]], block_count: int
+    influences_of: Callable[[Sequence[int]], Float[np.ndarray, "chosen quantities"]], block_count: int
 ) -> Float[np.ndarray, " quantities"]:
     """Jackknife variance of quantities that all blocks influence, where each block correlates with the next.
 
@@ -93,11 +93,11 @@ def variance_of_sum(
     """
     pair_starts = np.unique(np.linspace(0, block_count - 2, min(MAX_PAIRS, block_count - 1)).round().astype(int))
     block_numbers = np.union1d(pair_starts, pair_starts + 1)
-    block_influences = influence([int(block) for block in block_numbers])
-    index = np.searchsorted(block_numbers, pair_starts)
+    block_influences = influences_of([int(block) for block in block_numbers])
+    pair_rows = np.searchsorted(block_numbers, pair_starts)
     independent = block_count * np.mean(block_influences**2, axis=0)
     with_neighbours = independent + 2 * (block_count - 1) * np.mean(
-        block_influences[index] * block_influences[index + 1], axis=0
+        block_influences[pair_rows] * block_influences[pair_rows + 1], axis=0
     )
     return np.maximum(with_neighbours, independent / 4)
 

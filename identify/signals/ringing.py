@@ -21,7 +21,7 @@ class RingingMode:
 
     frequency_hz: float
     damping_ratio: float
-    share: float
+    energy_share: float
 
 
 def modes_of_decay(
@@ -33,27 +33,29 @@ def modes_of_decay(
     p = -zeta omega +- i omega sqrt(1 - zeta^2) are the poles; amplitudes follow by least squares.
     """
     factor = max(1, int(sample_rate_hz / (RATE_BY_HIGHEST_HZ * highest_hz)))
-    rows = resample_poly(signals - signals.mean(axis=1, keepdims=True), 1, factor, axis=1) if factor > 1 else signals
-    rate = sample_rate_hz / factor
-    lags = min(MAX_LAGS, rows.shape[1] // 3)
-    if lags < 2 or not np.any(rows):
+    decimated = (
+        resample_poly(signals - signals.mean(axis=1, keepdims=True), 1, factor, axis=1) if factor > 1 else signals
+    )
+    rate_hz = sample_rate_hz / factor
+    lag_count = min(MAX_LAGS, decimated.shape[1] // 3)
+    if lag_count < 2 or not np.any(decimated):
         return []
-    windows = np.lib.stride_tricks.sliding_window_view(rows, rows.shape[1] - lags + 1, axis=1)
-    hankel = windows.transpose(1, 0, 2).reshape(lags * len(rows), -1)
-    directions = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * max_modes]
-    shift = np.linalg.lstsq(directions[: -len(rows)], directions[len(rows) :], rcond=None)[0]
-    eigenvalues = np.linalg.eigvals(shift)
-    poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * rate
+    windows = np.lib.stride_tricks.sliding_window_view(decimated, decimated.shape[1] - lag_count + 1, axis=1)
+    hankel = windows.transpose(1, 0, 2).reshape(lag_count * len(decimated), -1)
+    subspace = np.linalg.eigh(hankel @ hankel.T)[1][:, ::-1][:, : 2 * max_modes]
+    shift_matrix = np.linalg.lstsq(subspace[: -len(decimated)], subspace[len(decimated) :], rcond=None)[0]
+    eigenvalues = np.linalg.eigvals(shift_matrix)
+    poles = np.log(eigenvalues[np.abs(eigenvalues) > 1e-9].astype(complex)) * rate_hz
     poles = poles[poles.imag > 0]
-    time_s = np.arange(rows.shape[1]) / rate
+    time_s = np.arange(decimated.shape[1]) / rate_hz
     decays = np.exp(np.minimum(poles[:, None].real, 0.0) * time_s) * np.exp(1j * poles[:, None].imag * time_s)
     basis = np.concatenate([decays.real, decays.imag])
-    amplitudes = np.linalg.lstsq(basis.T, rows.T, rcond=1e-9)[0]
+    amplitudes = np.linalg.lstsq(basis.T, decimated.T, rcond=1e-9)[0]
     modes = []
-    for k, pole in enumerate(poles):
-        response = basis[[k, k + len(poles)]].T @ amplitudes[[k, k + len(poles)]]
-        damping, share = float(-pole.real / abs(pole)), float(np.sum(response**2) / np.sum(rows**2))
-        hz = float(abs(pole) / (2 * np.pi))
-        if 0 < damping < MAX_DAMPING_RATIO and hz < highest_hz and share > MIN_ENERGY_SHARE:
-            modes.append(RingingMode(hz, damping, share))
+    for index, pole in enumerate(poles):
+        response = basis[[index, index + len(poles)]].T @ amplitudes[[index, index + len(poles)]]
+        damping_ratio, energy_share = float(-pole.real / abs(pole)), float(np.sum(response**2) / np.sum(decimated**2))
+        frequency_hz = float(abs(pole) / (2 * np.pi))
+        if 0 < damping_ratio < MAX_DAMPING_RATIO and frequency_hz < highest_hz and energy_share > MIN_ENERGY_SHARE:
+            modes.append(RingingMode(frequency_hz, damping_ratio, energy_share))
     return sorted(modes, key=lambda mode: mode.frequency_hz)

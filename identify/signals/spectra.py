@@ -12,7 +12,7 @@ from scipy.signal import resample
 
 from rig.errors import RigError
 
-POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
+WINDOW_POWERS = {"hann": 2, "sin4": 4, "sin6": 6}
 """Exponent p of the window sin^p, by its name."""
 RAMP_SAMPLES = 512
 """Samples over which a resampled signal is led to zero at its ends."""
@@ -38,8 +38,8 @@ class Averaging(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
             raise RigError(f"the block is {self.block_s} s; give a value above zero")
         if not 0 <= self.overlap < 1:
             raise RigError(f"overlap is {self.overlap}; give a value from 0 to below 1")
-        if self.window not in POWERS:
-            raise RigError(f"no window {self.window!r}; there are {', '.join(POWERS)}")
+        if self.window not in WINDOW_POWERS:
+            raise RigError(f"no window {self.window!r}; there are {', '.join(WINDOW_POWERS)}")
         if self.band_hz is not None and not 0 <= self.band_hz[0] < self.band_hz[1] < np.inf:
             raise RigError(f"the band {self.band_hz[0]} to {self.band_hz[1]} Hz is empty; give 0 <= low < high")
 
@@ -81,18 +81,18 @@ class Blocks:
         self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
     ) -> Complex[np.ndarray, "channels blocks lines"]:
         """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
-        windows = window(self.window, self.length, self.sample_rate_hz)
+        windows = window_derivatives(self.window, self.length, self.sample_rate_hz)
         weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
-        rows = np.empty((len(channels), self.length))
+        windowed = np.empty((len(channels), self.length))
         spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
         for block, start in enumerate(starts):
             samples = slice(start, start + self.length)
             for channel, terms in enumerate(channels):
-                first, *further = zip(weights[channel], terms, strict=True)
-                np.multiply(first[0], first[1].signal[samples], out=rows[channel])
-                for weight, term in further:
-                    rows[channel] += weight * term.signal[samples]
-            spectra[:, block] = rfft(rows, axis=1)[:, self.lines]
+                first, *other_terms = zip(weights[channel], terms, strict=True)
+                np.multiply(first[0], first[1].signal[samples], out=windowed[channel])
+                for weight, term in other_terms:
+                    windowed[channel] += weight * term.signal[samples]
+            spectra[:, block] = rfft(windowed, axis=1)[:, self.lines]
         return spectra
 
 
@@ -127,40 +127,40 @@ def blocks(samples: int, sample_rate_hz: float, averaging: Averaging, band_hz: t
     return Blocks(tuple(range(0, samples - length + 1, hop)), length, averaging.window, sample_rate_hz, lines)
 
 
-def window(name: str, length: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
+def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: float) -> Float[np.ndarray, "3 length"]:
     """sin^p(pi t / T) and its first and second derivatives in time (1, 1/s, 1/s^2)."""
-    power = POWERS[name]
-    phase = np.pi * np.arange(length) / length
-    rate = np.pi * sample_rate_hz / length
-    s, c = np.sin(phase), np.cos(phase)
+    power = WINDOW_POWERS[window_name]
+    phase_rad = np.pi * np.arange(block_samples) / block_samples
+    rate_rad_per_s = np.pi * sample_rate_hz / block_samples
+    s, c = np.sin(phase_rad), np.cos(phase_rad)
     return np.stack(
         [
             s**power,
-            rate * power * s ** (power - 1) * c,
-            rate**2 * power * ((power - 1) * s ** (power - 2) * c**2 - s**power),
+            rate_rad_per_s * power * s ** (power - 1) * c,
+            rate_rad_per_s**2 * power * ((power - 1) * s ** (power - 2) * c**2 - s**power),
         ]
     )
 
 
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
-    ramps = _ramped(signals, 1)
-    fine = resample(ramps, factor * ramps.shape[-1], axis=-1)
-    return np.asarray(fine[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
+    ramped = _ramped(signals, 1)
+    fine_signals = resample(ramped, factor * ramped.shape[-1], axis=-1)
+    return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
 def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows fewer"]:
     """Every factor-th sample after an ideal low-pass at half the new rate; the ends of a record are smoothed."""
     if factor == 1:
         return signals
-    ramps = _ramped(signals, factor)
-    length = ramps.shape[-1] // factor
-    phases = np.moveaxis(ramps.reshape(*ramps.shape[:-1], length, factor), -1, -2)
-    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), rfft(phases))
+    ramped = _ramped(signals, factor)
+    length = ramped.shape[-1] // factor
+    subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], length, factor), -1, -2)
+    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), rfft(subsequences))
     if length % 2 == 0:
         lines[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
-    first, fewer = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
-    return np.asarray(irfft(lines / factor, length)[..., first : first + fewer])
+    first_sample, new_count = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
+    return np.asarray(irfft(lines / factor, length)[..., first_sample : first_sample + new_count])
 
 
 @lru_cache(maxsize=4)
@@ -170,19 +170,19 @@ def _phase_factors(length: int, factor: int) -> Complex[np.ndarray, "factor line
     With them the low lines of a transform of length * factor samples are sums of the transforms of every factor-th
     sample, each from another first one on: no other line is computed, and all transforms are short.
     """
-    delays = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
-    return np.asarray(np.exp(-2j * np.pi * delays / (length * factor)))
+    phase_products = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
+    return np.asarray(np.exp(-2j * np.pi * phase_products / (length * factor)))
 
 
 def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
-    samples, rise = signals.shape[-1], RAMP_SAMPLES * factor
-    length = factor * next_fast_len(-(-samples // factor) + 2 * RAMP_SAMPLES, real=True)
-    fall = length - samples - rise
+    sample_count, rise_samples = signals.shape[-1], RAMP_SAMPLES * factor
+    length = factor * next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
+    fall_samples = length - sample_count - rise_samples
     ramped = np.empty((*signals.shape[:-1], length))
-    ramped[..., :rise] = signals[..., :1] * (np.arange(rise) / rise)
-    ramped[..., rise : rise + samples] = signals
-    ramped[..., rise + samples :] = signals[..., -1:] * (np.arange(fall)[::-1] / fall)
+    ramped[..., :rise_samples] = signals[..., :1] * (np.arange(rise_samples) / rise_samples)
+    ramped[..., rise_samples : rise_samples + sample_count] = signals
+    ramped[..., rise_samples + sample_count :] = signals[..., -1:] * (np.arange(fall_samples)[::-1] / fall_samples)
     return ramped
 
 
@@ -194,18 +194,20 @@ def force_band(
     Raises RigError if no force differs from zero, or one is constant.
     """
     rows = np.atleast_2d(force_n)
-    acting = [row for row in rows if np.any(row)] or rows[:1]
-    lows, highs = zip(*(_band_of(row, sample_rate_hz, share) for row in acting), strict=True)
-    return min(lows), max(highs)
+    acting_forces = [row for row in rows if np.any(row)] or rows[:1]
+    lows_hz, highs_hz = zip(*(_band_of(row, sample_rate_hz, share) for row in acting_forces), strict=True)
+    return min(lows_hz), max(highs_hz)
 
 
 def _band_of(force_n: Float[np.ndarray, " samples"], sample_rate_hz: float, share: float) -> tuple[float, float]:
     """Band of one force, Hz."""
-    power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
-    if not power[-1] > 0:
+    cumulative_power = np.cumsum(np.abs(np.fft.rfft(force_n)) ** 2)
+    if not cumulative_power[-1] > 0:
         raise RigError("the exciting force is zero throughout; record its channel, or give --band")
-    low, high = np.searchsorted(power, [share * power[-1], (1 - share) * power[-1]])
-    if not high:
+    low_line, high_line = np.searchsorted(
+        cumulative_power, [share * cumulative_power[-1], (1 - share) * cumulative_power[-1]]
+    )
+    if not high_line:
         raise RigError("the exciting force is constant; record one that vibrates, or take its mean off")
-    step = sample_rate_hz / force_n.size
-    return float(low * step), float(high * step)
+    resolution_hz = sample_rate_hz / force_n.size
+    return float(low_line * resolution_hz), float(high_line * resolution_hz)

@@ -51,7 +51,7 @@ def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
             refuse_existing(path, force, new_folder=True)
         rig_start = _start_from_texts(kind, help_by_field, {k: v for k, v in texts.items() if v is not None})
         with working(f"describing a rig of the kind {kind_name}"):
-            rig, rig_notes = rig_start.described()
+            rig, rig_notes = rig_start.rig_and_notes()
         written_paths = write_start(rig, rig_start.map_text(rig), out)
         if as_json:
             print(json.dumps({"rig": str(written_paths[0]), "map": str(written_paths[1]), "notes": rig_notes}))

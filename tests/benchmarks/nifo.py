@@ -13,7 +13,7 @@ from scipy.signal import csd
 
 from identify.linear.modal import ModalEquation
 from identify.paper.nifo import nifo
-from identify.signals.spectra import Averaging, Blocks, blocks, window
+from identify.signals.spectra import Averaging, Blocks, blocks, window_derivatives
 from tests.benchmarks.measuring import Figure, least_cpu_s
 
 CONTACTS, SAMPLES, AVERAGES, RATE_HZ = 14, 2_000_000, 159, 4096.0
@@ -78,13 +78,13 @@ def _record() -> tuple[ModalEquation, Float[np.ndarray, " samples"], Float[np.nd
 
 
 def _transform_all(signal: Float[np.ndarray, " samples"], cut: Blocks) -> None:
-    weights = window(cut.window, cut.length, RATE_HZ)[0]
+    weights = window_derivatives(cut.window, cut.length, RATE_HZ)[0]
     for start in cut.starts:
         np.fft.rfft(weights * signal[start : start + cut.length])
 
 
 def _spectra(signal: Float[np.ndarray, " samples"], cut: Blocks) -> Complex[np.ndarray, "blocks lines"]:
-    weights = window(cut.window, cut.length, RATE_HZ)[0]
+    weights = window_derivatives(cut.window, cut.length, RATE_HZ)[0]
     return np.array([np.fft.rfft(weights * signal[s : s + cut.length])[cut.lines] for s in cut.starts])
 
 

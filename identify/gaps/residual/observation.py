@@ -12,7 +12,7 @@ from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
-from identify.signals.law_evaluation import evaluated
+from identify.signals.law_evaluation import evaluated_law
 
 CLOSED_DEVIATIONS = 5.0
 """Standard deviations beyond which a contact force is not noise; ... Derived: exceeded by chance once in 1.7e6
@@ -54,7 +54,7 @@ class ContactSignals:
         self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
         """Law evaluated on signals at the recording's rate, low-passed to `rate_multiple` times that of the force."""
-        low_passed_results = evaluated(
+        low_passed_results = evaluated_law(
             law_function, np.stack(signals), self.sample_rate_hz, self.decimation, rate_multiple
         )
         return low_passed_results[..., : (self.force_n.size - 1) * rate_multiple + 1]

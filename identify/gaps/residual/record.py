@@ -11,7 +11,7 @@ from identify.gaps.residual.ringing import MeasuredMode
 from identify.linear.sampled_motion import Sampling
 from identify.signals.drift import Drift
 from identify.signals.kinematics import integrated
-from identify.signals.law_evaluation import product_multiple
+from identify.signals.law_evaluation import product_rate_multiple
 from identify.signals.scores import COUNTED_HZ
 from rig.model.description import Rig, Sensor
 from rig.model.tolerances import Tolerances
@@ -154,7 +154,7 @@ class Record:
     @property
     def product_multiple(self) -> int:
         """Multiple of `rate_hz` at which laws' slopes are multiplied by displacements."""
-        return product_multiple(self.sample_rate_hz, self.decimation)
+        return product_rate_multiple(self.sample_rate_hz, self.decimation)
 
     def in_time(self, spectra: Complex[np.ndarray, "*rows lines"]) -> Float[np.ndarray, "*rows times"]:
         """Signals over the times that count, at `rate_hz`, from their spectra."""

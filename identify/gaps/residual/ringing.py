@@ -88,7 +88,7 @@ def measured_modes(
         decay_rate_per_s = mode.damping_ratio * natural_omega
         bounded_decay_rate = max(decay_rate_per_s, 1 / duration_s)
         amplitude = np.sqrt(
-            4 * bounded_decay_rate * mode.share * signal_mean_square / rate_hz
+            4 * bounded_decay_rate * mode.energy_share * signal_mean_square / rate_hz
         )  # the integral of its square is A^2 / 4 alpha
         rate_error = (
             INEFFICIENCY * np.sqrt(4 * bounded_decay_rate**3) * float(np.sqrt(np.mean(noise_densities**2))) / amplitude

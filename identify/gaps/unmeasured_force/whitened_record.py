@@ -23,7 +23,7 @@ from identify.gaps.residual.record import Record
 from identify.linear.model import Response
 from identify.linear.nuisance import Nuisance
 from identify.linear.projection import input_complement
-from identify.signals.beginning import NORMAL_BY_MEDIAN
+from identify.signals.beginning import STD_BY_MEDIAN
 from identify.signals.kinematics import taper
 from rig.errors import RigError
 from rig.model.description import Rig, Station
@@ -264,7 +264,7 @@ def force_noise_variance(record: Record) -> Float[np.ndarray, " forces"]:
     noise_variance = np.median(high_band_power, axis=1) / np.log(2)
     is_quiet = record.residual_times_s < record.excitation_start_s - 0.05
     if np.count_nonzero(is_quiet) > 0.2 * record.rate_hz:
-        quiet_noise_n = NORMAL_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
+        quiet_noise_n = STD_BY_MEDIAN * np.median(np.abs(record.in_time(record.force_spectra)[:, is_quiet]), axis=1)
         noise_variance = np.minimum(
             noise_variance, record.sample_count * quiet_noise_n**2 * record.sample_rate_hz / record.rate_hz
         )

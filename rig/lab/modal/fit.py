@@ -8,16 +8,16 @@ from jaxtyping import Bool, Complex, Float
 
 from rig.errors import RigError
 
-ORDERS = range(6, 62, 2)
+POLYNOMIAL_ORDERS = range(6, 62, 2)
 """Orders of the polynomials whose poles are compared."""
 FREQUENCY_TOLERANCE, DAMPING_TOLERANCE = 5e-3, 0.4
 """Relative differences below which poles of two orders are the same; closer modes are not separated."""
 MIN_STABLE_SHARE = 0.15
 """Least share of the orders in which the pole of a mode is stable."""
-MAX_DAMPING = 0.2
+MAX_DAMPING_RATIO = 0.2
 REFINEMENT_RANGE = (0.02, 1.5)
 """Largest changes of ln(frequency) and ln(damping ratio) by the refinement."""
-NEAREST_LINES, MIN_HEIGHT_TO_ERROR = 8, 2.0
+NEAREST_LINE_COUNT, MIN_HEIGHT_TO_ERROR = 8, 2.0
 """A mode is significant if, in one FRF, its median over the nearest lines exceeds the rms error this many times."""
 MAX_LINES = 4000
 """Largest number of lines in the search for poles; the refinement uses every line."""
@@ -32,10 +32,22 @@ class ModalFit:
     """
 
     frequencies_hz: Float[np.ndarray, " modes"]
-    ratios: Float[np.ndarray, " modes"]
+    damping_ratios: Float[np.ndarray, " modes"]
     residues: Float[np.ndarray, "frfs modes"]
-    misfit: Float[np.ndarray, " frfs"]
-    misfit_of_modes: Float[np.ndarray, " frfs"]
+    misfits: Float[np.ndarray, " frfs"]
+    misfits_of_modes: Float[np.ndarray, " frfs"]
+
+    def shapes(self, driving_index: int) -> Float[np.ndarray, "frfs modes"]:
+        """Mass-normalised shapes r_ok / sqrt(r_dk) with the driving point d, 1/sqrt(kg)."""
+        return np.asarray(self.residues / np.sqrt(self.residues[driving_index]))
+
+
+def lines_in_band(frequency_hz: Float[np.ndarray, " lines"], band_hz: tuple[float, ...]) -> Bool[np.ndarray, " lines"]:
+    """Mask of the lines in a band LOW,HIGH, of all without one; raise RigError if it has not two ends."""
+    if len(band_hz) not in (0, 2):
+        raise RigError(f"band_hz has {len(band_hz)} numbers; give LOW,HIGH")
+    low_hz, high_hz = band_hz or (-np.inf, np.inf)
+    return np.asarray((frequency_hz >= low_hz) & (frequency_hz <= high_hz))
 
 
 def fit_modes(
@@ -52,118 +64,118 @@ def fit_modes(
     lines = frequency_hz > 0
     frequency_hz, accelerance = frequency_hz[lines], accelerance[:, lines]
     with np.errstate(over="ignore"):
-        scale = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
-    if not (np.isfinite(scale) & (scale > 0)).all():
+        frf_rms = np.sqrt(np.mean(np.abs(accelerance) ** 2, axis=1))
+    if not (np.isfinite(frf_rms) & (frf_rms > 0)).all():
         raise RigError("an FRF is zero or too large for a number; leave its node out")
-    if frequency_hz.size < 3 * ORDERS[0]:
-        raise RigError(f"{frequency_hz.size} lines above 0 Hz are too few; give {3 * ORDERS[0]} or more")
-    measured = accelerance / scale[:, None]
-    thin = max(1, frequency_hz.size // MAX_LINES)
-    modes = _stable_modes(frequency_hz[::thin], measured[:, ::thin])
+    if frequency_hz.size < 3 * POLYNOMIAL_ORDERS[0]:
+        raise RigError(f"{frequency_hz.size} lines above 0 Hz are too few; give {3 * POLYNOMIAL_ORDERS[0]} or more")
+    scaled_frfs = accelerance / frf_rms[:, None]
+    line_step = max(1, frequency_hz.size // MAX_LINES)
+    modes = _stable_modes(frequency_hz[::line_step], scaled_frfs[:, ::line_step])
     if not modes.size:
         raise RigError("no mode is found in the FRFs; check their band and noise")
-    modes = _pruned(frequency_hz, measured, modes)
+    modes = _pruned_modes(frequency_hz, scaled_frfs, modes)
     while True:
-        modes = _refined(frequency_hz, measured, modes)
-        basis = _basis(frequency_hz, modes)
-        coefficients = _least_squares(basis, measured)
-        significant = _significant(
-            frequency_hz, basis, modes, coefficients, np.abs(measured - coefficients.T @ basis.T), driving_index
+        modes = _refined_modes(frequency_hz, scaled_frfs, modes)
+        basis = _modal_basis(frequency_hz, modes)
+        coefficients = basis_coefficients(basis, scaled_frfs)
+        is_significant = _significant_mask(
+            frequency_hz, basis, modes, coefficients, np.abs(scaled_frfs - coefficients.T @ basis.T), driving_index
         )
-        if significant.all():
+        if is_significant.all():
             break
-        if not significant.any():
+        if not is_significant.any():
             raise RigError(
                 "no mode stands out with a positive residue at the driving point; check its FRF's sign and direction"
             )
-        modes = modes[significant]
-    errors = [np.abs(measured - terms.T @ basis[:, : terms.shape[0]].T) for terms in (coefficients, coefficients[:-2])]
-    misfit, of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in errors)
-    residues = coefficients[:-2].T * scale[:, None]
-    return ModalFit(np.exp(modes[:, 0]), np.exp(modes[:, 1]), residues, misfit, of_modes)
+        modes = modes[is_significant]
+    errors = [np.abs(scaled_frfs - used.T @ basis[:, : used.shape[0]].T) for used in (coefficients, coefficients[:-2])]
+    misfits, misfits_of_modes = (np.sqrt(np.mean(error**2, axis=1)) for error in errors)
+    residues = coefficients[:-2].T * frf_rms[:, None]
+    return ModalFit(np.exp(modes[:, 0]), np.exp(modes[:, 1]), residues, misfits, misfits_of_modes)
 
 
 def _stable_modes(
-    frequency_hz: Float[np.ndarray, " lines"], measured: Complex[np.ndarray, "frfs lines"]
+    frequency_hz: Float[np.ndarray, " lines"], frfs: Complex[np.ndarray, "frfs lines"]
 ) -> Float[np.ndarray, "modes 2"]:
     """(ln f, ln z) of the poles that are stable from order to order."""
-    stable, previous, orders = [], np.zeros((0, 2)), 0
-    squares, projected = _equations(frequency_hz, measured)
-    for order in ORDERS:
+    stable_poles, previous_poles, order_count = [], np.zeros((0, 2)), 0
+    products, projections = _denominator_equations(frequency_hz, frfs)
+    for order in POLYNOMIAL_ORDERS:
         if 3 * order > frequency_hz.size:
             break
         leading = slice(order + 1)
-        rows = projected[:, leading, leading].reshape(-1, order + 1)
-        poles = _poles(frequency_hz, squares[leading, leading] - rows.conj().T @ rows)
-        is_stable = np.abs(poles[:, None] - previous[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
-        stable.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
-        previous, orders = poles, orders + 1
-    all_poles = np.concatenate(stable)
+        rows = projections[:, leading, leading].reshape(-1, order + 1)
+        poles = _poles(frequency_hz, products[leading, leading] - rows.conj().T @ rows)
+        is_stable = np.abs(poles[:, None] - previous_poles[None]) < (FREQUENCY_TOLERANCE, DAMPING_TOLERANCE)
+        stable_poles.append(poles[np.any(np.all(is_stable, axis=2), axis=1)])
+        previous_poles, order_count = poles, order_count + 1
+    all_poles = np.concatenate(stable_poles)
     all_poles = all_poles[np.argsort(all_poles[:, 0])]
     groups = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
-    medians = [np.median(group, axis=0) for group in groups if len(group) >= MIN_STABLE_SHARE * orders]
+    medians = [np.median(group, axis=0) for group in groups if len(group) >= MIN_STABLE_SHARE * order_count]
     return np.array(medians).reshape(-1, 2)
 
 
-def _equations(
-    frequency_hz: Float[np.ndarray, " lines"], measured: Complex[np.ndarray, "frfs lines"]
+def _denominator_equations(
+    frequency_hz: Float[np.ndarray, " lines"], frfs: Complex[np.ndarray, "frfs lines"]
 ) -> tuple[Complex[np.ndarray, "n n"], Complex[np.ndarray, "frfs n n"]]:
     """Equations sum_r b_or z^r - a_o sum_r d_r z^r = 0 with z = exp(-i pi (f - f0) / (1.02 band)), in least squares:
     the products of the a_o z^r, summed over the FRFs, and their projections on an orthonormal basis of the z^r.
 
     The leading columns of both are those of a lower order; b is eliminated by the difference of their squares.
     """
-    first, band = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    powers = np.exp(-1j * np.pi * (frequency_hz - first)[:, None] / band * np.arange(ORDERS[-1] + 1))
-    orthonormal = np.linalg.qr(powers)[0].conj().T
-    squares, projected = np.zeros((powers.shape[1],) * 2, dtype=complex), []
-    for row in measured:
-        weighted = row[:, None] * powers
-        squares += weighted.conj().T @ weighted
-        projected.append(orthonormal @ weighted)
-    return squares, np.array(projected)
+    first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
+    powers = np.exp(-1j * np.pi * (frequency_hz - first_hz)[:, None] / alias_hz * np.arange(POLYNOMIAL_ORDERS[-1] + 1))
+    orthonormal_basis = np.linalg.qr(powers)[0].conj().T
+    products, projections = np.zeros((powers.shape[1],) * 2, dtype=complex), []
+    for frf in frfs:
+        weighted = frf[:, None] * powers
+        products += weighted.conj().T @ weighted
+        projections.append(orthonormal_basis @ weighted)
+    return products, np.array(projections)
 
 
 def _poles(
-    frequency_hz: Float[np.ndarray, " lines"], normal: Complex[np.ndarray, "n n"]
+    frequency_hz: Float[np.ndarray, " lines"], normal_matrix: Complex[np.ndarray, "n n"]
 ) -> Float[np.ndarray, "poles 2"]:
     """(ln f, ln z) of the damped poles in the band, from the normal equations of one order."""
-    first, band = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
-    denominator = np.append(1.0, np.linalg.lstsq(normal[1:, 1:], -normal[1:, 0], rcond=None)[0])
+    first_hz, alias_hz = frequency_hz[0], 1.02 * (frequency_hz[-1] - frequency_hz[0])
+    denominator = np.append(1.0, np.linalg.lstsq(normal_matrix[1:, 1:], -normal_matrix[1:, 0], rcond=None)[0])
     roots = np.roots(denominator[::-1])
     roots = roots[np.abs(roots) > 0]
-    poles = -np.log(roots) * 2 * band + 2j * np.pi * first
-    inside = (poles.imag > 2 * np.pi * first) & (poles.imag < 2 * np.pi * frequency_hz[-1])
-    poles = poles[inside]
+    poles = -np.log(roots) * 2 * alias_hz + 2j * np.pi * first_hz
+    in_band = (poles.imag > 2 * np.pi * first_hz) & (poles.imag < 2 * np.pi * frequency_hz[-1])
+    poles = poles[in_band]
     ratios = -poles.real / np.abs(poles)
-    damped = (ratios > 0) & (ratios < MAX_DAMPING)
-    return np.log(np.stack([np.abs(poles[damped]) / (2 * np.pi), ratios[damped]], axis=1))
+    is_damped = (ratios > 0) & (ratios < MAX_DAMPING_RATIO)
+    return np.log(np.stack([np.abs(poles[is_damped]) / (2 * np.pi), ratios[is_damped]], axis=1))
 
 
-def _pruned(
+def _pruned_modes(
     frequency_hz: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, "frfs lines"],
+    frfs: Complex[np.ndarray, "frfs lines"],
     modes: Float[np.ndarray, "modes 2"],
 ) -> Float[np.ndarray, "fewer 2"]:
     """Modes after removing, one by one, those without which N log(sum of squares) + parameters log(N) is lower."""
 
-    def criterion(candidate: Float[np.ndarray, "some 2"]) -> float:
-        basis = _basis(frequency_hz, candidate)
-        squares = float(np.sum(np.abs(measured - _least_squares(basis, measured).T @ basis.T) ** 2))
-        data = 2 * measured.size
-        return data * np.log(max(squares, 1e-300)) + len(candidate) * (len(measured) + 2) * np.log(data)
+    def information_criterion(candidate: Float[np.ndarray, "some 2"]) -> float:
+        basis = _modal_basis(frequency_hz, candidate)
+        square_sum = float(np.sum(np.abs(frfs - basis_coefficients(basis, frfs).T @ basis.T) ** 2))
+        data_count = 2 * frfs.size
+        return data_count * np.log(max(square_sum, 1e-300)) + len(candidate) * (len(frfs) + 2) * np.log(data_count)
 
-    best = criterion(modes)
+    least_criterion = information_criterion(modes)
     while len(modes) > 1:
-        candidates = [np.delete(modes, k, axis=0) for k in range(len(modes))]
-        criteria = [criterion(candidate) for candidate in candidates]
-        if min(criteria) >= best:
+        reduced_modes = [np.delete(modes, k, axis=0) for k in range(len(modes))]
+        criteria = [information_criterion(candidate) for candidate in reduced_modes]
+        if min(criteria) >= least_criterion:
             break
-        best, modes = min(criteria), candidates[int(np.argmin(criteria))]
+        least_criterion, modes = min(criteria), reduced_modes[int(np.argmin(criteria))]
     return modes
 
 
-def _significant(
+def _significant_mask(
     frequency_hz: Float[np.ndarray, " lines"],
     basis: Complex[np.ndarray, "lines terms"],
     modes: Float[np.ndarray, "modes 2"],
@@ -173,48 +185,48 @@ def _significant(
 ) -> Bool[np.ndarray, " modes"]:
     """Mask of modes with a positive residue at the driving point, in the band, and above the rms error."""
     natural_hz = np.exp(modes[:, 0])
-    nearest = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST_LINES]
-    heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest, axis=0)), axis=0)
-    height_to_error = np.abs(coefficients[:-2]) * heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
-    inside = (natural_hz > frequency_hz[0]) & (natural_hz < frequency_hz[-1])
+    nearest_lines = np.argsort(np.abs(frequency_hz[:, None] - natural_hz), axis=0)[:NEAREST_LINE_COUNT]
+    peak_heights = np.median(np.abs(np.take_along_axis(basis[:, : len(modes)], nearest_lines, axis=0)), axis=0)
+    height_to_error = np.abs(coefficients[:-2]) * peak_heights[:, None] / np.sqrt(np.mean(errors**2, axis=1))
+    in_band = (natural_hz > frequency_hz[0]) & (natural_hz < frequency_hz[-1])
     return np.asarray(
-        (coefficients[:-2, driving_index] > 0) & inside & (height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR)
+        (coefficients[:-2, driving_index] > 0) & in_band & (height_to_error.max(axis=1) > MIN_HEIGHT_TO_ERROR)
     )
 
 
-def _refined(
+def _refined_modes(
     frequency_hz: Float[np.ndarray, " lines"],
-    measured: Complex[np.ndarray, "frfs lines"],
+    frfs: Complex[np.ndarray, "frfs lines"],
     modes: Float[np.ndarray, "modes 2"],
 ) -> Float[np.ndarray, "modes 2"]:
     """Modes (ln f, ln z) that minimise the sum of squares near the given ones."""
 
     def residual(unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
-        basis = _basis(frequency_hz, unknowns.reshape(-1, 2))
-        error = measured - _least_squares(basis, measured).T @ basis.T
+        basis = _modal_basis(frequency_hz, unknowns.reshape(-1, 2))
+        error = frfs - basis_coefficients(basis, frfs).T @ basis.T
         return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
     half_widths, scales = np.tile(REFINEMENT_RANGE, len(modes)), np.tile([1e-3, 1e-1], len(modes))
-    start = modes.ravel()
+    initial = modes.ravel()
     solution = scipy.optimize.least_squares(
-        residual, start, bounds=(start - half_widths, start + half_widths), x_scale=scales, max_nfev=30
+        residual, initial, bounds=(initial - half_widths, initial + half_widths), x_scale=scales, max_nfev=30
     )
-    refined = solution.x.reshape(-1, 2)
-    return np.asarray(refined[np.argsort(refined[:, 0])])
+    refined_modes = solution.x.reshape(-1, 2)
+    return np.asarray(refined_modes[np.argsort(refined_modes[:, 0])])
 
 
-def _basis(
+def _modal_basis(
     frequency_hz: Float[np.ndarray, " lines"], modes: Float[np.ndarray, "modes 2"]
 ) -> Complex[np.ndarray, "lines terms"]:
     """Accelerance of a unit residue of each mode, of unit u and of unit l."""
-    omega, natural, ratio = 2 * np.pi * frequency_hz[:, None], 2 * np.pi * np.exp(modes[:, 0]), np.exp(modes[:, 1])
-    terms = -(omega**2) / (natural**2 - omega**2 + 2j * ratio * natural * omega)
-    return np.concatenate([terms, -(omega**2) / natural.max() ** 2, np.ones_like(omega)], axis=1)
+    omega, omega_k, ratios = (2 * np.pi * frequency_hz[:, None], 2 * np.pi * np.exp(modes[:, 0]), np.exp(modes[:, 1]))
+    mode_accelerance = -(omega**2) / (omega_k**2 - omega**2 + 2j * ratios * omega_k * omega)
+    return np.concatenate([mode_accelerance, -(omega**2) / omega_k.max() ** 2, np.ones_like(omega)], axis=1)
 
 
-def _least_squares(
-    basis: Complex[np.ndarray, "lines terms"], measured: Complex[np.ndarray, "frfs lines"]
+def basis_coefficients(
+    basis: Complex[np.ndarray, "lines terms"], frfs: Complex[np.ndarray, "frfs lines"]
 ) -> Float[np.ndarray, "terms frfs"]:
     """Real least-squares coefficients of the basis."""
-    matrix, data = np.concatenate([basis.real, basis.imag]), np.concatenate([measured.real, measured.imag], axis=1).T
-    return np.asarray(np.linalg.lstsq(matrix, data, rcond=None)[0])
+    real_basis, real_frfs = np.concatenate([basis.real, basis.imag]), np.concatenate([frfs.real, frfs.imag], axis=1).T
+    return np.asarray(np.linalg.lstsq(real_basis, real_frfs, rcond=None)[0])

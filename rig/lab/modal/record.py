@@ -8,14 +8,14 @@ import scipy
 from jaxtyping import Complex, Float
 
 from rig.errors import RigError
-from rig.lab.modal.fit import ModalFit, fit_modes
-from rig.lab.modal.refine import accelerances, refined_by_frfs, refined_by_output
+from rig.lab.modal.fit import ModalFit, fit_modes, lines_in_band
+from rig.lab.modal.refine import mode_accelerances, refined_by_frfs, refined_by_output
 from rig.model.structure import Structure, structure_of
 from rig.recording.period import period_of
 
 MIN_FORCE_SHARE = 1e-3
 """Least power density of the force at a line that is used, relative to its largest."""
-AVERAGES = 8
+AVERAGE_COUNT = 8
 """Averages, overlapping by half, for a force that does not repeat."""
 DECAY_FACTOR = 100.0
 """Decay of a free vibration after which the misfit is evaluated."""
@@ -41,9 +41,9 @@ class FittedRecord:
     """
 
     body: Structure
-    misfit_of_frfs: Float[np.ndarray, " sensors"]
-    misfit: Float[np.ndarray, " sensors"]
-    unmodelled: float
+    frf_fit_misfits: Float[np.ndarray, " sensors"]
+    misfits: Float[np.ndarray, " sensors"]
+    unmodelled_share: float
     noise_density: Float[np.ndarray, " sensors"]
     period_s: float | None
     band_hz: tuple[float, float]
@@ -63,86 +63,87 @@ def fit_record(
     blocks that overlap by half. `fit_modes` finds the modes in the band, `refine` minimises their output error. Raises
     RigError if no mode is found.
     """
-    period = period_of(measured.force_n)
-    hz, force_density, frfs, noise_density = _frfs(measured, period)
-    used = (hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
-    if band_hz:
-        if len(band_hz) != 2:
-            raise RigError(f"band_hz has {len(band_hz)} numbers; give LOW,HIGH")
-        used &= (hz >= band_hz[0]) & (hz <= band_hz[1])
-    if not used.any():
+    period_samples = period_of(measured.force_n)
+    hz, force_density, frfs, noise_density = _measured_frfs(measured, period_samples)
+    is_used = (hz > 0) & (force_density > MIN_FORCE_SHARE * force_density.max())
+    is_used &= lines_in_band(hz, band_hz)
+    if not is_used.any():
         raise RigError("the force excites no line in band_hz; give a band that it excites")
-    hz, frfs, weights = hz[used], frfs[:, used], np.sqrt(force_density[used])
+    hz, frfs, weights = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
     accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
     frf_fit = fit_modes(hz, accelerance, driving_index)
     refined = refined_by_frfs(
         hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_fit, driving_index
     )
-    band = float(hz[0]), float(hz[-1])
-    refined = refined_by_output(*_outputs(measured, refined, band), band, refined, driving_index)
-    order = np.argsort(positions_m)
-    places = np.array(positions_m, dtype=float)[order]
-    shapes = refined.residues / np.sqrt(refined.residues[driving_index])
-    misfit = _misfit(measured, refined)
-    noise = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
+    used_hz = float(hz[0]), float(hz[-1])
+    refined = refined_by_output(*_output_spectra(measured, refined, used_hz), used_hz, refined, driving_index)
+    sensor_order = np.argsort(positions_m)
+    places_m = np.array(positions_m, dtype=float)[sensor_order]
+    shapes = refined.shapes(driving_index)
+    misfits = _free_run_misfits(measured, refined)
+    noise_shares = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
-        body=structure_of(name, length_m, refined.frequencies_hz, refined.ratios, places, shapes[order]),
-        misfit_of_frfs=_misfit(measured, frf_fit),
-        misfit=misfit,
-        unmodelled=float(np.sqrt(np.mean(np.maximum(misfit**2 - noise**2, 0.0)))),
+        body=structure_of(
+            name, length_m, refined.frequencies_hz, refined.damping_ratios, places_m, shapes[sensor_order]
+        ),
+        frf_fit_misfits=_free_run_misfits(measured, frf_fit),
+        misfits=misfits,
+        unmodelled_share=float(np.sqrt(np.mean(np.maximum(misfits**2 - noise_shares**2, 0.0)))),
         noise_density=noise_density,
-        period_s=None if period is None else period / measured.sample_rate_hz,
-        band_hz=band,
+        period_s=None if period_samples is None else period_samples / measured.sample_rate_hz,
+        band_hz=used_hz,
     )
 
 
-def free_run(measured: MeasuredResponse, modes: ModalFit) -> Float[np.ndarray, "sensors samples"]:
+def free_run(measured: MeasuredResponse, fit: ModalFit) -> Float[np.ndarray, "sensors samples"]:
     """Responses of the modes to the measured force from rest, zero-padded behind the record."""
-    force, hz, powers = _spectrum(measured, modes)
-    unit_responses = powers * accelerances(hz, modes.frequencies_hz, modes.ratios)
+    force, hz, factors = _force_spectrum(measured, fit)
+    mode_responses = factors * mode_accelerances(hz, fit.frequencies_hz, fit.damping_ratios)
     return np.asarray(
-        modes.residues @ scipy.fft.irfft(force * unit_responses, 2 * (hz.size - 1))[:, : measured.force_n.size]
+        fit.residues @ scipy.fft.irfft(force * mode_responses, 2 * (hz.size - 1))[:, : measured.force_n.size]
     )
 
 
-def _spectrum(
-    measured: MeasuredResponse, modes: ModalFit
+def _force_spectrum(
+    measured: MeasuredResponse, fit: ModalFit
 ) -> tuple[Complex[np.ndarray, " lines"], Float[np.ndarray, " lines"], Complex[np.ndarray, " lines"]]:
     """Spectrum of the zero-padded force, its frequencies (Hz), and (i omega)^(order - 2), which is 0 at 0 Hz.
 
     That leaves out the means, which accelerometers do not measure.
     """
-    samples, rate = measured.force_n.size, measured.sample_rate_hz
-    length = 2 * scipy.fft.next_fast_len(samples // 2 + round(min(_decay_time_s(modes), samples / rate) * rate / 2) + 1)
-    hz = np.fft.rfftfreq(length, 1 / rate)
-    powers = np.zeros(hz.size, dtype=complex)
-    powers[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
-    return scipy.fft.rfft(measured.force_n, length), hz, powers
+    sample_count, rate_hz = measured.force_n.size, measured.sample_rate_hz
+    padded_length = 2 * scipy.fft.next_fast_len(
+        sample_count // 2 + round(min(_decay_time_s(fit), sample_count / rate_hz) * rate_hz / 2) + 1
+    )
+    hz = np.fft.rfftfreq(padded_length, 1 / rate_hz)
+    factors = np.zeros(hz.size, dtype=complex)
+    factors[1:] = (2j * np.pi * hz[1:]) ** (measured.order - 2)
+    return scipy.fft.rfft(measured.force_n, padded_length), hz, factors
 
 
-def _outputs(
-    measured: MeasuredResponse, modes: ModalFit, band_hz: tuple[float, float]
+def _output_spectra(
+    measured: MeasuredResponse, fit: ModalFit, band_hz: tuple[float, float]
 ) -> tuple[
     Complex[np.ndarray, "sensors lines"],
     Callable[[Complex[np.ndarray, "parts all"]], Complex[np.ndarray, "parts lines"]],
     Float[np.ndarray, " all"],
 ]:
     """Spectra of the responses in the band, a map from accelerances to those of a free run, and its lines (Hz)."""
-    counted, samples = _first_counted(measured, modes), measured.force_n.size
-    force, hz, powers = _spectrum(measured, modes)
-    response_hz = np.fft.rfftfreq(samples - counted, 1 / measured.sample_rate_hz)
-    inside = (response_hz >= band_hz[0]) & (response_hz <= band_hz[1])
-    simulated = hz <= 2 * band_hz[1]
-    force, powers = force[simulated], powers[simulated]
+    first_sample, sample_count = _first_decayed_sample(measured, fit), measured.force_n.size
+    force, hz, factors = _force_spectrum(measured, fit)
+    response_hz = np.fft.rfftfreq(sample_count - first_sample, 1 / measured.sample_rate_hz)
+    in_band = lines_in_band(response_hz, band_hz)
+    is_simulated = hz <= 2 * band_hz[1]
+    force, factors = force[is_simulated], factors[is_simulated]
 
-    def through(accelerance: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
-        responses = scipy.fft.irfft(force * powers * accelerance, 2 * (hz.size - 1))[:, counted:samples]
-        return np.asarray(scipy.fft.rfft(responses)[:, inside])
+    def response_map(accelerance: Complex[np.ndarray, "parts all"]) -> Complex[np.ndarray, "parts lines"]:
+        responses = scipy.fft.irfft(force * factors * accelerance, 2 * (hz.size - 1))[:, first_sample:sample_count]
+        return np.asarray(scipy.fft.rfft(responses)[:, in_band])
 
-    return scipy.fft.rfft(measured.responses[:, counted:])[:, inside], through, hz[simulated]
+    return scipy.fft.rfft(measured.responses[:, first_sample:])[:, in_band], response_map, hz[is_simulated]
 
 
-def _frfs(
+def _measured_frfs(
     measured: MeasuredResponse, period_samples: int | None
 ) -> tuple[
     Float[np.ndarray, " lines"],
@@ -153,41 +154,40 @@ def _frfs(
     """Frequencies (Hz), power density of the force, H1, and noise density of the sensors."""
     force_n, responses = measured.force_n, measured.responses
     if period_samples is None:
-        averages = AVERAGES
-        block = {"nperseg": 2 * force_n.size // (averages + 1), "window": "hann"}
+        average_count = AVERAGE_COUNT
+        welch_settings = {"nperseg": 2 * force_n.size // (average_count + 1), "window": "hann"}
     else:
-        averages = force_n.size // period_samples - 1
-        force_n, responses = force_n[-averages * period_samples :], responses[:, -averages * period_samples :]
-        block = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
-    hz, force_density = scipy.signal.welch(force_n, measured.sample_rate_hz, **block)
-    _, cross = scipy.signal.csd(force_n, responses, measured.sample_rate_hz, **block)
-    _, density = scipy.signal.welch(responses, measured.sample_rate_hz, **block)
+        average_count = force_n.size // period_samples - 1
+        force_n, responses = force_n[-average_count * period_samples :], responses[:, -average_count * period_samples :]
+        welch_settings = {"nperseg": period_samples, "noverlap": 0, "window": "boxcar"}
+    hz, force_density = scipy.signal.welch(force_n, measured.sample_rate_hz, **welch_settings)
+    _, cross = scipy.signal.csd(force_n, responses, measured.sample_rate_hz, **welch_settings)
+    _, density = scipy.signal.welch(responses, measured.sample_rate_hz, **welch_settings)
     unexcited = force_density <= MIN_FORCE_SHARE * force_density.max()
     unexcited[0] = False
-    median_to_mean = (
-        scipy.stats.gamma.median(averages) / averages
-    )  # of the mean of so many powers, each distributed exponentially
-    noise = (
+    # the mean of so many powers, each distributed exponentially
+    median_to_mean = scipy.stats.gamma.median(average_count) / average_count
+    noise_density = (
         np.sqrt(np.median(density[:, unexcited], axis=1) / median_to_mean)
         if unexcited.any()
         else np.zeros(len(responses))
     )
     with np.errstate(divide="ignore", invalid="ignore"):
-        return hz, force_density, cross / force_density, noise
+        return hz, force_density, cross / force_density, noise_density
 
 
-def _misfit(measured: MeasuredResponse, modes: ModalFit) -> Float[np.ndarray, " sensors"]:
+def _free_run_misfits(measured: MeasuredResponse, fit: ModalFit) -> Float[np.ndarray, " sensors"]:
     """Rms error of the free run over the rms response, without means, after the start has decayed."""
-    counted = _first_counted(measured, modes)
-    error = measured.responses - free_run(measured, modes)
-    return np.asarray(error[:, counted:].std(axis=1) / measured.responses[:, counted:].std(axis=1))
+    first_sample = _first_decayed_sample(measured, fit)
+    error = measured.responses - free_run(measured, fit)
+    return np.asarray(error[:, first_sample:].std(axis=1) / measured.responses[:, first_sample:].std(axis=1))
 
 
-def _first_counted(measured: MeasuredResponse, modes: ModalFit) -> int:
+def _first_decayed_sample(measured: MeasuredResponse, fit: ModalFit) -> int:
     """First sample after the start has decayed, at most a quarter of the record."""
-    return round(min(_decay_time_s(modes) * measured.sample_rate_hz, measured.force_n.size / 4))
+    return round(min(_decay_time_s(fit) * measured.sample_rate_hz, measured.force_n.size / 4))
 
 
-def _decay_time_s(modes: ModalFit) -> float:
+def _decay_time_s(fit: ModalFit) -> float:
     """Time until a free vibration of any mode has decayed by DECAY_FACTOR, s."""
-    return float(np.log(DECAY_FACTOR) / np.min(2 * np.pi * modes.frequencies_hz * modes.ratios))
+    return float(np.log(DECAY_FACTOR) / np.min(2 * np.pi * fit.frequencies_hz * fit.damping_ratios))

@@ -12,7 +12,7 @@ from jaxtyping import Complex, Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import UnreadableError
-from rig.lab.modal.fit import ModalFit, fit_modes
+from rig.lab.modal.fit import ModalFit, fit_modes, lines_in_band
 from rig.lab.uff import check_whole
 from rig.lab.units import si_factor
 from rig.model.structure import Structure, structure_of
@@ -39,12 +39,12 @@ class UffFile:
     """Datasets of a file by type, coordinates of its nodes (m), and its units of length and force per SI unit."""
 
     path: Path
-    sets: Mapping[int, list[dict[str, Any]]]
+    datasets: Mapping[int, list[dict[str, Any]]]
     nodes_m: Mapping[int, Float[np.ndarray, " 3"]]
-    length_factor: float
-    force_factor: float
+    length_units: float
+    force_units: float
 
-    def wrong(self, sentence: str) -> RigError:
+    def error(self, sentence: str) -> RigError:
         return RigError(f"{self.path}: {sentence}")
 
 
@@ -58,12 +58,11 @@ def structure_from_uff(path: Path, choice: Choice) -> tuple[Structure, tuple[str
     file cannot be read or does not hold what it takes.
     """
     file = read_uff(path)
-    if file.sets.get(55):
-        shapes = ModeShapes(file, choice)
-        return shapes.structure(), shapes.notes, None
-    if file.sets.get(58):
-        return from_frfs(file, choice)
-    raise file.wrong("holds neither mode shapes (dataset 55) nor FRFs (dataset 58); export either")
+    if file.datasets.get(55):
+        return *structure_from_shapes(file, choice), None
+    if file.datasets.get(58):
+        return structure_from_frfs(file, choice)
+    raise file.error("holds neither mode shapes (dataset 55) nor FRFs (dataset 58); export either")
 
 
 def read_uff(path: Path) -> UffFile:
@@ -74,16 +73,16 @@ def read_uff(path: Path) -> UffFile:
     try:
         check_whole(path)
         reader = pyuff.UFF(str(path))
-        kinds = [int(kind) for kind in reader.get_set_types()]
-        sets: dict[int, list[dict[str, Any]]] = {}
-        for place, kind in enumerate(kinds):
+        type_codes = [int(type_code) for type_code in reader.get_set_types()]
+        datasets: dict[int, list[dict[str, Any]]] = {}
+        for dataset_index, kind in enumerate(type_codes):
             if kind in (15, 55, 58, 164, 2411):
                 with np.errstate(all="ignore"):  # what is not finite is refused where it is used
-                    sets.setdefault(kind, []).append(reader.read_sets(place))
-        nodes = {
-            int(node): np.array([x, y, z])
-            for dataset in (*sets.get(15, []), *sets.get(2411, []))
-            for node, x, y, z in zip(dataset["node_nums"], dataset["x"], dataset["y"], dataset["z"], strict=True)
+                    datasets.setdefault(kind, []).append(reader.read_sets(dataset_index))
+        node_places = {
+            int(node_number): np.array([x, y, z])
+            for dataset in (*datasets.get(15, []), *datasets.get(2411, []))
+            for node_number, x, y, z in zip(dataset["node_nums"], dataset["x"], dataset["y"], dataset["z"], strict=True)
         }
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror or error}); check the name") from error
@@ -91,42 +90,42 @@ def read_uff(path: Path) -> UffFile:
         raise RigError(f"{path}: cannot be read as UFF ({error}); export it again") from error
     except Exception as error:  # what the format's library raises on a bad file is not to be listed
         raise RigError(f"{path}: cannot be read as UFF, whole or in part; export it again") from error
-    units = sets.get(164, [{}])[-1]
-    length, force = (float(units.get(name) or 1.0) for name in ("length", "force"))
-    if not (0 < length < np.inf and 0 < force < np.inf):
+    units = datasets.get(164, [{}])[-1]
+    length_units, force_units = (float(units.get(name) or 1.0) for name in ("length", "force"))
+    if not (0 < length_units < np.inf and 0 < force_units < np.inf):
         raise RigError(f"{path}: its units (dataset 164) are no numbers above zero; export it again")
-    return UffFile(path, sets, {node: place / length for node, place in nodes.items()}, length, force)
+    return UffFile(
+        path, datasets, {node: place / length_units for node, place in node_places.items()}, length_units, force_units
+    )
 
 
-def line_of(
+def node_line(
     file: UffFile, choice: Choice, nodes: Iterable[int]
 ) -> tuple[tuple[int, ...], Float[np.ndarray, " places"], float, str]:
     """Nodes along the body, their positions from its left end (m), its length (m), and a note on them."""
-    selected = choice.nodes or tuple(sorted(set(nodes)))
-    if missing := sorted(set(selected) - set(nodes)):
-        raise file.wrong(f"has no data at node {missing[0]}; leave it out of nodes")
+    chosen = choice.nodes or tuple(sorted(set(nodes)))
+    if missing := sorted(set(chosen) - set(nodes)):
+        raise file.error(f"has no data at node {missing[0]}; leave it out of nodes")
     if choice.positions_m:
-        if len(choice.positions_m) != len(selected):
-            raise file.wrong(
-                f"has {len(selected)} nodes, and {len(choice.positions_m)} positions_m are given; give each"
-            )
-        places, placement = np.array(choice.positions_m), "as given"
+        if len(choice.positions_m) != len(chosen):
+            raise file.error(f"has {len(chosen)} nodes, and {len(choice.positions_m)} positions_m are given; give each")
+        positions_m, placement = np.array(choice.positions_m), "as given"
     else:
-        if unplaced := [node for node in selected if node not in file.nodes_m]:
-            raise file.wrong(f"has no coordinates of node {unplaced[0]} (dataset 15); export them, or give positions_m")
-        coordinates = np.array([file.nodes_m[node] for node in selected])
+        if unplaced := [node for node in chosen if node not in file.nodes_m]:
+            raise file.error(f"has no coordinates of node {unplaced[0]} (dataset 15); export them, or give positions_m")
+        coordinates = np.array([file.nodes_m[node] for node in chosen])
         axis = AXES.index(choice.axis) if choice.axis else int(np.argmax(np.ptp(coordinates, axis=0)))
-        places, placement = coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}"
-    order = np.argsort(places, kind="stable")
-    ordered, places = tuple(selected[k] for k in order), places[order]
-    length_m = choice.length_m or float(places[-1])
-    if coincident := np.flatnonzero(np.diff(places) <= 1e-6 * length_m).tolist():
+        positions_m, placement = (coordinates[:, axis] - coordinates[:, axis].min(), f"along {AXES[axis]}")
+    node_order = np.argsort(positions_m, kind="stable")
+    ordered, positions_m = tuple(chosen[k] for k in node_order), positions_m[node_order]
+    length_m = choice.length_m or float(positions_m[-1])
+    if coincident := np.flatnonzero(np.diff(positions_m) <= 1e-6 * length_m).tolist():
         first_node, second_node = ordered[coincident[0]], ordered[coincident[0] + 1]
-        raise file.wrong(
+        raise file.error(
             f"nodes {first_node} and {second_node} are at one place {placement}; name those of one line by nodes"
         )
-    nodes_at = f"from node {ordered[0]} at {places[0]:.6g} m to node {ordered[-1]} at {places[-1]:.6g} m"
-    return ordered, places, length_m, f"{len(ordered)} nodes {placement}, {nodes_at}"
+    extent_text = f"from node {ordered[0]} at {positions_m[0]:.6g} m to node {ordered[-1]} at {positions_m[-1]:.6g} m"
+    return ordered, positions_m, length_m, f"{len(ordered)} nodes {placement}, {extent_text}"
 
 
 RIGID_HZ = 0.01
@@ -137,203 +136,198 @@ MAX_OUT_OF_PHASE = 0.2
 """Largest share of a shape out of phase that a normal mode may approximate."""
 
 
-class ModeShapes:
-    """Mode shapes of a file (dataset 55), mass-normalised in SI."""
-
-    def __init__(self, file: UffFile, choice: Choice) -> None:
-        self.file = file
-        sets = sorted((_mode(file, dataset) for dataset in file.sets[55]), key=lambda mode: mode.frequency_hz)
-        sets = [mode for mode in sets if set(choice.nodes) <= set(mode.shapes)] or sets
-        shared = set.intersection(*(set(mode.shapes) for mode in sets))
-        if not (shared or choice.nodes):
-            raise file.wrong("no node is in all its mode shapes, as of several bodies; name those of one by nodes")
-        self.nodes, self.places, self.length_m, line_text = line_of(file, choice, shared)
-        vectors = np.array([[mode.shapes[node] for node in self.nodes] for mode in sets])  # modes nodes 3
-        size = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))
-        if not size.any():
-            raise file.wrong("its mode shapes are zero at the nodes; export them again")
-        elastic = np.array([mode.frequency_hz >= RIGID_HZ for mode in sets])
-        axis = AXES.index(choice.direction) if choice.direction else int(np.argmax((size[elastic] ** 2).sum(axis=0)))
-        share = size[:, axis] / np.maximum(np.linalg.norm(size, axis=1), 1e-300)
-        is_kept = (share > MIN_SHARE_IN_DIRECTION) | ~elastic
-        self.modes = [mode for mode, keep in zip(sets, is_kept, strict=True) if keep]
-        self.notes: tuple[str, ...] = (
-            f"{len(self.modes)} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}",
+def structure_from_shapes(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...]]:
+    """Structure of the mode shapes of a file (dataset 55), mass-normalised in SI, and notes on it."""
+    modes = sorted((_mode_of(file, dataset) for dataset in file.datasets[55]), key=lambda mode: mode.frequency_hz)
+    modes = [mode for mode in modes if set(choice.nodes) <= set(mode.vector_by_node)] or modes
+    common_nodes = set.intersection(*(set(mode.vector_by_node) for mode in modes))
+    if not (common_nodes or choice.nodes):
+        raise file.error("no node is in all its mode shapes, as of several bodies; name those of one by nodes")
+    nodes, positions_m, length_m, line_text = node_line(file, choice, common_nodes)
+    vectors = np.array([[mode.vector_by_node[node] for node in nodes] for mode in modes])  # modes nodes 3
+    amplitudes = np.sqrt(np.sum(np.abs(vectors) ** 2, axis=1))
+    if not amplitudes.any():
+        raise file.error("its mode shapes are zero at the nodes; export them again")
+    elastic = np.array([mode.frequency_hz >= RIGID_HZ for mode in modes])
+    axis = AXES.index(choice.direction) if choice.direction else int(np.argmax((amplitudes[elastic] ** 2).sum(axis=0)))
+    shares = amplitudes[:, axis] / np.maximum(np.linalg.norm(amplitudes, axis=1), 1e-300)
+    is_kept = (shares > MIN_SHARE_IN_DIRECTION) | ~elastic
+    kept_modes = [mode for mode, keep in zip(modes, is_kept, strict=True) if keep]
+    notes: tuple[str, ...] = (f"{len(kept_modes)} modes in direction {AXES[axis]}, {line_text}, from {file.path.name}",)
+    if dropped_count := len(modes) - len(kept_modes):
+        notes += (f"{dropped_count} modes without motion in direction {AXES[axis]} are left out",)
+    if not all(mode.damping_ratio for mode in kept_modes if mode.frequency_hz >= RIGID_HZ):
+        notes += ("a mode has no damping in the file; set damping_ratios in rig.json",)
+    shapes, out_of_phase = _real_shapes(vectors[is_kept, :, axis].T)
+    if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
+        worst = kept_modes[int(np.argmax(out_of_phase))]
+        raise file.error(
+            f"{out_of_phase.max():.0%} of the mode at {worst.frequency_hz:g} Hz is out of phase; a structure has "
+            "normal modes, export those"
         )
-        if dropped := len(sets) - len(self.modes):
-            self.notes += (f"{dropped} modes without motion in direction {AXES[axis]} are left out",)
-        if not all(m.ratio for m in self.modes if m.frequency_hz >= RIGID_HZ):
-            self.notes += ("a mode has no damping in the file; set damping_ratios in rig.json",)
-        self.shapes, out_of_phase = _real(vectors[is_kept, :, axis].T)
-        if out_of_phase.max(initial=0.0) > MAX_OUT_OF_PHASE:
-            worst = self.modes[int(np.argmax(out_of_phase))]
-            raise file.wrong(
-                f"{out_of_phase.max():.0%} of the mode at {worst.frequency_hz:g} Hz is out of phase; a structure has "
-                "normal modes, export those"
-            )
-
-    def structure(self) -> Structure:
-        rigid = np.array([mode.frequency_hz < RIGID_HZ for mode in self.modes])
-        return structure_of(
-            self.file.path.stem,
-            self.length_m,
-            np.where(rigid, 0.0, [mode.frequency_hz for mode in self.modes]),
-            np.where(rigid, 0.0, [mode.ratio for mode in self.modes]),
-            self.places,
-            self.shapes,
-            [str(node) for node in self.nodes],
-        )
+    is_rigid = ~elastic[is_kept]
+    frequencies_hz = np.where(is_rigid, 0.0, [mode.frequency_hz for mode in kept_modes])
+    ratios = np.where(is_rigid, 0.0, [mode.damping_ratio for mode in kept_modes])
+    names = [str(node) for node in nodes]
+    return structure_of(file.path.stem, length_m, frequencies_hz, ratios, positions_m, shapes, names), notes
 
 
 @dataclass(frozen=True)
 class _Mode:
     frequency_hz: float
-    ratio: float
-    shapes: Mapping[int, Complex[np.ndarray, " 3"]]
+    damping_ratio: float
+    vector_by_node: Mapping[int, Complex[np.ndarray, " 3"]]
     """Mass-normalised vectors by node."""
 
 
-def _mode(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
+def _mode_of(file: UffFile, dataset: Mapping[str, Any]) -> _Mode:
     """Mode of a dataset 55: a normal mode, or a complex one with its eigenvalue and modal A."""
     if dataset["analysis_type"] == 2:
         frequency_hz = float(dataset["freq"])
-        ratio = float(dataset["modal_damp_vis"]) or float(dataset["modal_damp_his"]) / 2
-        mass = complex(dataset["modal_m"])
+        damping_ratio = float(dataset["modal_damp_vis"]) or float(dataset["modal_damp_his"]) / 2
+        modal_mass = complex(dataset["modal_m"])
     elif dataset["analysis_type"] in (3, 7):
         pole = complex(dataset["eig"])
         frequency_hz = abs(pole) / (2 * np.pi)
-        ratio = -pole.real / abs(pole) if pole else 0.0
-        mass = complex(dataset["modal_a"]) / (2j * pole.imag) if pole.imag else 0j
+        damping_ratio = -pole.real / abs(pole) if pole else 0.0
+        modal_mass = complex(dataset["modal_a"]) / (2j * pole.imag) if pole.imag else 0j
     else:
-        raise file.wrong(f"dataset 55 {dataset['id1'].strip()!r} is no mode (analysis type {dataset['analysis_type']})")
-    if not (np.isfinite(mass) and abs(mass) > 0 and np.isfinite(frequency_hz) and 0 <= ratio < 1):
-        raise file.wrong(
-            f"the mode at {frequency_hz:g} Hz states the modal mass {abs(mass):g} and the damping ratio {ratio:g}; "
-            "scale the shapes to unit modal mass and export them again"
+        raise file.error(f"dataset 55 {dataset['id1'].strip()!r} is no mode (analysis type {dataset['analysis_type']})")
+    if not (np.isfinite(modal_mass) and abs(modal_mass) > 0 and np.isfinite(frequency_hz) and 0 <= damping_ratio < 1):
+        raise file.error(
+            f"the mode at {frequency_hz:g} Hz states the modal mass {abs(modal_mass):g} and the damping ratio "
+            f"{damping_ratio:g}; scale the shapes to unit modal mass and export them again"
         )
     # x = phi q: of length and force units in which the energies m q'^2 / 2 are, phi / sqrt(m) in 1/sqrt(kg)
-    si = np.sqrt(file.force_factor / file.length_factor) / np.sqrt(mass)
-    vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * si
+    shape_factor = np.sqrt(file.force_units / file.length_units) / np.sqrt(modal_mass)
+    vectors = np.stack([dataset["r1"], dataset["r2"], dataset["r3"]], axis=1) * shape_factor
     if not np.isfinite(vectors).all():
-        raise file.wrong(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
-    return _Mode(frequency_hz, ratio, dict(zip((int(n) for n in dataset["node_nums"]), vectors, strict=True)))
+        raise file.error(f"the shape of the mode at {frequency_hz:g} Hz is not finite; export it again")
+    return _Mode(
+        frequency_hz, damping_ratio, dict(zip((int(node) for node in dataset["node_nums"]), vectors, strict=True))
+    )
 
 
-def _real(
+def _real_shapes(
     shapes: Complex[np.ndarray, "places modes"],
 ) -> tuple[Float[np.ndarray, "places modes"], Float[np.ndarray, " modes"]]:
     """Real part of each shape after the rotation that makes it most real, and its share out of phase."""
     rotation = np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
-    rotated = shapes * rotation
-    size = np.maximum(np.linalg.norm(rotated, axis=0), 1e-300)
-    return rotated.real, np.linalg.norm(rotated.imag, axis=0) / size
+    rotated_shapes = shapes * rotation
+    shape_norms = np.maximum(np.linalg.norm(rotated_shapes, axis=0), 1e-300)
+    return rotated_shapes.real, np.linalg.norm(rotated_shapes.imag, axis=0) / shape_norms
 
 
-_ORDERS = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
-_FORCES = (9, 13)
-_FRF = 4
+_RESPONSE_TYPES = {8: (0, "displacement"), 11: (1, "velocity"), 12: (2, "acceleration")}
+_FORCE_TYPES = (9, 13)
+_FRF_FUNCTION = 4
 
 
-def from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances]:
-    frfs = [frf for frf in file.sets[58] if frf["func_type"] == _FRF]
+def structure_from_frfs(file: UffFile, choice: Choice) -> tuple[Structure, tuple[str, ...], Tolerances]:
+    frfs = [frf for frf in file.datasets[58] if frf["func_type"] == _FRF_FUNCTION]
     if not frfs:
-        raise file.wrong("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
-    coordinates = [((abs(frf["rsp_dir"]), frf["rsp_node"]), (abs(frf["ref_dir"]), frf["ref_node"])) for frf in frfs]
+        raise file.error("its datasets 58 are no FRFs; export receptances, mobilities or accelerances")
+    frf_ends = [((abs(frf["rsp_dir"]), frf["rsp_node"]), (abs(frf["ref_dir"]), frf["ref_node"])) for frf in frfs]
     axis = (
         AXES.index(choice.direction) + 1
         if choice.direction
-        else Counter(e[0][0] for e in coordinates).most_common(1)[0][0]
+        else Counter(ends[0][0] for ends in frf_ends).most_common(1)[0][0]
     )
     if axis not in (1, 2, 3):
-        raise file.wrong("its FRFs do not say their directions; export them with node and direction")
-    driving_node, rows = _common_point(file, frfs, axis)
-    nodes, places, length_m, line_text = line_of(file, choice, rows)
+        raise file.error("its FRFs do not say their directions; export them with node and direction")
+    driving_node, frf_by_node = _driving_point(file, frfs, axis)
+    nodes, positions_m, length_m, line_text = node_line(file, choice, frf_by_node)
     if driving_node not in nodes:
-        raise file.wrong(f"the driving point, node {driving_node}, is not among nodes; add it")
-    frequency_hz, accelerance = _accelerance(file, [rows[node] for node in nodes])
-    if choice.band_hz:
-        if len(choice.band_hz) != 2:
-            raise RigError(f"band_hz has {len(choice.band_hz)} numbers; give LOW,HIGH")
-        inside = (frequency_hz >= choice.band_hz[0]) & (frequency_hz <= choice.band_hz[1])
-        frequency_hz, accelerance = frequency_hz[inside], accelerance[:, inside]
+        raise file.error(f"the driving point, node {driving_node}, is not among nodes; add it")
+    frequency_hz, accelerance = _accelerances_of(file, [frf_by_node[node] for node in nodes])
+    in_band = lines_in_band(frequency_hz, choice.band_hz)
+    frequency_hz, accelerance = frequency_hz[in_band], accelerance[:, in_band]
     try:
         fit = fit_modes(frequency_hz, accelerance, nodes.index(driving_node))
     except RigError as error:
-        raise file.wrong(str(error)) from error
-    shapes = fit.residues / np.sqrt(fit.residues[nodes.index(driving_node)])
+        raise file.error(str(error)) from error
+    shapes = fit.shapes(nodes.index(driving_node))
     body = structure_of(
-        file.path.stem, length_m, fit.frequencies_hz, fit.ratios, places, shapes, [str(node) for node in nodes]
+        file.path.stem,
+        length_m,
+        fit.frequencies_hz,
+        fit.damping_ratios,
+        positions_m,
+        shapes,
+        [str(node) for node in nodes],
     )
     notes = (
         f"{body.max_modes} modes fitted to {len(nodes)} FRFs of direction {AXES[axis - 1]}, {frequency_hz[0]:g} to "
         f"{frequency_hz[-1]:g} Hz, driven at node {driving_node}; {line_text}, from {file.path.name}",
         *(f"left out: {len(frfs) - len(nodes)} FRFs" for _ in range(len(frfs) > len(nodes))),
-        *_misfits(nodes, fit),
+        *_fit_notes(nodes, fit),
     )
-    unmodelled = max(float(f"{np.median(fit.misfit_of_modes):.2g}"), Tolerances().unmodelled)
-    return body, notes, Tolerances(unmodelled=unmodelled, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
+    unmodelled_share = max(float(f"{np.median(fit.misfits_of_modes):.2g}"), Tolerances().unmodelled)
+    return body, notes, Tolerances(unmodelled=unmodelled_share, highest_hz=float(f"{frequency_hz[-1]:.4g}"))
 
 
-def _misfits(nodes: Iterable[int], modal_fit: ModalFit) -> Iterable[str]:
-    for frequency_hz, ratio in zip(modal_fit.frequencies_hz, modal_fit.ratios, strict=True):
+def _fit_notes(nodes: Iterable[int], fit: ModalFit) -> Iterable[str]:
+    for frequency_hz, ratio in zip(fit.frequencies_hz, fit.damping_ratios, strict=True):
         yield f"mode: {frequency_hz:.6g} Hz, damping ratio {ratio:.4g}"
-    for node, error, by_modes in zip(nodes, modal_fit.misfit, modal_fit.misfit_of_modes, strict=True):
-        yield f"misfit at node {node}: {error:.2%} rms of the FRF; {by_modes:.2%} by the modes without residuals"
+    for node, misfit, by_modes in zip(nodes, fit.misfits, fit.misfits_of_modes, strict=True):
+        yield f"misfit at node {node}: {misfit:.2%} rms of the FRF; {by_modes:.2%} by the modes without residuals"
 
 
-def _common_point(
+def _driving_point(
     file: UffFile, frfs: list[dict[str, Any]], axis: int
 ) -> tuple[int, dict[int, tuple[float, dict[str, Any]]]]:
     """Driving point that most FRFs in the direction share, and their signs and FRFs by the node of the other end.
 
     The shared point may be where the force acts or, by reciprocity (a roving hammer), where the sensor sits.
     """
-    by_point: dict[int, dict[int, tuple[float, dict[str, Any]]]] = {}
+    frfs_by_point: dict[int, dict[int, tuple[float, dict[str, Any]]]] = {}
     for frf in frfs:
         if abs(frf["rsp_dir"]) == axis == abs(frf["ref_dir"]):
-            response, reference = int(frf["rsp_node"]), int(frf["ref_node"])
-            signed = (float(np.sign(frf["rsp_dir"] * frf["ref_dir"])), frf)
-            by_point.setdefault(reference, {})[response] = signed
-            by_point.setdefault(response, {}).setdefault(reference, signed)
-    complete = {point: rows for point, rows in by_point.items() if point in rows}
-    if not complete:
-        raise file.wrong(
+            response_node, reference_node = int(frf["rsp_node"]), int(frf["ref_node"])
+            signed_frf = (float(np.sign(frf["rsp_dir"] * frf["ref_dir"])), frf)
+            frfs_by_point.setdefault(reference_node, {})[response_node] = signed_frf
+            frfs_by_point.setdefault(response_node, {}).setdefault(reference_node, signed_frf)
+    complete_points = {point: frf_by_node for point, frf_by_node in frfs_by_point.items() if point in frf_by_node}
+    if not complete_points:
+        raise file.error(
             f"has no FRF of a driving point in direction {AXES[axis - 1]} (one node for force and response), without "
             "which shapes have no scale; measure it too"
         )
-    point = max(complete, key=lambda candidate: len(complete[candidate]))
-    return point, complete[point]
+    point = max(complete_points, key=lambda candidate: len(complete_points[candidate]))
+    return point, complete_points[point]
 
 
-def _accelerance(
-    file: UffFile, rows: list[tuple[float, dict[str, Any]]]
+def _accelerances_of(
+    file: UffFile, signed_frfs: list[tuple[float, dict[str, Any]]]
 ) -> tuple[Float[np.ndarray, " lines"], Complex[np.ndarray, "frfs lines"]]:
     """Frequencies (Hz) and accelerances (SI) from receptances, mobilities or accelerances."""
-    frequency_hz = np.asarray(rows[0][1]["x"], dtype=float)
+    frequency_hz = np.asarray(signed_frfs[0][1]["x"], dtype=float)
     accelerances = []
-    for sign, frf in rows:
+    for sign, frf in signed_frfs:
         label = f"the FRF {str(frf['id1']).strip()!r} at node {frf['rsp_node']}"
-        order, quantity = _ORDERS.get(frf["ordinate_spec_data_type"], (None, ""))
-        if order is None or frf["orddenom_spec_data_type"] not in _FORCES:
-            raise file.wrong(f"{label} does not say that it is a displacement, velocity or acceleration over a force")
+        order, quantity = _RESPONSE_TYPES.get(frf["ordinate_spec_data_type"], (None, ""))
+        if order is None or frf["orddenom_spec_data_type"] not in _FORCE_TYPES:
+            raise file.error(f"{label} does not say that it is a displacement, velocity or acceleration over a force")
         hz = np.asarray(frf["x"], dtype=float)
         if hz.shape != frequency_hz.shape or not np.allclose(hz, frequency_hz, rtol=1e-6):
-            raise file.wrong(f"{label} has other frequencies than the first; export them over the same lines")
+            raise file.error(f"{label} has other frequencies than the first; export them over the same lines")
         if len(frf["data"]) != hz.size or not (np.isfinite(frf["data"]).all() and np.isfinite(hz).all()):
-            raise file.wrong(f"{label} is cut off or not finite; export it again")
-        length, force = _unit_factors(file, frf, quantity)
-        accelerances.append(sign * length / force * np.asarray(frf["data"]) * (2j * np.pi * hz) ** (2 - order))
+            raise file.error(f"{label} is cut off or not finite; export it again")
+        response_factor, force_factor = _unit_factors(file, frf, quantity)
+        accelerances.append(
+            sign * response_factor / force_factor * np.asarray(frf["data"]) * (2j * np.pi * hz) ** (2 - order)
+        )
     return frequency_hz, np.array(accelerances)
 
 
 def _unit_factors(file: UffFile, frf: Mapping[str, Any], quantity: str) -> tuple[float, float]:
     """SI values of the units of response and force, from their labels or else from dataset 164."""
-    response, force = (str(frf[f"{axis}_axis_units_lab"]).strip() for axis in ("ordinate", "orddenom"))
-    response = response.split("/N")[0].strip("() ") if not force or force == "NONE" else response
+    motion_unit, force_unit = (str(frf[f"{axis}_axis_units_lab"]).strip() for axis in ("ordinate", "orddenom"))
+    motion_unit = motion_unit.split("/N")[0].strip("() ") if not force_unit or force_unit == "NONE" else motion_unit
     try:
         return (
-            si_factor(quantity, response) if response not in ("", "NONE") else 1 / file.length_factor,
-            si_factor("force", force) if force not in ("", "NONE") else 1 / file.force_factor,
+            si_factor(quantity, motion_unit) if motion_unit not in ("", "NONE") else 1 / file.length_units,
+            si_factor("force", force_unit) if force_unit not in ("", "NONE") else 1 / file.force_units,
         )
     except RigError as error:
-        raise file.wrong(str(error)) from error
+        raise file.error(str(error)) from error

@@ -18,12 +18,9 @@ class MassRig(StartWithStops, frozen=True, kw_only=True):
     frequency_hz: Annotated[float, msgspec.Meta(description="Natural frequency of the mass on its spring, Hz.")]
     damping_ratio: Annotated[float, msgspec.Meta(description="Its damping ratio.")] = 0.01
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         body = Oscillator(
-            name="mass",
-            mass_kg=self.mass_kg,
-            frequency_hz=self.frequency_hz,
-            damping_ratio=self.damping_ratio,
+            name="mass", mass_kg=self.mass_kg, frequency_hz=self.frequency_hz, damping_ratio=self.damping_ratio
         )
         mass = Station("mass")
         rig = self._rig((body,), [(mass, None)], mass, [mass])
@@ -52,7 +49,7 @@ class CantileverRig(UniformBeams, frozen=True, kw_only=True):
         tuple[float, ...], msgspec.Meta(description="Sensors; otherwise 6, the contacts and the force among them.")
     ] = ()
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         beam = Beam(
             name="beam",
             ends="clamped-free",
@@ -95,26 +92,26 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
         tuple[float, ...], msgspec.Meta(description="Sensors on the barrel; otherwise 6, the contacts among them.")
     ] = ()
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         cradle = self._beam("cradle", "clamped-free")
         barrel = self._beam("barrel", "free-free")
-        overlap_start, overlap_end = (
+        overlap_start_m, overlap_end_m = (
             self.overlap_start_m,
             min(self.cradle_length_m, self.overlap_start_m + self.barrel_length_m),
         )
-        if not 0 <= overlap_start < overlap_end:
+        if not 0 <= overlap_start_m < overlap_end_m:
             raise RigError(
-                f"overlap_start_m is {overlap_start}; give a place on the cradle, 0 to below {self.cradle_length_m} m"
+                f"overlap_start_m is {overlap_start_m}; give a place on the cradle, 0 to below {self.cradle_length_m} m"
             )
-        contacts_on_cradle_m = self.contacts_m or (overlap_start, overlap_end)
-        if outside := [p for p in contacts_on_cradle_m if not overlap_start <= p <= overlap_end]:
+        contacts_on_cradle_m = self.contacts_m or (overlap_start_m, overlap_end_m)
+        if outside := [x for x in contacts_on_cradle_m if not overlap_start_m <= x <= overlap_end_m]:
             raise RigError(
-                f"contacts_m has {outside[0]} m, where the beams do not lie side by side; give {overlap_start:g} to "
-                f"{overlap_end:g} m"
+                f"contacts_m has {outside[0]} m, where the beams do not lie side by side; give {overlap_start_m:g} to "
+                f"{overlap_end_m:g} m"
             )
-        contacts_on_barrel_m = [round(p - overlap_start, 12) for p in contacts_on_cradle_m]
+        contacts_on_barrel_m = [round(x - overlap_start_m, 12) for x in contacts_on_cradle_m]
         force_m = self.barrel_length_m if self.force_m is None else self.force_m
-        sensed = {
+        stations_by_body = {
             "cradle": self.cradle_stations_m or spread(list(contacts_on_cradle_m), cradle.length_m, avoided_m=(0.0,)),
             "barrel": self.barrel_stations_m or spread([*contacts_on_barrel_m, force_m], barrel.length_m),
         }
@@ -125,7 +122,7 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
                 for b, c in zip(contacts_on_barrel_m, contacts_on_cradle_m, strict=True)
             ],
             Station("barrel", force_m),
-            [Station(name, x) for name, positions in sensed.items() for x in positions],
+            [Station(name, x) for name, positions_m in stations_by_body.items() for x in positions_m],
         )
         return rig, self.notes()
 

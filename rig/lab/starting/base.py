@@ -30,9 +30,9 @@ class Start(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
 
     def rig(self) -> Rig:
         """Rig that the options describe; raises RigError where they are inconsistent."""
-        return self.described()[0]
+        return self.rig_and_notes()[0]
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         """Rig, and sentences on the origin of its numbers."""
         raise NotImplementedError
 
@@ -71,8 +71,8 @@ class StartWithStops(Start, frozen=True, kw_only=True):
     ) -> Rig:
         law = equal_sides(self.clearance_m, self.stiffness_n_per_m, self.damping_n_s_per_m)
         if self.stops != "both":
-            absent = "lower_clearance_m" if self.stops == "upper" else "upper_clearance_m"
-            law = msgspec.structs.replace(law, **{absent: np.inf})
+            absent_field = "lower_clearance_m" if self.stops == "upper" else "upper_clearance_m"
+            law = msgspec.structs.replace(law, **{absent_field: np.inf})
         return Rig(
             name=self.name,
             bodies=bodies,
@@ -86,8 +86,8 @@ class StartWithStops(Start, frozen=True, kw_only=True):
 def contacts_of(meetings: Sequence[tuple[Station, Station | None]], law: AnyLaw) -> tuple[Contact, ...]:
     """Numbered contacts with one law, from pairs of stations."""
     return tuple(
-        Contact(name=f"contact_{k}", at=station, against=against, law=law)
-        for k, (station, against) in enumerate(meetings, 1)
+        Contact(name=f"contact_{contact_number}", at=station, against=against, law=law)
+        for contact_number, (station, against) in enumerate(meetings, 1)
     )
 
 
@@ -102,11 +102,10 @@ def spread(
 
     Further ones are chosen from a grid of a fortieth of the length, or from among_m.
     """
-    chosen = sorted(set(required_m))
-    offered = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
-    while len(chosen) < min(count, len(offered)):
-        distance_m = np.abs(offered[:, None] - np.array([*chosen, *avoided_m])).min(axis=1)
-        chosen.append(
-            float(f"{offered[np.argmax(distance_m)]:.9g}") if among_m is None else float(offered[np.argmax(distance_m)])
-        )
-    return tuple(sorted(chosen))
+    chosen_m = sorted(set(required_m))
+    offered_m = np.linspace(0, length_m, 41) if among_m is None else np.array(among_m)
+    while len(chosen_m) < min(count, len(offered_m)):
+        distance_m = np.abs(offered_m[:, None] - np.array([*chosen_m, *avoided_m])).min(axis=1)
+        farthest_m = float(offered_m[np.argmax(distance_m)])
+        chosen_m.append(float(f"{farthest_m:.9g}") if among_m is None else farthest_m)
+    return tuple(sorted(chosen_m))

@@ -14,7 +14,7 @@ from rig.model.description import Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.model.structure import Structure, structure_of
 
-MOST_MASSES = 50
+MAX_MASS_COUNT = 50
 """Largest number of masses in a row."""
 
 
@@ -30,16 +30,16 @@ class TwoMassesRig(StartWithStops, frozen=True, kw_only=True):
     ]
     damping_ratio: Annotated[float, msgspec.Meta(description="Damping ratio of each; a free mass has none.")] = 0.01
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         for name, values in (("masses_kg", self.masses_kg), ("frequencies_hz", self.frequencies_hz)):
             if len(values) != 2:
                 raise RigError(f"{name} has {len(values)} numbers; give two, one for each mass")
-        first, second = (
+        first_mass, second_mass = (
             Oscillator(name=name, mass_kg=mass_kg, frequency_hz=hz, damping_ratio=self.damping_ratio if hz else 0.0)
             for name, mass_kg, hz in zip(("first", "second"), self.masses_kg, self.frequencies_hz, strict=True)
         )
         stations = Station("first"), Station("second")
-        rig = self._rig((first, second), [stations], stations[0], stations)
+        rig = self._rig((first_mass, second_mass), [stations], stations[0], stations)
         return rig, self.notes()
 
 
@@ -63,45 +63,52 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
     ] = ()
     force_mass: Annotated[int | None, msgspec.Meta(description="Mass on which the force acts; else the last.")] = None
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         count = len(self.masses_kg)
-        if not 2 <= count <= MOST_MASSES or not all(0 < m < np.inf for m in self.masses_kg):
-            raise RigError(f"masses_kg is {self.masses_kg}; give 2 to {MOST_MASSES} masses, each above zero")
-        springs = self.springs_n_per_m * (count if len(self.springs_n_per_m) == 1 else 1)
-        if len(springs) != count or not all(0 <= k < np.inf for k in springs):
+        if not 2 <= count <= MAX_MASS_COUNT or not all(0 < m < np.inf for m in self.masses_kg):
+            raise RigError(f"masses_kg is {self.masses_kg}; give 2 to {MAX_MASS_COUNT} masses, each above zero")
+        springs_n_per_m = self.springs_n_per_m * (count if len(self.springs_n_per_m) == 1 else 1)
+        if len(springs_n_per_m) != count or not all(0 <= k < np.inf for k in springs_n_per_m):
             raise RigError(
                 f"springs_n_per_m has {len(self.springs_n_per_m)} numbers for {count} masses; give one for all, or one "
                 "for each mass, zero or above"
             )
-        body = row_of_masses("chain", np.array(self.masses_kg), np.array(springs), self.damping_ratio)
-        places = [Station("chain", float(k)) for k in range(1, count + 1)]
-        meetings = [(places[first - 1], places[second - 1] if second else None) for first, second in self._pairs(count)]
-        force_at = places[self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1]
-        frequencies = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
-        rig = self._rig((body,), meetings, force_at, places)
-        return rig, (f"natural frequencies, without contacts: {frequencies} Hz", *self.notes())
+        body = row_of_masses("chain", np.array(self.masses_kg), np.array(springs_n_per_m), self.damping_ratio)
+        stations = [Station("chain", float(k)) for k in range(1, count + 1)]
+        meetings = [
+            (stations[first - 1], stations[second - 1] if second else None) for first, second in self._mass_pairs(count)
+        ]
+        force_at = stations[
+            self._checked("force_mass", count if self.force_mass is None else self.force_mass, count) - 1
+        ]
+        frequency_text = ", ".join(f"{hz:.4g}" for hz in body.natural_hz)
+        rig = self._rig((body,), meetings, force_at, stations)
+        return rig, (f"natural frequencies, without contacts: {frequency_text} Hz", *self.notes())
 
-    def _pairs(self, count: int) -> Iterator[tuple[int, int]]:
-        for text in self.contacts or (f"{count}-{count - 1}",):
-            first, dash, second = text.strip().partition("-")
+    def _mass_pairs(self, count: int) -> Iterator[tuple[int, int]]:
+        for pair in self.contacts or (f"{count}-{count - 1}",):
+            first, dash, second = pair.strip().partition("-")
             if not (dash and first.isdecimal() and second.isdecimal()) or first == second:
-                raise RigError(f"contacts has {text!r}; give pairs of masses such as 3-2, or 3-0 against the ground")
-            yield self._checked("contacts", int(first), count), self._checked("contacts", int(second), count, least=0)
+                raise RigError(f"contacts has {pair!r}; give pairs of masses such as 3-2, or 3-0 against the ground")
+            yield (self._checked("contacts", int(first), count), self._checked("contacts", int(second), count, least=0))
 
-    def _checked(self, option: str, number: int, count: int, least: int = 1) -> int:
-        if not least <= number <= count:
-            raise RigError(f"{option} names mass {number}; there are masses {least} to {count}")
-        return number
+    def _checked(self, option: str, mass_number: int, count: int, least: int = 1) -> int:
+        if not least <= mass_number <= count:
+            raise RigError(f"{option} names mass {mass_number}; there are masses {least} to {count}")
+        return mass_number
 
 
 def row_of_masses(
-    name: str, masses_kg: Float[np.ndarray, " masses"], springs_n_per_m: Float[np.ndarray, " masses"], damping: float
+    name: str,
+    masses_kg: Float[np.ndarray, " masses"],
+    springs_n_per_m: Float[np.ndarray, " masses"],
+    damping_ratio: float,
 ) -> Structure:
     """Modal basis of masses in a row: K phi = omega^2 M phi, spring k between mass k - 1 and k, 0 being the ground."""
-    between = np.append(springs_n_per_m[1:], 0.0)
-    stiffness = np.diag(springs_n_per_m + between) - np.diag(between[:-1], 1) - np.diag(between[:-1], -1)
-    squares, shapes = scipy.linalg.eigh(stiffness, np.diag(masses_kg))
-    is_rigid = squares < 1e-9 * squares[-1]  # rounding would give a free row a frequency
-    natural_hz = np.sqrt(np.where(is_rigid, 0.0, squares)) / (2 * np.pi)
+    next_springs = np.append(springs_n_per_m[1:], 0.0)
+    stiffness = np.diag(springs_n_per_m + next_springs) - np.diag(next_springs[:-1], 1) - np.diag(next_springs[:-1], -1)
+    squared_omega, shapes = scipy.linalg.eigh(stiffness, np.diag(masses_kg))
+    is_rigid = squared_omega < 1e-9 * squared_omega[-1]  # rounding would give a free row a frequency
+    natural_hz = np.sqrt(np.where(is_rigid, 0.0, squared_omega)) / (2 * np.pi)
     places_m = np.arange(1.0, len(masses_kg) + 1)
-    return structure_of(name, places_m[-1], natural_hz, np.where(is_rigid, 0.0, damping), places_m, shapes)
+    return structure_of(name, places_m[-1], natural_hz, np.where(is_rigid, 0.0, damping_ratio), places_m, shapes)

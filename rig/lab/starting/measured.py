@@ -58,32 +58,32 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         float | None, msgspec.Meta(description="Noise of the accelerometers; otherwise that of the recording.")
     ] = None
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
-        self._check()
-        measured = self._read()
-        driving = self.positions_m.index(self.force_m)
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
+        self._check_options()
+        measured = self._measured_response()
+        driving_index = self.positions_m.index(self.force_m)
         length_m = max(self.positions_m) if self.length_m is None else self.length_m
         try:
-            fit = fit_record(measured, self.positions_m, driving, length_m, self.band_hz, self.name)
+            fit = fit_record(measured, self.positions_m, driving_index, length_m, self.band_hz, self.name)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        noises = fit.noise_density.tolist()
+        densities = fit.noise_density.tolist()
         if self.noise_density is not None:
-            noises = [self.noise_density] * len(noises)
-        stops = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
-        places = [Station(self.name, x) for x in self.positions_m]
+            densities = [self.noise_density] * len(densities)
+        law = equal_sides(self.clearance_m or 0.0, self.stiffness_n_per_m or 0.0, self.damping_n_s_per_m)
+        stations = [Station(self.name, x) for x in self.positions_m]
         rig = Rig(
             name=self.name,
             bodies=(fit.body,),
-            contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], stops),
-            force_at=places[driving],
+            contacts=contacts_of([(Station(self.name, x), None) for x in self.contacts_m], law),
+            force_at=stations[driving_index],
             sensors=tuple(
-                replace(named_sensor(place, self.quantity[0]), noise_density=float(f"{noise:.3g}"))
-                for place, noise in zip(places, noises, strict=True)
+                replace(named_sensor(station, self.quantity[0]), noise_density=float(f"{noise_density:.3g}"))
+                for station, noise_density in zip(stations, densities, strict=True)
             ),
             sample_rate_hz=measured.sample_rate_hz,
             tolerances=Tolerances(
-                unmodelled=max(float(f"{fit.unmodelled:.2g}"), Tolerances().unmodelled),
+                unmodelled=max(float(f"{fit.unmodelled_share:.2g}"), Tolerances().unmodelled),
                 highest_hz=float(f"{fit.band_hz[1]:.4g}"),
             ),
         )
@@ -92,10 +92,10 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
         notes = (
             f"{fit.body.max_modes} modes fitted to {len(self.columns)} responses of {self.from_record.name}, {band}; "
             f"its force {repeats}",
-            *_modes(fit.body, fit.band_hz),
+            *_mode_notes(fit.body, fit.band_hz),
             *(
-                f"{sensor.name}: a free run misses {after:.2%} rms of the response ({before:.2%} by the FRFs' modes)"
-                for sensor, after, before in zip(rig.sensors, fit.misfit, fit.misfit_of_frfs, strict=True)
+                f"{sensor.name}: a free run misses {misfit:.2%} rms of the response ({by_frfs:.2%} by the FRFs' modes)"
+                for sensor, misfit, by_frfs in zip(rig.sensors, fit.misfits, fit.frf_fit_misfits, strict=True)
             ),
         )
         return rig, notes
@@ -103,17 +103,17 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
     def map_text(self, rig: Rig) -> str:
         lines = [f"rig = {json.dumps(RIG_NAME)}"]
         if self.time_column:
-            lines.append(f"time = {_entry(self.time_column, 's')}")
+            lines.append(f"time = {_map_entry(self.time_column, 's')}")
         else:
             lines.append(f"sample_rate_hz = {rig.sample_rate_hz!r}")
-        lines.append(f"force = {_entry(self.force_column, self.force_unit)}")
+        lines.append(f"force = {_map_entry(self.force_column, self.force_unit)}")
         sensors = (
-            f"{json.dumps(sensor.name)} = {_entry(column, self.unit)}"
+            f"{json.dumps(sensor.name)} = {_map_entry(column, self.unit)}"
             for sensor, column in zip(rig.sensors, self.columns, strict=True)
         )
         return "\n".join([*lines, "", "[sensors]", *sensors, ""])
 
-    def _check(self) -> None:
+    def _check_options(self) -> None:
         if len(self.columns) != len(self.positions_m):
             raise RigError(f"{len(self.columns)} columns and {len(self.positions_m)} positions_m are given; give each")
         if len(set(self.positions_m)) < len(self.positions_m):
@@ -126,12 +126,12 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
         if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
             raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
-        if unsensed := [x for x in self.contacts_m if x not in self.positions_m]:
+        if unsensed_m := [x for x in self.contacts_m if x not in self.positions_m]:
             raise RigError(
-                f"contacts_m has {unsensed[0]:g} m, where no sensor is; the shapes are known at sensors alone"
+                f"contacts_m has {unsensed_m[0]:g} m, where no sensor is; the shapes are known at sensors alone"
             )
 
-    def _read(self) -> MeasuredResponse:
+    def _measured_response(self) -> MeasuredResponse:
         keys = [_source(name, None).column for name in (self.force_column, *self.columns, self.time_column) if name]
         table = read_table(self.from_record, TextForm(), keys)
         sources = {"force": ("force", _source(self.force_column, self.force_unit))}
@@ -139,29 +139,29 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             f"sensor {k}": (self.quantity[0], _source(name, self.unit)) for k, name in enumerate(self.columns, start=1)
         }
         try:
-            columns, factors = source_columns(table, sources)
-            time = _source(self.time_column, "s") if self.time_column else None
-            clock = sample_times_of(table, list(columns.values()), time, self.sample_rate_hz)
-            rate_hz = self.sample_rate_hz or float(f"{clock.rate_hz:.9g}")
-            rows, _ = evenly_sampled(rows_in_si(columns, factors), clock, rate_hz, resample=False)
+            columns, si_factors = source_columns(table, sources)
+            time_source = _source(self.time_column, "s") if self.time_column else None
+            sample_times = sample_times_of(table, list(columns.values()), time_source, self.sample_rate_hz)
+            rate_hz = self.sample_rate_hz or float(f"{sample_times.rate_hz:.9g}")
+            si_rows, _ = evenly_sampled(rows_in_si(columns, si_factors), sample_times, rate_hz, resample=False)
         except RigError as error:
             raise RigError(f"{self.from_record}: {error}") from error
-        return MeasuredResponse(rows[0], rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)
+        return MeasuredResponse(si_rows[0], si_rows[1:], QUANTITIES[self.quantity[0]].order, rate_hz)
 
 
 def _source(column: str, unit: str | None) -> Source:
     return Source(int(column) if column.isdecimal() else column, unit)
 
 
-def _entry(column: str, unit: str | None) -> str:
+def _map_entry(column: str, unit: str | None) -> str:
     """Entry of the import map; JSON strings are valid TOML strings."""
     source = _source(column, unit)
     return f"{{ column = {json.dumps(source.column)}{f', unit = {json.dumps(unit)}' if unit else ''} }}"
 
 
-def _modes(body: Structure, band_hz: tuple[float, float]) -> Iterator[str]:
+def _mode_notes(body: Structure, band_hz: tuple[float, float]) -> Iterator[str]:
     for hz, ratio in zip(body.natural_hz, body.ratios, strict=True):
-        inside = band_hz[0] <= hz <= band_hz[1]
+        in_band = band_hz[0] <= hz <= band_hz[1]
         yield f"mode: {hz:.6g} Hz, damping ratio {ratio:.4g}" + (
-            "" if inside else ", stands for those outside the band"
+            "" if in_band else ", stands for those outside the band"
         )

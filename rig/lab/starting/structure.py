@@ -14,7 +14,7 @@ from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
 from rig.model.tolerances import Tolerances
 
-SAME_PLACE = 1e-3
+SAME_PLACE_SHARE = 1e-3
 """Distance, relative to the body's length, within which a place is taken as one of the modal basis."""
 
 
@@ -31,8 +31,7 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         Path | None, msgspec.Meta(description="JSON file of a structure, as it stands in rig.json; or --from-uff.")
     ] = None
     along: Annotated[
-        Axis | None,
-        msgspec.Meta(description="Axis of the UFF file along the body; otherwise the longest."),
+        Axis | None, msgspec.Meta(description="Axis of the UFF file along the body; otherwise the longest.")
     ] = None
     direction: Annotated[
         Axis | None,
@@ -62,10 +61,10 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         tuple[float, ...], msgspec.Meta(description="Sensors; otherwise 6, the contacts and the force among them.")
     ] = ()
 
-    def described(self) -> tuple[Rig, tuple[str, ...]]:
+    def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         body, notes, tolerances = self.structure()
         rig = msgspec.structs.replace(self._rig_of(body), tolerances=tolerances)
-        return rig, (*notes, *_weight(body), *self.notes())
+        return rig, (*notes, *_apparent_mass_note(body), *self.notes())
 
     def structure(self) -> tuple[Structure, tuple[str, ...], Tolerances | None]:
         """Body from its file, notes on it, and its tolerances if the file determines them.
@@ -81,13 +80,13 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
         return self._with_rigid_modes(body), notes, tolerances
 
     def _rig_of(self, body: Structure) -> Rig:
-        contacts, stations = (
-            [_basis_place(body, x, option) for x in places]
-            for option, places in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
+        contacts_m, stations_m = (
+            [_basis_position_m(body, x, option) for x in positions_m]
+            for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
-        force_m = _basis_place(body, self.force_m, "force_m")
-        places = stations or spread([*contacts, force_m], body.length_m, among_m=body.positions_m.tolist())
-        meetings = [(Station(body.name, x), None) for x in contacts]
+        force_m = _basis_position_m(body, self.force_m, "force_m")
+        places = stations_m or spread([*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist())
+        meetings = [(Station(body.name, x), None) for x in contacts_m]
         return self._rig((body,), meetings, Station(body.name, force_m), [Station(body.name, x) for x in places])
 
     def _from_json(self) -> Structure:
@@ -102,8 +101,8 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def _with_rigid_modes(self, body: Structure) -> Structure:
         """Body with a translation, 1/sqrt(m), and a rotation, (x - centre)/sqrt(J), prepended as modes of 0 Hz."""
-        inertia = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
-        if inertia == (None, None, None):
+        options = (self.mass_kg, self.centre_m, self.inertia_kg_m2)
+        if options == (None, None, None):
             return body
         if self.mass_kg is None or self.centre_m is None or self.inertia_kg_m2 is None:
             raise RigError("mass_kg, centre_m and inertia_kg_m2 belong together; give all three, or none")
@@ -113,21 +112,21 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             raise RigError(
                 f"mass_kg is {self.mass_kg} and inertia_kg_m2 {self.inertia_kg_m2}; give finite values above zero"
             )
-        places = body.positions_m
-        turning = (places - self.centre_m) / np.sqrt(self.inertia_kg_m2)
-        rigid = np.stack([np.full(len(places), 1 / np.sqrt(self.mass_kg)), turning], axis=1)
+        positions_m = body.positions_m
+        rotation = (positions_m - self.centre_m) / np.sqrt(self.inertia_kg_m2)
+        rigid = np.stack([np.full(len(positions_m), 1 / np.sqrt(self.mass_kg)), rotation], axis=1)
         return structure_of(
             body.name,
             body.length_m,
             np.append(np.zeros(2), body.natural_hz),
             np.append(np.zeros(2), body.ratios),
-            places,
-            np.append(rigid, body.shapes(places, body.max_modes), axis=1),
+            positions_m,
+            np.append(rigid, body.shapes(positions_m, body.max_modes), axis=1),
             [row.node for row in body.rows],
         )
 
 
-def _weight(body: Structure) -> tuple[str, ...]:
+def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
     """Note on the apparent mass of the first elastic mode, which reveals wrong units of shapes or modal masses."""
     if body.max_modes <= body.rigid_modes:
         return ()
@@ -140,12 +139,12 @@ def _weight(body: Structure) -> tuple[str, ...]:
     )
 
 
-def _basis_place(body: Structure, place_m: float, option: str) -> float:
+def _basis_position_m(body: Structure, position_m: float, option: str) -> float:
     """Place of the modal basis nearest to place_m; raises RigError if it is too far."""
-    nearest = float(body.positions_m[np.argmin(np.abs(body.positions_m - place_m))])
-    if not abs(nearest - place_m) <= SAME_PLACE * body.length_m:
+    nearest_m = float(body.positions_m[np.argmin(np.abs(body.positions_m - position_m))])
+    if not abs(nearest_m - position_m) <= SAME_PLACE_SHARE * body.length_m:
         raise RigError(
-            f"{option} has {place_m} m, where {body.name!r} has no shapes; the nearest place that has is {nearest:g} m "
-            "(places begin at the first of its nodes or stations)"
+            f"{option} has {position_m} m, where {body.name!r} has no shapes; the nearest place that has is "
+            f"{nearest_m:g} m (places begin at the first of its nodes or stations)"
         )
-    return nearest
+    return nearest_m

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.checks import check_recording, naming
+from identify.checks import check_recording, naming_first_finding
 from rig.errors import RigError
 from rig.recording import Recording, Signals
 from tests.campaigns.spoiling.alteration import delayed, mapped, with_rows, with_sensors
@@ -125,7 +125,7 @@ def test_an_error_names_the_first_finding(sound):
     recording = sound("frame")
     dead = check_recording(with_rows(recording, {"frame_0300": np.zeros(recording.samples)}))
     named = r"no answer \(the check of the record found: frame_0300 stands at 0"
-    with pytest.raises(RigError, match=named), naming(dead):
+    with pytest.raises(RigError, match=named), naming_first_finding(dead):
         raise RigError("no answer")
 
 

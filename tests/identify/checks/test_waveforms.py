@@ -28,18 +28,18 @@ def force(row) -> np.ndarray:
 def causes(row, force, other_rows=()):
     """All findings of one channel."""
     checks = (
-        waveforms.dead("x", row),
-        waveforms.clipped("x", row),
-        waveforms.quantised("x", row),
-        waveforms.held("x", row, force),
-        waveforms.spikes(
+        waveforms.dead_finding("x", row),
+        waveforms.clipped_finding("x", row),
+        waveforms.quantised_finding("x", row),
+        waveforms.held_finding("x", row, force),
+        waveforms.spikes_finding(
             "x", waveforms.neighbour_deviation(row), [waveforms.neighbour_deviation(r) for r in other_rows]
         ),
-        waveforms.hum("x", RATE, row, force),
-        waveforms.noise("x", RATE, row, force),
-        waveforms.drift("x", RATE, row),
-        waveforms.offset("x", row),
-        waveforms.not_at_rest("x", RATE, row, 0.02),
+        waveforms.hum_finding("x", RATE, row, force),
+        waveforms.noise_finding("x", RATE, row, force),
+        waveforms.drift_finding("x", RATE, row),
+        waveforms.offset_finding("x", row),
+        waveforms.motion_finding("x", RATE, row, 0.02),
     )
     return [f.cause for f in checks if f is not None]
 
@@ -82,22 +82,22 @@ def test_what_other_channels_show_too_is_an_impact(row, force):
 
 def test_motion_before_the_force_is_told_from_noise(row, force):
     early = np.roll(row, -1500)
-    assert waveforms.noise("x", RATE, early, force).cause == "force"
+    assert waveforms.noise_finding("x", RATE, early, force).cause == "force"
 
 
 def test_copies_are_found_whatever_their_scale(row):
     reversed_row = row[::-1]
-    findings = list(waveforms.copies(["a", "b", "c"], [row, reversed_row, -3 * row]))
+    findings = list(waveforms.copy_findings(["a", "b", "c"], [row, reversed_row, -3 * row]))
     assert [(f.cause, f.channels) for f in findings] == [("copy", ("a", "c"))]
 
 
 def test_a_constant_row_has_no_offset_in_shares_of_its_motion():
-    assert waveforms.offset("a", np.ones(9)) is None
+    assert waveforms.offset_finding("a", np.ones(9)) is None
 
 
 def test_a_hum_whose_squares_are_zero_has_no_size():
     row = 1e-310 * np.sin(2 * np.pi * 50 * np.arange(4096) / 512)
-    assert waveforms.hum("a", 512.0, row, np.zeros((1, 4096))) is None
-    loud = waveforms.hum("a", 512.0, 1e300 * row, np.zeros((1, 4096)))
+    assert waveforms.hum_finding("a", 512.0, row, np.zeros((1, 4096))) is None
+    loud = waveforms.hum_finding("a", 512.0, 1e300 * row, np.zeros((1, 4096)))
     assert loud is not None
     assert "tone of 50 Hz" in loud.evidence

@@ -8,7 +8,7 @@ import identify
 from identify.contacts import identify_contact
 from identify.planning.expectation import QUANTITIES
 from identify.planning.planned_test import planned_test
-from identify.planning.ranking import planned
+from identify.planning.ranking import ranked_plan
 from rig.errors import RigError
 from rig.model.tolerances import EXACT
 from rig.recording import read
@@ -23,7 +23,7 @@ MASS = Sdof(sensors="acceleration", noise_density=1e-3, rms_n=0.7, low_hz=0.5)
 def scaled():
     """Plan of a test where nothing but mass and force gain is uncertain."""
     tolerances = replace(EXACT, mass=0.02, force_gain=0.02)
-    return planned(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), most_changes=8)
+    return ranked_plan(planned_test(MASS.rig(), duration_s=20.0, tolerances=tolerances), most_changes=8)
 
 
 def test_a_stiffness_is_as_uncertain_as_the_scale_of_the_forces(scaled):
@@ -48,7 +48,7 @@ def test_changes_are_ranked_and_those_that_change_nothing_do_not_help(scaled):
 
 
 def test_a_force_that_closes_no_contact_is_foretold_and_its_advice_closes_it():
-    plan = planned(planned_test(MASS.rig(), duration_s=20.0, force_rms_n=0.06), most_changes=4)
+    plan = ranked_plan(planned_test(MASS.rig(), duration_s=20.0, force_rms_n=0.06), most_changes=4)
     assert not plan.contacts
     (stop,) = plan.undetermined
     assert stop.name == "stop"
@@ -66,7 +66,7 @@ def test_a_noisy_sensor_beside_a_better_one_adds_nothing():
     rig = Sdof(sensors="displacement+acceleration", noise_density=1e-3).rig()
     better = rig.sensors[-1]
     rig = replace(rig, sensors=(*rig.sensors, replace(better, name="spare", noise_density=1.0)))
-    plan = planned(planned_test(rig, duration_s=12.0, tolerances=EXACT))
+    plan = ranked_plan(planned_test(rig, duration_s=12.0, tolerances=EXACT))
     assert len(plan.sensors) == 3
     assert "spare" in plan.idle_sensors
 
@@ -79,7 +79,7 @@ def test_a_rig_without_contacts_has_no_plan():
 @pytest.mark.study
 def test_processes_give_the_same_plan():
     test = planned_test(MASS.rig(), duration_s=10.0)
-    assert planned(test, most_changes=1, workers=2) == planned(test, most_changes=1)
+    assert ranked_plan(test, most_changes=1, workers=2) == ranked_plan(test, most_changes=1)
 
 
 def standard_errors(report) -> np.ndarray:
@@ -90,7 +90,7 @@ def fresh_ratios(settings, simulate, folder) -> np.ndarray:
     """Standard errors that identify contact states on five recordings over the planned ones, recordings x contacts x
     quantities."""
     test = planned_test(settings.rig(), settings.duration_s, settings.rms_n, (settings.low_hz, settings.high_hz))
-    plan = planned(test, most_changes=0)
+    plan = ranked_plan(test, most_changes=0)
     planned_errors = np.array([[quantity.standard_error for quantity in c.quantities] for c in plan.contacts])
     stated = []
     for seed in range(21, 26):

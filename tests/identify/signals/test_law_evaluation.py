@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from identify.signals.law_evaluation import evaluated, interpolated, oversampling, penetration
+from identify.signals.law_evaluation import evaluated_law, interpolated, oversampling, penetration
 from identify.signals.law_evaluation import low_passed as low_passed_again
 from rig.model.contact_laws import penetration_m
 from rig.model.contact_laws.dead_zone import equal_sides
@@ -67,7 +67,7 @@ def test_blocks_join_without_a_seam(samples):
     """The square of a signal below a quarter of the rate is below half of it: known exactly at every sample."""
     time_s = np.arange(samples) / RATE_HZ
     slow, fast = np.hanning(samples) * np.sin([2 * np.pi * f * time_s for f in (31.7, 190.3)])
-    product = evaluated(lambda x, y: x * y, np.stack([slow, fast]), RATE_HZ)
+    product = evaluated_law(lambda x, y: x * y, np.stack([slow, fast]), RATE_HZ)
     np.testing.assert_allclose(product, slow * fast, atol=1e-5)
 
 
@@ -84,7 +84,7 @@ def test_stiffness_and_clearance_are_not_biased():
 
     def force(clearance_error, stiffness_error):
         law = equal_sides(gap_m * (1 + clearance_error), stiffness * (1 + stiffness_error), 20.0)
-        return evaluated(law.force_n, signals(1), rate_hz, factor)[INSIDE]
+        return evaluated_law(law.force_n, signals(1), rate_hz, factor)[INSIDE]
 
     step = 1e-4
     columns = np.stack([force(step, 0) - force(-step, 0), force(0, step) - force(0, -step)], axis=1) / (2 * step)

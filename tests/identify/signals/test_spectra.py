@@ -5,28 +5,28 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identify.signals.spectra import POWERS, Averaging, blocks, decimated, force_band, window
+from identify.signals.spectra import WINDOW_POWERS, Averaging, blocks, decimated, force_band, window_derivatives
 from rig.errors import RigError
 
 RATE_HZ = 1000.0
 
 
-@pytest.mark.parametrize("name", POWERS)
+@pytest.mark.parametrize("name", WINDOW_POWERS)
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_windows_derivatives_are_derivatives(name, order):
     errors = []
     for length in (500, 1000):  # the window has the period of the block, so differences wrap round
         rate_hz = float(length)
-        before, derivative = window(name, length, rate_hz)[[order - 1, order]]
+        before, derivative = window_derivatives(name, length, rate_hz)[[order - 1, order]]
         numerical = (np.roll(before, -1) - np.roll(before, 1)) * rate_hz / 2
         errors.append(np.abs(numerical - derivative).max() / np.abs(derivative).max())
     assert errors[0] < 1e-2
     assert errors[0] / errors[1] == pytest.approx(4, rel=0.02)  # central differences are of second order
 
 
-@pytest.mark.parametrize("name", POWERS)
+@pytest.mark.parametrize("name", WINDOW_POWERS)
 def test_the_window_and_its_slope_vanish_where_a_block_begins(name):
-    shape = window(name, 64, RATE_HZ)
+    shape = window_derivatives(name, 64, RATE_HZ)
     assert shape[0, 0] == shape[1, 0] == 0
     assert shape[0].max() == shape[0, 32] == pytest.approx(1)
 

@@ -6,12 +6,12 @@ from scipy.signal import firwin, lfilter
 
 from identify.gaps.residual.tangent import MARGIN_SAMPLES, Tangent
 from identify.signals.drift import Drift, spline
-from identify.signals.law_evaluation import evaluated, product_multiple
+from identify.signals.law_evaluation import evaluated_law, product_rate_multiple
 from rig.model.contact_laws import penetration_m
 
 RATE_HZ, FACTOR, SAMPLES = 4096.0, 12, 12 * 1000 + 1
 CLEARANCE_M, STIFFNESS_N_PER_M = 1e-3, 1e5
-MULTIPLE = product_multiple(RATE_HZ, FACTOR)
+MULTIPLE = product_rate_multiple(RATE_HZ, FACTOR)
 
 
 def band_limited(seed, high_hz):
@@ -32,13 +32,13 @@ def stiffness_n_per_m(eta_m):
 def motion():
     """Relative displacement of twice the clearance, and the law's tangent along it."""
     eta_m = 2e-3 * band_limited(1, 60.0)
-    finer = evaluated(stiffness_n_per_m, eta_m[None], RATE_HZ, FACTOR, MULTIPLE)
+    finer = evaluated_law(stiffness_n_per_m, eta_m[None], RATE_HZ, FACTOR, MULTIPLE)
     return eta_m, Tangent(finer[: MULTIPLE * (SAMPLES // FACTOR) + 1], MULTIPLE)
 
 
 def force_change_n(eta_m, change_m):
     """Central difference of the low-passed force."""
-    above, below = (evaluated(force_n, (eta_m + sign * 1e-4 * change_m)[None], RATE_HZ, FACTOR) for sign in (1, -1))
+    above, below = (evaluated_law(force_n, (eta_m + sign * 1e-4 * change_m)[None], RATE_HZ, FACTOR) for sign in (1, -1))
     return (above - below) / 2e-4
 
 
@@ -77,6 +77,6 @@ def test_columns_of_a_spline_are_changes_by_its_coefficients(motion):
     ("rate_hz", "factor", "multiple"), [(4096.0, 12, 2), (4096.0, 9, 2), (512.0, 1, 2), (3e4, 9, 3), (3e4, 1, 1)]
 )
 def test_products_are_made_at_a_multiple_that_divides(rate_hz, factor, multiple):
-    assert product_multiple(rate_hz, factor) == multiple
-    rows = evaluated(lambda eta: eta, np.ones((1, 9 * factor + 1)), rate_hz, factor, multiple)
+    assert product_rate_multiple(rate_hz, factor) == multiple
+    rows = evaluated_law(lambda eta: eta, np.ones((1, 9 * factor + 1)), rate_hz, factor, multiple)
     assert rows.size >= 9 * multiple + 1

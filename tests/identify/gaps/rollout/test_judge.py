@@ -170,7 +170,9 @@ def test_every_mode_is_found(decay):
 def test_nothing_rings_in_silence_or_in_noise():
     assert modes_of_decay(np.zeros((3, 4000)), 2048.0, 200.0, 6) == []
     noise = np.random.default_rng(1).standard_normal((3, 4000))
-    assert all(mode.damping_ratio > 0.001 or mode.share < 0.05 for mode in modes_of_decay(noise, 2048.0, 200.0, 3))
+    assert all(
+        mode.damping_ratio > 0.001 or mode.energy_share < 0.05 for mode in modes_of_decay(noise, 2048.0, 200.0, 3)
+    )
 
 
 def test_modes_are_compared_with_the_nearest_and_missed_ones_named():

@@ -35,7 +35,7 @@ def test_every_mode_of_a_random_structure_is_found_and_no_other(seed):
     fit = fit_modes(HZ, accelerance(natural_hz, ratios, shapes, 3e-3, rng), 0)
     inside = natural_hz < HZ[-1]
     np.testing.assert_allclose(fit.frequencies_hz, natural_hz[inside], rtol=2e-3)
-    np.testing.assert_allclose(fit.ratios, ratios[inside], rtol=0.1)
+    np.testing.assert_allclose(fit.damping_ratios, ratios[inside], rtol=0.1)
     residues = (shapes * shapes[:1])[:, inside]
     np.testing.assert_allclose(fit.residues, residues, atol=0.05 * np.abs(residues).max())
 

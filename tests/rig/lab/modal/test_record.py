@@ -57,8 +57,8 @@ def test_the_modes_of_a_record_are_found(kind, order):
     np.testing.assert_allclose(fit.body.damping_ratios(fit.body.max_modes)[inside], RATIOS, rtol=0.03)
     shapes = fit.body.shapes(np.array(PLACES_M), fit.body.max_modes)[:, inside]
     np.testing.assert_allclose(shapes * np.sign(shapes[0]), SHAPES, atol=0.02)
-    assert (fit.misfit < 0.012).all(), "little beside the noise"
-    assert fit.unmodelled < 0.004
+    assert (fit.misfits < 0.012).all(), "little beside the noise"
+    assert fit.unmodelled_share < 0.004
     assert fit.period_s == (PERIOD / RATE_HZ if kind == "repeats" else None)
     np.testing.assert_allclose(fit.noise_density, np.sqrt(2 / RATE_HZ) * noise.std(axis=1), rtol=0.1)
 
@@ -71,9 +71,9 @@ def test_a_mode_stands_for_those_above_the_band():
     shapes = np.column_stack([SHAPES, OUTSIDE["shape"]])
     measured = MeasuredResponse(force_n, response(force_n, 2, natural_hz, ratios, shapes), 2, RATE_HZ)
     fit = fit_record(measured, PLACES_M, 0, 1.0)
-    assert fit.misfit.max() < 2e-3
-    np.testing.assert_allclose(fit.unmodelled, np.sqrt(np.mean(fit.misfit**2)), rtol=0.1)
-    assert fit.misfit_of_frfs.max() > 0.05
+    assert fit.misfits.max() < 2e-3
+    np.testing.assert_allclose(fit.unmodelled_share, np.sqrt(np.mean(fit.misfits**2)), rtol=0.1)
+    assert fit.frf_fit_misfits.max() > 0.05
 
 
 def test_what_cannot_be_fitted_is_said():

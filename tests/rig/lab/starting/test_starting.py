@@ -159,7 +159,7 @@ def test_masses_meet_where_it_is_said():
 
 def test_one_stop_alone_and_what_it_needs():
     start = TwoMassesRig(masses_kg=(1.0, 2.0), frequencies_hz=(6.0, 0.0), stops="upper", **CONTACT)
-    rig, notes = start.described()
+    rig, notes = start.rig_and_notes()
     assert rig.contacts[0].law.sides == (1,)
     assert "--quantity acceleration,displacement" in notes[0]
     assert msgspec.structs.replace(start, quantity=("acceleration", "displacement")).notes() == ()
