@@ -10,9 +10,9 @@ from rig.model.description import Rig
 
 PART_S = 0.25
 BREAK_RATIO = 40.0
-"""Smallest relative residual power of a discontinuity, over that of most parts of the record."""
+"""Smallest ratio of the residual power of a discontinuity to the usual one."""
 QUIET_SHARE = 0.02
-"""Added to the power of a part's motion, as a share of the mean power, so that residuals at rest do not count."""
+"""Added to the power of a part's motion, as a share of the mean power, so that divisions at rest are defined."""
 
 
 def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int]) -> list[Finding]:
@@ -53,18 +53,24 @@ def discontinuity_findings(rig: Rig, spectra: Spectra, channel_indices: list[int
 def discontinuity_ratio(
     rig: Rig, spectra: Spectra, channel_indices: list[int], doubted_force_index: int | None = None
 ) -> tuple[float, float]:
-    """Largest residual power over the motion's in any part, over the 30 % quantile of all parts; and its time, s."""
+    """Largest residual power of a part over that which is usual, and the part's time, s.
+
+    Usual is the 30 % quantile of the residual power over the motion's, times the motion's in the part, and never less
+    than the median residual power: noise does not fall with the motion, as at the beginning of the force.
+    """
     check = linear_check(rig, spectra, channel_indices)
     residual = Projector(check, channel_indices, doubted_force_index)(
         (spectra.acceleration - check.acceleration_by_all_forces)[channel_indices]
     )
     acceleration = spectra.in_time((spectra.acceleration / check.error_scale)[channel_indices])
-    residual_share = _part_powers(residual, spectra.in_time_rate_hz)
+    residual_power = _part_powers(residual, spectra.in_time_rate_hz)
     motion_power = _part_powers(acceleration, spectra.in_time_rate_hz)
-    residual_share = residual_share / (motion_power + QUIET_SHARE * motion_power.mean())
-    worst = int(np.argmax(residual_share))
-    usual_share = float(np.quantile(residual_share, 0.3))
-    return float(residual_share[worst]) / max(usual_share, 1e-300), spectra.compared_s[0] + (worst + 0.5) * PART_S
+    motion_power += QUIET_SHARE * motion_power.mean()
+    usual_share = np.quantile(residual_power / motion_power, 0.3)
+    usual_power = np.maximum(usual_share * motion_power, np.median(residual_power))
+    ratios = residual_power / np.maximum(usual_power, 1e-300)
+    worst = int(np.argmax(ratios))
+    return float(ratios[worst]), spectra.compared_s[0] + (worst + 0.5) * PART_S
 
 
 def _part_powers(rows: Float[np.ndarray, "sensors times"], per_s: float) -> Float[np.ndarray, " parts"]:

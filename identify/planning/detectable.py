@@ -112,7 +112,9 @@ def _contact_information(
         estimate = estimates.get(contact.name)
         if estimate is None or not numbers_alone_differ(changed_contact.law, contact.law):
             return 0.0
-        law_difference = estimate.quantity_weights @ (parameters_of_law(changed_contact.law) - parameters_of_law(contact.law))
+        law_difference = estimate.quantity_weights @ (
+            parameters_of_law(changed_contact.law) - parameters_of_law(contact.law)
+        )
         covariance = law_distance(estimate, contact, contact, tolerances).covariance
         information += float(law_difference @ np.linalg.solve(covariance, law_difference))
     return information

@@ -5,8 +5,12 @@ import pytest
 from msgspec.structs import replace
 
 from identify.checks import check_recording, naming_first_finding
+from rig.effects import effect_named
 from rig.errors import RigError
-from rig.recording import Recording, Signals
+from rig.recording import Recording, Signals, read
+from rig.simulation.plants import modal
+from rig.simulation.record import record
+from rig.simulation.reference import BarrelCradle
 from tests.campaigns.spoiling.alteration import delayed, mapped, with_rows, with_sensors
 from tests.campaigns.spoiling.alterations import alterations
 from tests.campaigns.spoilt import names_it
@@ -50,6 +54,24 @@ NAMED = (
 )
 def test_a_sound_recording_has_no_finding(sound, rig):
     assert check_recording(sound(rig)) == ()
+
+
+def test_the_beginning_of_a_force_is_no_discontinuity(tmp_path):
+    settings = BarrelCradle(
+        sensors="acceleration", noise_density=1e-3, stations=4, sample_rate_hz=2048, high_hz=60, seed=5, duration_s=32
+    )
+    machine = effect_named("contact_clearance:factor=1.1").applied_to(settings.rig())
+    record(
+        settings.rig(),
+        settings.force(),
+        plant=modal.simulate,
+        duration_s=settings.duration_s,
+        step_s=settings.step_s,
+        path=tmp_path / "r.mcap",
+        actual=machine,
+        progress=lambda _: None,
+    )
+    assert check_recording(read(tmp_path / "r.mcap")) == ()
 
 
 @pytest.mark.parametrize("name", NAMED)
