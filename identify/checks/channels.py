@@ -232,7 +232,7 @@ def _slipped_finding(name: str, delays_s: Float[np.ndarray, " parts"]) -> Findin
         cause="slipped samples",
         channels=(name,),
         evidence=f"{name} is {1e3 * abs(delay_change_s):.3g} ms {'later' if delay_change_s > 0 else 'earlier'} "
-        "against the others at the record's end than at its begin",
+        "against the others at the record's end than at its beginning",
         mend="it lost or doubled samples, or has a clock of its own: synchronise it and record again",
     )
 

@@ -29,6 +29,8 @@ MIN_DELAY_CHANGE_S = 3e-4
 ALLOWANCE = 1.5
 """Factor on the misfit of a change that frees a channel."""
 PART_COUNT = 4
+MIN_PART_COHERENCE = 0.8
+"""Coherence of a channel with its prediction in a part of the record, from which its delay there counts."""
 
 FullSpectra = Callable[[], Spectra]
 """Spectra on all lines, computed on demand."""
@@ -122,7 +124,8 @@ def _channel_findings(
 def _delays_over_time(
     rig: Rig, spectra: Spectra, channel_index: int, channel_indices: list[int]
 ) -> Float[np.ndarray, " parts"] | None:
-    """Delays of a channel against its prediction in each part of the record; None if they are alike or unknown."""
+    """Delays of a channel against its prediction in the parts of the record that it follows, but for the one in which
+    it slips; None if they are alike or unknown."""
     check = linear_check(rig, spectra, channel_indices)
     predicted_line = check.prediction(channel_indices).accelerations[channel_index]
     signals = spectra.in_time(
@@ -134,10 +137,9 @@ def _delays_over_time(
         windowed_lines = np.fft.rfft(measured * window), np.fft.rfft(predicted * window)
         omega = 2 * np.pi * np.fft.rfftfreq(measured.size, 1 / spectra.in_time_rate_hz)
         to_predicted = relation(omega[1:], windowed_lines[0][1:], windowed_lines[1][1:], np.ones(omega.size - 1))
-        if to_predicted.coherence < 0.8:
-            return None
-        delays_s.append(to_predicted.delay_s)
-    return np.array(delays_s) if np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
+        if to_predicted.coherence >= MIN_PART_COHERENCE:
+            delays_s.append(to_predicted.delay_s)
+    return np.array(delays_s) if delays_s and np.ptp(delays_s) > MIN_DELAY_CHANGE_S else None
 
 
 def _force_trials(check: LinearCheck, usable: list[int]) -> Iterator[Trial]:
