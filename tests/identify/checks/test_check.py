@@ -58,7 +58,13 @@ def test_a_sound_recording_has_no_finding(sound, rig):
 
 def test_the_beginning_of_a_force_is_no_discontinuity(tmp_path):
     settings = BarrelCradle(
-        sensors="acceleration", noise_density=1e-3, stations=4, sample_rate_hz=2048, high_hz=60, seed=5, duration_s=32
+        sensors="acceleration",
+        noise_density=1e-3,
+        stations=4,
+        sample_rate_hz=2048.0,
+        high_hz=60.0,
+        seed=5,
+        duration_s=32.0,
     )
     machine = effect_named("contact_clearance:factor=1.1").applied_to(settings.rig())
     record(
