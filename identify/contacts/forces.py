@@ -232,8 +232,8 @@ def _noise_n(
     orders[: len(motion.sensors), 0] = [max(0, 2 - s.measures.order) for s in motion.sensors]
     colour = (2 * orders + 1) * (lines.omega / (np.pi * lines.rate_hz)) ** (2 * orders)
     padded_power = noise_power * colour * lines.padded_samples / motion.samples  # over the silence behind, too
-    noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
-    return np.asarray(lines.signals(noise_spectra, motion.samples // lines.decimation).std(axis=1))
+    force_noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
+    return np.asarray(lines.signals(force_noise_spectra, motion.samples // lines.decimation).std(axis=1))
 
 
 def _force_on_mass(rig: Rig, motion: Kinematics, decimation: int) -> Float[np.ndarray, "contacts fewer"]:

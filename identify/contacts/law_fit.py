@@ -52,7 +52,7 @@ class LawFit:
     weights: Weights
 
     @property
-    def weighted_squares(self) -> Float[np.ndarray, " fewer"]:
+    def squared_residuals(self) -> Float[np.ndarray, " fewer"]:
         """Squares of the weighted residuals."""
         return np.asarray((self.weights * self.state.residual_n) ** 2)
 
@@ -211,8 +211,8 @@ def chosen_form(fit: LawFit, form_names: Sequence[FormName]) -> LawFit:
             alternative = fit.with_form(replace(form, name=name))
         except ContactRefusedError:
             continue
-        if is_preferred_form(fit, alternative) and alternative.weighted_squares.sum() < least_squares:
-            preferred_fit, least_squares = alternative, float(alternative.weighted_squares.sum())
+        if is_preferred_form(fit, alternative) and alternative.squared_residuals.sum() < least_squares:
+            preferred_fit, least_squares = alternative, float(alternative.squared_residuals.sum())
     try:
         return preferred_fit.settled if preferred_fit else fit
     except ContactRefusedError:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float
 from scipy.ndimage import uniform_filter1d
 
-from identify.linear.free_motion import InitialStates, estimated_states, free_motions, free_spectra
+from identify.linear.free_motion import InitialStates, estimated_states, free_motions, unit_free_spectra
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import BodyMotion, Change, elastic_modes
@@ -210,7 +210,7 @@ def initial_states(
     orders = [s.measures.order for s in motion.sensors]
 
     def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        return free_spectra(motions, orders, in_metres, lines.omega, lambda rows: part.spectra(rows[:, :length]))
+        return unit_free_spectra(motions, orders, in_metres, lines.omega, lambda rows: part.spectra(rows[:, :length]))
 
     start_spectra, end_spectra = unit_spectra(untapered, samples), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)

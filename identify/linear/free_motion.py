@@ -119,7 +119,7 @@ class StateEstimate:
         return InitialStates(np.einsum("i,isf->sf", self.values[indices], spectra[indices]), spectra[indices], root)
 
 
-def free_spectra(
+def unit_free_spectra(
     motions: list[FreeMotion],
     orders: list[int],
     in_metres: Bool[np.ndarray, "stations lines"],

@@ -88,10 +88,10 @@ def detectable_effects(
         scale = scale_of(record, record.rig)
         estimates = {fit.contact_name: fit for fit in law_outcomes(recording, record.rig, test.tolerances).estimates}
         library = candidates(scale, [s.name for s in record.sensors], record.zero_known, record.has_force)
-        steady = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
-        nominal = Search(variances, linearization, residual, tuple(steady)).nominal_fit().hypothesis
-        model = local_model(linearization, residual, variances, record.rig, nominal, steady)
-    contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in steady}
+        searched = [c for c in library if not (c.kind.stochastic or c.kind.grid_screened)]
+        nominal = Search(variances, linearization, residual, tuple(searched)).nominal_fit().hypothesis
+        model = local_model(linearization, residual, variances, record.rig, nominal, searched)
+    contact_info = {c.name: _contact_information(c, record.rig, estimates, test.tolerances) for c in searched}
     return _smallest_effects(model, library, contact_info, test.duration_s / simulated_s)
 
 

@@ -164,8 +164,8 @@ def write_page(plan: PlanReport, rig: Rig, path: Path, sources: Sequence[Path] =
     advised = (change_sentence(change) for change in plan.advice[:ADVISED])
     sentences = [f"{text[:1].upper()}{text[1:]}." for text in advised]
     sentences += [f"{contact.name}: {contact.remedy}." for contact in plan.undetermined]
-    no_advice = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
-    advice = page.list_html(sentences) if sentences else no_advice
+    no_advice_html = "<p>No change that was tried shortens the widest interval by a tenth.</p>"
+    advice = page.list_html(sentences) if sentences else no_advice_html
     verdict = "all contacts will be told" if not plan.undetermined else "not all contacts will be told"
     page.write(
         path,

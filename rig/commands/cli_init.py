@@ -109,7 +109,9 @@ def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
         "int": "NUMBER",
         "": "TEXT",
     }
-    metavar = next(metavar_text for type_text, metavar_text in metavar_by_type.items() if type_text in str(field.type))
+    metavar = next(
+        metavar_text for type_fragment, metavar_text in metavar_by_type.items() if type_fragment in str(field.type)
+    )
     option_name = f"--{field.name.replace('_', '-')}"
     return Annotated[str | None, typer.Option(option_name, help=help_text, metavar=metavar, show_default=False)]
 

@@ -113,9 +113,9 @@ class Chunk:
         """
         records_size, chunk_length = self.size, self._end_offset
         first_ns, last_ns = min(self._times_ns), max(self._times_ns)
-        crc = crc32(memoryview(self._bytes)[_RECORDS_START:chunk_length])
+        records_crc = crc32(memoryview(self._bytes)[_RECORDS_START:chunk_length])
         record_head = _HEAD.pack(Opcode.CHUNK, chunk_length - _HEAD.size) + _CHUNK.pack(
-            first_ns, last_ns, records_size, crc, 0, records_size
+            first_ns, last_ns, records_size, records_crc, 0, records_size
         )
         self._bytes[:_RECORDS_START] = record_head
         index_offsets = {}
@@ -126,7 +126,7 @@ class Chunk:
             )
             self._append(index_head + entry_bytes)
         sealed_bytes = memoryview(self._bytes)[: self._end_offset]
-        crc = crc32(sealed_bytes[chunk_length:], crc32_combine(crc32(record_head), crc, records_size))
+        sealed_crc = crc32(sealed_bytes[chunk_length:], crc32_combine(crc32(record_head), records_crc, records_size))
         chunk_index = ChunkIndex(
             chunk_length=chunk_length,
             chunk_start_offset=file_offset,
@@ -139,7 +139,7 @@ class Chunk:
             uncompressed_size=records_size,
         )
         self._end_offset, self._index_entries, self._times_ns = _RECORDS_START, {}, []
-        return sealed_bytes, crc, chunk_index
+        return sealed_bytes, sealed_crc, chunk_index
 
     def _append(self, data: bytes) -> None:
         offset = self._reserve(len(data))

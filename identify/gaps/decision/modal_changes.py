@@ -180,19 +180,19 @@ def level_dependence(
             high_ratios[is_elastic] / low_ratios[is_elastic] - 1,
         )
         change_sizes = np.hypot(frequency_changes / low_ratios[is_elastic], damping_changes)
-        mode_index = int(np.argmax(change_sizes))
+        most_changed = int(np.argmax(change_sizes))
         dependence = LevelDependence(
             lowest_n=float(force_levels_n[lowest_index]),
             highest_n=float(force_levels_n[highest_index]),
             body=body.name,
-            frequency_hz=float(low_hz[is_elastic][mode_index]),
-            frequency_change=float(frequency_changes[mode_index]),
-            damping_change=float(damping_changes[mode_index]),
+            frequency_hz=float(low_hz[is_elastic][most_changed]),
+            frequency_change=float(frequency_changes[most_changed]),
+            damping_change=float(damping_changes[most_changed]),
         )
-        if change_sizes[mode_index] > 0 and (
-            largest_dependence is None or change_sizes[mode_index] > largest_dependence[0]
+        if change_sizes[most_changed] > 0 and (
+            largest_dependence is None or change_sizes[most_changed] > largest_dependence[0]
         ):
-            largest_dependence = float(change_sizes[mode_index]), dependence
+            largest_dependence = float(change_sizes[most_changed]), dependence
     return largest_dependence[1] if largest_dependence else None
 
 

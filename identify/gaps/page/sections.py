@@ -323,12 +323,12 @@ def _cause_row(cause: Cause) -> tuple[str, ...]:
 
 
 def _comparison_row(comparison: ParameterByRecord) -> tuple[str, ...]:
-    trend_word = comparison.trend if comparison.trend != "none" else ""
+    record_trend_word = comparison.trend if comparison.trend != "none" else ""
     return (
         comparison.parameter,
         comparison.place,
         *(interval(value) for value in comparison.values),
-        trend_word,
+        record_trend_word,
         percent(comparison.p_value),
     )
 

@@ -112,9 +112,9 @@ def band_means(
 ) -> Float[np.ndarray, "bands sensors"]:
     """Mean over the lines of each band."""
     band_of_line = band_of_lines(record, band_count)
-    lines_by_band = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
+    band_line_counts = np.maximum(np.bincount(band_of_line, minlength=band_count), 1)
     return np.array(
-        [np.bincount(band_of_line, sensor_values, band_count) / lines_by_band for sensor_values in line_values]
+        [np.bincount(band_of_line, sensor_values, band_count) / band_line_counts for sensor_values in line_values]
     ).T
 
 

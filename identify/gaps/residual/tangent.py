@@ -39,9 +39,9 @@ class Tangent:
             return csc_matrix(spline_values.shape)
         first_samples, splines = _windows(spline_values)
         window_samples = splines.shape[1]
-        next_values = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1)
+        next_sample_values = np.append(splines[:, 1:], np.zeros((len(splines), 1)), axis=1)
         step_shares = np.arange(self.rate_multiple) / self.rate_multiple
-        finer_splines = (splines[..., None] + (next_values - splines)[..., None] * step_shares).reshape(
+        finer_splines = (splines[..., None] + (next_sample_values - splines)[..., None] * step_shares).reshape(
             len(splines), -1
         )
         finer_samples = window_samples * self.rate_multiple

@@ -200,8 +200,8 @@ def pooled(
         len(steps),
         len(record_information) if differs_by_record else 1,
     )
-    step_bounds = np.sort(np.stack(bounds) / steps, axis=0)
-    prior_widths = np.tile(step_bounds[1] - step_bounds[0], parameter_copies)
+    bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
+    prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
     prior_precisions = np.concatenate([np.ones(tolerance_count), prior_widths**-2.0])
     normal_matrix, right_side = np.diag(prior_precisions), prior_precisions * prior_means
@@ -215,7 +215,7 @@ def pooled(
         right_side[unknowns] += information.right_side
     lower_bounds, upper_bounds = (
         np.append(np.full(tolerance_count, sign * LIMIT), np.tile(bound, parameter_copies))
-        for sign, bound in zip((-1, 1), step_bounds, strict=True)
+        for sign, bound in zip((-1, 1), bounds_in_steps, strict=True)
     )
     pooled_unknowns = prior_means + bounded_minimum(
         normal_matrix, right_side - normal_matrix @ prior_means, lower_bounds - prior_means, upper_bounds - prior_means

@@ -77,17 +77,17 @@ def response_of(whitened: WhitenedRecord, force_place: ForcePlace) -> Complex[np
 
 
 def locate_force(
-    whitened: WhitenedRecord, expected_place: ForcePlace | None = None, radius_m: float = 0.1
+    whitened: WhitenedRecord, expected_place: ForcePlace | None = None, search_radius_m: float = 0.1
 ) -> LocatedForce:
     """Candidate with the largest gain, its position refined.
 
-    With an `expected_place` one only its kind, no further than radius_m from it, is tried.
+    With an `expected_place` one only its kind, no further than search_radius_m from it, is tried.
     """
     without_force = evidence_without_force(whitened)
     possible_places = [
         place
         for place in force_places(whitened.record.rig, whitened.record.sensors)
-        if expected_place is None or _within_radius(place, expected_place, radius_m)
+        if expected_place is None or _within_radius(place, expected_place, search_radius_m)
     ]
     if expected_place is not None and expected_place.kind != "distributed":
         possible_places.append(expected_place)
@@ -163,11 +163,12 @@ def _position_grid_m(length_m: float) -> list[float]:
     return [float(position_m) for position_m in np.linspace(0, length_m, max(2, round(length_m / SPACING_M) + 1))]
 
 
-def _within_radius(force_place: ForcePlace, expected_place: ForcePlace, radius_m: float) -> bool:
+def _within_radius(force_place: ForcePlace, expected_place: ForcePlace, search_radius_m: float) -> bool:
     if force_place.kind != expected_place.kind or force_place.sensor_name != expected_place.sensor_name:
         return False
     return all(
-        station.body == expected_station.body and abs(station.position_m - expected_station.position_m) <= radius_m
+        station.body == expected_station.body
+        and abs(station.position_m - expected_station.position_m) <= search_radius_m
         for station, expected_station in zip(force_place.stations, expected_place.stations, strict=True)
     )
 

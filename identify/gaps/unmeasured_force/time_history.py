@@ -144,10 +144,10 @@ def force_history(located_force: LocatedForce) -> ForceHistory:
     whitened, with_force = located_force.whitened_record, located_force.with_force
     record, likeliest_spectrum = whitened.record, force_spectrum(located_force)
     place_acceleration = np.zeros(record.omega.size, dtype=complex)
-    for station, sign in zip(located_force.force_place.stations, (1.0, -1.0), strict=False):
-        place_acceleration += sign * (
+    for station, force_sign in zip(located_force.force_place.stations, (1.0, -1.0), strict=False):
+        place_acceleration += force_sign * (
             whitened.acceleration_at(station)
-            + sign * _unobserved_accelerance(located_force, station) * likeliest_spectrum
+            + force_sign * _unobserved_accelerance(located_force, station) * likeliest_spectrum
         )
     displacement_m, velocity_m_per_s = (
         _oversampled_history(

@@ -97,10 +97,10 @@ def seen_blocks(path: Path, blocks: Blocks) -> SeenFile:
         if isinstance(block, Refused):
             refusal_facts.append(f"left out: {block.sentence}")
         elif block.sample_count == 1 and len(block.names) == 1:
-            (column,) = block.read([0])
-            stated_hz = rate_in([[column.name.rpartition(".")[2], repr(float(column.values[0]))]], ".")
+            (single_column,) = block.read([0])
+            stated_hz = rate_in([[single_column.name.rpartition(".")[2], repr(float(single_column.values[0]))]], ".")
             if stated_hz is not None and rate_hz is None:
-                rate_hz, rate_origin = stated_hz, repr(column.name)
+                rate_hz, rate_origin = stated_hz, repr(single_column.name)
         else:
             for column_index in range(len(block.names)):
                 columns.append(seen_column(len(columns) + 1, block.read([column_index])[0]))

@@ -49,10 +49,10 @@ def seen_csv(path: Path) -> SeenFile:
     line_count = values.shape[1]
     _check_one_block(path, line_numbers, values[:, : max(end_rows)])
     is_whole = [
-        share >= LEAST_FILLED_SHARE
+        filled_share >= LEAST_FILLED_SHARE
         and end_row >= LEAST_LENGTH_SHARE * max(end_rows)
         and start_row <= MOST_SKIPPED_SHARE * line_count
-        for share, start_row, end_row in zip(filled_shares, first_rows, end_rows, strict=True)
+        for filled_share, start_row, end_row in zip(filled_shares, first_rows, end_rows, strict=True)
     ]
     if not any(is_whole):
         raise RigError(

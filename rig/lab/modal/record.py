@@ -71,9 +71,9 @@ def fit_record(
         raise RigError("the force excites no line in band_hz; give a band that it excites")
     hz, frfs, weights = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
     accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
-    frf_fit = fit_modes(hz, accelerance, driving_index)
+    frf_modes = fit_modes(hz, accelerance, driving_index)
     refined = refined_by_frfs(
-        hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_fit, driving_index
+        hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_modes, driving_index
     )
     used_hz = float(hz[0]), float(hz[-1])
     refined = refined_by_output(*_output_spectra(measured, refined, used_hz), used_hz, refined, driving_index)
@@ -86,7 +86,7 @@ def fit_record(
         body=structure_of(
             name, length_m, refined.frequencies_hz, refined.damping_ratios, places_m, shapes[sensor_order]
         ),
-        frf_fit_misfits=_free_run_misfits(measured, frf_fit),
+        frf_fit_misfits=_free_run_misfits(measured, frf_modes),
         misfits=misfits,
         unmodelled_share=float(np.sqrt(np.mean(np.maximum(misfits**2 - noise_shares**2, 0.0)))),
         noise_density=noise_density,

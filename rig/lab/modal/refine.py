@@ -94,8 +94,8 @@ class _OutputError:
         self.omega, self.driving_index = omega, driving_index
 
     def residual(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, " data"]:
-        error = self._error(self._modes(unknowns))
-        return np.concatenate([error.real.ravel(), error.imag.ravel()])
+        relative_error = self._error(self._modes(unknowns))
+        return np.concatenate([relative_error.real.ravel(), relative_error.imag.ravel()])
 
     def jacobian(self, unknowns: Float[np.ndarray, " unknowns"]) -> Float[np.ndarray, "data unknowns"]:
         modes = self._modes(unknowns)
