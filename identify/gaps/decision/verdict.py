@@ -143,7 +143,7 @@ def decide(
     )
     likeliest = next((item.validated for item in weighted_hypotheses if item.validated.hypothesis.candidates), None)
     likeliest_strengths = strengths_of(likeliest.hypothesis, weighted_hypotheses) if likeliest else ()
-    named_hypothesis = _named_hypothesis(likeliest, likeliest_strengths, ranked_hypotheses) if likeliest else None
+    named_hypothesis = _named_hypothesis(likeliest, likeliest_strengths, weighted_hypotheses) if likeliest else None
     named_or_nominal = named_hypothesis or nominal_hypothesis
     contact_names = [quantity.name for quantity in difference.contact_bounds]
     evidence = Evidence(
@@ -224,12 +224,19 @@ def _look_alikes(
 def _named_hypothesis(
     likeliest: ValidatedHypothesis,
     effect_strengths: Sequence[Strength],
-    ranked_hypotheses: Sequence[ValidatedHypothesis],
+    weighted_hypotheses: Sequence[WeightedHypothesis],
 ) -> ValidatedHypothesis:
-    """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated."""
+    """Hypothesis of the named effects alone; the likeliest one if none is named, or if that was not validated or would
+    by itself not name them."""
     named_effects = tuple(sorted(strength.effect for strength in effect_strengths if strength.is_named))
     return next(
-        (item for item in ranked_hypotheses if named_effects and item.hypothesis.effect_names == named_effects),
+        (
+            weighted.validated
+            for weighted in weighted_hypotheses
+            if named_effects
+            and weighted.validated.hypothesis.effect_names == named_effects
+            and all(s.is_named for s in strengths_of(weighted.validated.hypothesis, weighted_hypotheses))
+        ),
         likeliest,
     )
 

@@ -1,7 +1,10 @@
 """Where an unmeasured force is the rival of an effect, and where its companion; what prediction rules out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import Difference
 from identify.gaps.decision.comparison import ValidatedHypothesis
@@ -152,3 +155,19 @@ def test_a_veto_stays_where_no_other_effect_was_likely():
         assert outcome.decision.named_hypothesis is mass
         assert not outcome.decision.corrects_rig
         assert not outcome.ruled_out
+
+
+@pytest.mark.parametrize(("share_alone", "named_alone"), [(1.0, True), (0.1, False)])
+def test_an_effect_that_a_pair_names_stands_alone_only_where_it_is_named_there(share_alone, named_alone):
+    mass, weak_spring = validated_hypothesis(1.5, "added_mass"), validated_hypothesis(1.5, "linear_spring", 0.1)
+    pair_hypothesis = Hypothesis(
+        mass.hypothesis.candidates + weak_spring.hypothesis.candidates,
+        np.concatenate([mass.hypothesis.values, weak_spring.hypothesis.values]),
+        block_diag(mass.hypothesis.covariance, weak_spring.hypothesis.covariance),
+        mass.misfit,
+    )
+    pair = replace(mass, hypothesis=pair_hypothesis)
+    alone, nominal = validated_hypothesis(1.52, "added_mass", share_alone), validated_hypothesis(60.0)
+    decision = decide([pair, alone, nominal], vetoed=False)
+    assert decision.evidence.named == (mass.hypothesis.candidates[0].name,)
+    assert decision.named_hypothesis is (alone if named_alone else pair)
