@@ -19,8 +19,8 @@ MAX_CAUSES = 6
 """Causes of a figure at most. Display."""
 MAX_LABELS = 12
 """Labels of an axis at most. Display."""
-MIN_RATIO = 0.01
-"""Ratio to its threshold at which a smaller value is drawn. Display."""
+LEAST_PERCENT = 1.0
+"""Per cent of its threshold at which a smaller value is drawn. Display."""
 MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
@@ -90,17 +90,17 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
         drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.14))
     for label, rig_quantities, colour, marker, offset in drawn_rigs:
         rows = offset + np.arange(len(rig_quantities))
-        ends = [[np.nan if end is None else end / q.threshold for end in (q.value, q.upper)] for q in rig_quantities]
-        values, upper_ends = np.maximum(np.array(ends), MIN_RATIO).T  # what is not known is not drawn
+        ends = [[np.nan if x is None else 100 * x / q.threshold for x in (q.value, q.upper)] for q in rig_quantities]
+        values, upper_ends = np.maximum(np.array(ends), LEAST_PERCENT).T  # what is not known is not drawn
         axes.plot(values, rows, marker, color=colour, label=label)
         for row, value, upper_end in zip(rows, values, upper_ends, strict=True):
             axes.plot([value, upper_end], [row, row], color=colour, lw=2.0)
-    axes.axvline(1.0, color=INK, lw=1.2, ls="--", label="matters from here")
+    axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="matters from here")
     axes.set_xscale("log")
-    axes.set_xlim(left=0.7 * MIN_RATIO)
+    axes.set_xlim(left=0.7 * LEAST_PERCENT)
     axes.set_yticks(np.arange(len(quantities)), [_shortened_name(quantity.name) for quantity in quantities])
     axes.set_ylim(len(quantities) - 0.5, -0.5)
-    axes.set(xlabel="difference over the least that matters")
+    axes.set(xlabel="difference over the least that matters, %")
     figure.legend(loc="outside upper center", ncols=3)
 
 

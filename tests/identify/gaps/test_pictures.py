@@ -42,7 +42,7 @@ def test_every_picture_is_a_png_that_shows_something(made):
 
 def test_every_section_has_pictures(made):
     gap, files, _ = made
-    sections = {"large", "why", "where"} | ({"unknown"} if gap.unknown else set())
+    sections = {"large", "decided", "why", "where"} | ({"unknown"} if gap.unknown else set())
     sections |= {"prediction"} if gap.rollout and gap.rollout.example else set()
     sections |= {"next"} if gap.next_experiments else set()
     assert {name.split("_")[0] for name in files} == sections
@@ -180,4 +180,5 @@ def test_what_is_missing_is_left_out(gaps):
     nothing = Attribution(
         channels={}, modal_equations={}, positions_m={}, band_hz=(), contact_state={}, time_s=(), surface={}
     )
-    assert not pictures(replace(gap, attribution=nothing, bands=(), causes=()))
+    evidence = replace(gap.evidence, quantities=())
+    assert not pictures(replace(gap, evidence=evidence, attribution=nothing, bands=(), causes=()))

@@ -108,7 +108,7 @@ def test_nuisance_parameters_by_another_rig(believed):
         linear[parameter.name] = largest_relative_error(
             [linearization.columns.residual_decrease(values)], [residual.linear_residual - changed.linear_residual]
         )
-        if parameter.of not in coarse:
+        if parameter.owner not in coarse:
             expected = [a.residual - b.residual for a, b in zip(residual.contacts, changed.contacts, strict=True)]
             contacts[parameter.name] = largest_relative_error(
                 [contact_jacobian(linearization, residual, j) @ values for j in range(2)], expected
