@@ -29,8 +29,8 @@ def main() -> None:
     parser.add_argument("--identify-again", action="store_true", help="from the CSV files that are there")
     asked = parser.parse_args()
     results = []
-    for name in asked.only or RIGS:
-        for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
+    for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
+        for name in asked.only or RIGS:
             folder = asked.out / f"{name}_{seed}"
             begin = time.monotonic()
             results.append(solved(name, seed, folder, asked.identify_again))

@@ -44,8 +44,6 @@ def contact(
     """A contact whose clearance is off the belief by up to 20 %, stiffness and damping by up to 40 %; the stops of a
     pair are unlike by up to 5 %."""
     d = around(clearance_m, rng)
-    import os
-    damping_n_s_per_m *= float(os.environ.get("DAMP", "1"))
     sides = [d * rng.uniform(0.975, 1.025) for _ in range(2)]
     return TrueContact(
         name,

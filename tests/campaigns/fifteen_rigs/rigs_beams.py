@@ -51,7 +51,7 @@ def hammered(folder: Path, rng: np.random.Generator) -> Sequence[TrueContact]:
     body = built(uniform_beam(0.5, Section(0.04, 0.01), MODES, RATIO, True), rng)
     stop = contact("contact_1", ("beam", 0.5), rng, 3e-4, 1e5, 5.0, stops="upper")
     assembly = Assembly({"beam": body}, [stop], [("beam", 0.3)], {"beam": 0.5})
-    force = blows(300.0, 1.5e-3, 2.0, GRID, rng)
+    force = blows(600.0, 1.5e-3, 2.0, GRID, rng)
     record = recorded(assembly, sensors(beam_stations((0.1, 0.3, 0.5)), BOTH), force[None], GRID, rng)
     write_record(folder / "run.csv", record, GRID.rate_hz)
     print(f"  closed {record.closed_share}", flush=True)
@@ -100,7 +100,7 @@ def shaken_cantilever(folder: Path, rng: np.random.Generator) -> Sequence[TrueCo
         ground_sensor(ACCELERATION),
         ground_sensor(DISPLACEMENT),
     ]
-    return shaken(folder, rng, assembly, instruments, (8.0, 250.0), 25.0, GRID)
+    return shaken(folder, rng, assembly, instruments, (15.0, 250.0), 25.0, GRID)
 
 
 def describe_shaken_cantilever(session: UserSession) -> None:

@@ -24,7 +24,7 @@ from tests.campaigns.fifteen_rigs.rigs_lumped import excited
 from tests.campaigns.fifteen_rigs.session import UserSession, write_record
 from tests.campaigns.newcomer_machine import write_mode_shapes
 
-GRID = Grid(4096.0, 20.0)
+GRID = Grid(4096.0, 15.0)
 MODES, RATIO = 16, 0.01
 BAND_HZ = (1.0, 100.0)
 REFERENCE = Section(0.05, 0.01)
