@@ -48,12 +48,10 @@ def solved(name: str, seed: int, folder: Path, again: bool) -> dict[str, Any]:
     session = UserSession(folder)
     rig.describe(session)
     session.run(TAIL)
-    check = session.run("identify check run.mcap")
     found = session.run("identify contact run.mcap --out contact --force")
     result: dict[str, Any] = {"rig": name, "seed": seed, "commands": len(session.done), "edits": session.edits}
     result["seconds"] = sum(c.seconds for c in session.done)
-    result["refused"] = [f"{c.words}\n{c.said}" for c in session.done if c.status and c is not check]
-    result["check"] = check.said if check.status else ""
+    result["refused"] = [f"{c.words}\n{c.said}" for c in session.done if c.status]
     result["runs"] = [asdict(c) for c in session.done]
     if not found.status:
         result |= answers(folder / "contact", list(truth))

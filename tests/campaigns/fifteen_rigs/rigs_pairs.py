@@ -24,7 +24,7 @@ from tests.campaigns.fifteen_rigs.rigs_lumped import excited
 from tests.campaigns.fifteen_rigs.session import UserSession, write_record
 from tests.campaigns.newcomer_machine import write_mode_shapes
 
-GRID = Grid(4096.0, 15.0)
+GRID = Grid(2048.0, 15.0, 16)
 MODES, RATIO = 16, 0.01
 BAND_HZ = (1.0, 100.0)
 REFERENCE = Section(0.05, 0.01)
@@ -33,7 +33,7 @@ DECAY_NOISE = 50e-9
 REFERENCE_WORDS = (
     "rig init beams --cradle-length-m 1 --cradle-width-m 0.05 --cradle-thickness-m 0.01 --barrel-length-m 1 "
     "--barrel-width-m 0.05 --barrel-thickness-m 0.01 --overlap-start-m 0.45 --clearance-m 5e-3 "
-    "--stiffness-n-per-m 1e5 --sample-rate-hz 4096 "
+    "--stiffness-n-per-m 1e5 --sample-rate-hz 2048 "
 )
 
 
@@ -78,7 +78,7 @@ def describe_other_beams(session: UserSession) -> None:
         "rig init beams --cradle-length-m 1.2 --cradle-width-m 0.06 --cradle-thickness-m 0.012 --barrel-length-m 1.5 "
         "--barrel-width-m 0.05 --barrel-thickness-m 0.012 --overlap-start-m 0.5 --clearance-m 3e-3 "
         "--stiffness-n-per-m 8e4 --cradle-stations-m 0.3,0.5,0.85,1.2 --barrel-stations-m 0,0.3,0.7,1.1,1.5 "
-        f"--noise-density {NOISE[ACCELERATION]} --sample-rate-hz 4096 --out lab --force"
+        f"--noise-density {NOISE[ACCELERATION]} --sample-rate-hz 2048 --out lab --force"
     )
     import_map(session)
 
@@ -104,13 +104,13 @@ def describe_stepped(session: UserSession) -> None:
     """The barrel's object is taken from one rig.json into that of two beams, as rig/model/README.md has it."""
     session.run(
         "rig init structure --from-uff barrel.uff --contacts-m 0,0.55 --force-m 1 --clearance-m 3e-3 "
-        "--stiffness-n-per-m 1e5 --sample-rate-hz 4096 --out modes --force"
+        "--stiffness-n-per-m 1e5 --sample-rate-hz 2048 --out modes --force"
     )
     session.run(
         "rig init beams --cradle-length-m 1 --cradle-width-m 0.06 --cradle-thickness-m 0.012 --barrel-length-m 1 "
         "--barrel-width-m 0.05 --barrel-thickness-m 0.012 --overlap-start-m 0.45 --clearance-m 3e-3 "
         "--stiffness-n-per-m 1e5 --cradle-stations-m 0.25,0.45,0.725,1 --barrel-stations-m 0,0.25,0.55,0.8,1 "
-        f"--noise-density {NOISE[ACCELERATION]} --sample-rate-hz 4096 --out lab --force"
+        f"--noise-density {NOISE[ACCELERATION]} --sample-rate-hz 2048 --out lab --force"
     )
 
     def by_its_modes(rig: dict[str, Any]) -> None:
