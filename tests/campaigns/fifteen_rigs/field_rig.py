@@ -19,11 +19,12 @@ TAIL = "rig import run.csv --map lab/run.toml --out run.mcap --force"
 class FieldRig:
     """measure writes run.csv into the folder and returns what is true; describe makes lab/rig.json and lab/run.toml.
 
-    remedied makes run.mcap again by what a refusal advised, and returns what is true then.
+    remedy: options of a second `identify contact`, where the first one has findings or refuses a contact.
     """
 
     measure: Callable[[Path, np.random.Generator], Sequence[TrueContact]]
     describe: Callable[[UserSession], None]
+    remedy: str = ""
 
 
 def around(value: float, rng: np.random.Generator, share: float = 0.2) -> float:

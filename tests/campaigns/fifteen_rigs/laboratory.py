@@ -14,6 +14,8 @@ from tests.campaigns.fifteen_rigs.piecewise_linear import OPEN_M, Pickup, Piecew
 GAIN, PLACE_M, DELAY_S, HIGH_PASS_HZ = 2e-3, 1e-3, 1e-5, 0.1
 FORCE_GAIN, MASS, FREQUENCY, DAMPING = 3e-3, 3e-3, 2e-3, 0.3
 """The default tolerances as identify/README.md states them, standard deviations."""
+LEAST_DAMPING = 0.2
+"""Smallest factor of a damping ratio that is drawn."""
 QUIET_S, RISE_S, TAIL_S = 1.0, 0.3, 0.1
 FORCE_NOISE = 2e-4
 """Of the force cell, N/sqrt(Hz)."""
@@ -125,7 +127,9 @@ def built(body: ModalBody, rng: np.random.Generator) -> ModalBody:
     """The body as it is: mass, frequencies and damping off by their tolerances, common and of each mode."""
     modes = body.frequencies_hz.size
     common, each = 1 + FREQUENCY * rng.standard_normal(), 1 + FREQUENCY * rng.standard_normal(modes)
-    damping = np.clip(1 + DAMPING * rng.standard_normal(modes), 0.2, None) * max(0.2, 1 + DAMPING * rng.standard_normal())
+    damping = np.clip(1 + DAMPING * rng.standard_normal(modes), 0.2, None) * max(
+        0.2, 1 + DAMPING * rng.standard_normal()
+    )
     heavier = body.scaled(1 + MASS * rng.standard_normal())
     return replace(heavier, frequencies_hz=body.frequencies_hz * common * each, ratios=body.ratios * damping)
 
@@ -151,8 +155,7 @@ def recorded(
         pickups.append(Pickup(row, 2 if sensor.quantity == "acceleration" else 0))
     moved, closed = motion(assembly.machine(), pickups, inputs.T, grid.step_s, displaced)
     if ground is not None:
-        for row, pickup in zip(moved, pickups, strict=True):
-            row += ground[1] if pickup.order else ground[0]
+        moved += [ground[1] if pickup.order else ground[0] for pickup in pickups]
     columns = through_instruments(instruments, moved, grid, rng)
     force = np.array([_sampled(row, grid, 0.0) for row in inputs])
     force = force * (1 + FORCE_GAIN * rng.standard_normal((len(force), 1)))
@@ -190,9 +193,7 @@ def _sampled(signal: Float[np.ndarray, " steps"], grid: Grid, delay_s: float) ->
     return oaconvolve(signal, taps / taps.sum(), mode="same")[:: grid.steps_per_sample][:samples]
 
 
-def _white(
-    density: float, shape: tuple[int, ...], grid: Grid, rng: np.random.Generator
-) -> Float[np.ndarray, "..."]:
+def _white(density: float, shape: tuple[int, ...], grid: Grid, rng: np.random.Generator) -> Float[np.ndarray, "..."]:
     return density * np.sqrt(grid.rate_hz / 2) * rng.standard_normal(shape)
 
 

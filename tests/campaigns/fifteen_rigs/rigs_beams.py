@@ -161,10 +161,11 @@ def describe_plate(session: UserSession) -> None:
     import_map(session)
 
 
+BY_DISPLACEMENTS = f"--use {DISPLACEMENT}"
 RIGS = {
-    "cantilever": FieldRig(cantilever, describe_cantilever),
-    "one_sided_hammer": FieldRig(hammered, describe_hammered),
-    "roller": FieldRig(roller, describe_roller),
-    "shaken_cantilever": FieldRig(shaken_cantilever, describe_shaken_cantilever),
+    "cantilever": FieldRig(cantilever, describe_cantilever, BY_DISPLACEMENTS),
+    "one_sided_hammer": FieldRig(hammered, describe_hammered, BY_DISPLACEMENTS),
+    "roller": FieldRig(roller, describe_roller, BY_DISPLACEMENTS),
+    "shaken_cantilever": FieldRig(shaken_cantilever, describe_shaken_cantilever, BY_DISPLACEMENTS),
     "plate": FieldRig(plate, describe_plate),
 }

@@ -182,7 +182,8 @@ def friction_mass(folder: Path, rng: np.random.Generator) -> Sequence[TrueContac
     mass_kg = 2.0 * (1 + MASS * rng.standard_normal())
     grid = Grid(1024.0, 30.0, 64)
     force = gaussian(5.0, (1.0, 20.0), grid, rng)
-    assert stops.lower_m is not None and stops.upper_m is not None
+    assert stops.lower_m is not None
+    assert stops.upper_m is not None
     x, a = sliding_mass(mass_kg, FRICTION_N, stops.lower_m, stops.upper_m, *_law(stops), force, grid.step_s)
     instruments = sensors([("mass", 0.0)], f"{ACCELERATION},{DISPLACEMENT}")
     columns = through_instruments(instruments, np.array([a, x]), grid, rng)

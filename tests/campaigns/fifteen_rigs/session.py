@@ -17,7 +17,6 @@ from tests.campaigns.fifteen_rigs.laboratory import Measured, TrueContact
 
 COVERED = 1.96
 """Standard errors of a 95 % interval."""
-RATE_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def answers(folder: Path, truth: list[TrueContact]) -> dict[str, Any]:
     return {
         "values": values,
         "unanswered": [f"{u['name']}: {u['reason']}" for u in report["unanswered"]],
-        "findings": [f["sentence"] if "sentence" in f else json.dumps(f) for f in report["findings"]],
+        "findings": [f"{f['evidence']}: {f['mend']}" for f in report["findings"]],
     }
 
 
