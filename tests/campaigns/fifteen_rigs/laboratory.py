@@ -76,7 +76,7 @@ class Assembly:
         bodies = list(self.bodies.values())
         inputs = [self.row(*place) for place in self.forces]
         if not self.forces:
-            inputs = [-np.concatenate([b.participations for b in bodies])]  # type: ignore[misc]
+            inputs = [-np.concatenate([b.participations for b in bodies])]
         stops = tuple(
             TwoSidedStop(
                 c.name,

@@ -142,6 +142,8 @@ def on_the_ground(rig: dict[str, Any], quantity: str) -> None:
 
 def shaken_mass(folder: Path, rng: np.random.Generator) -> Sequence[TrueContact]:
     stops = contact("contact_1", ("mass", 0.0), rng, 5e-4, 4e4, 4.0)
+    assert stops.lower_m is not None
+    assert stops.upper_m is not None
     unequal = TrueContact("contact_1", stops.at, None, 0.7 * stops.lower_m, 1.3 * stops.upper_m, *_law(stops))
     assembly = Assembly({"mass": built(point_mass(2.0, 12.0, 0.02), rng)}, [unequal])
     places = [*sensors([("mass", 0.0)], ACCELERATION), ground_sensor(ACCELERATION)]

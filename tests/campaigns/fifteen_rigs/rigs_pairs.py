@@ -57,8 +57,8 @@ def pair(
 
 
 def reference_pair(rng: np.random.Generator) -> Assembly:
-    bodies = (uniform_beam(1.0, REFERENCE, MODES, RATIO, clamped) for clamped in (True, False))
-    return pair(*bodies, rng, (0.45, 1.0), (5e-3, 1e5, 10.0), (1.0, 1.0))
+    cradle, barrel = (uniform_beam(1.0, REFERENCE, MODES, RATIO, clamped) for clamped in (True, False))
+    return pair(cradle, barrel, rng, (0.45, 1.0), (5e-3, 1e5, 10.0), (1.0, 1.0))
 
 
 def stations(cradle_m: Sequence[float], barrel_m: Sequence[float]) -> list[tuple[str, float]]:
