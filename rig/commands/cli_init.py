@@ -102,7 +102,7 @@ def _option(field: msgspec.structs.FieldInfo, help_text: str) -> Any:
         help_text = f"{help_text} Default: {default_text}."
     metavar_by_type = {
         "Path": "FILE",
-        "both": "both|upper|lower",
+        "Literal['both'": "both|upper|lower",
         "tuple[float": "NUMBER,...",
         "tuple[int": "NUMBER,...",
         "float": "NUMBER",

@@ -2,7 +2,7 @@
 
 A row of shapes may have a name, `"node": "17"`, and a station may give it, `{"body": "plate", "node": "17"}`. Where no
 row of a structure has a position (the points of a plate have no common axis), its positions are the numbers of the rows
-from 0, which stand for the names alone: `has_axis` of such a structure is false.
+from 0, which stand for the names alone: `has_axis` of such a structure is false, and its length is their range.
 """
 
 from collections.abc import Iterator, Mapping
@@ -41,7 +41,7 @@ def _nodes(place: str, body: dict[str, Any]) -> dict[str, float]:
     if rows and all(NODE in row and POSITION not in row for row in rows):
         for k, row in enumerate(rows):
             row[POSITION] = float(k)
-        body.setdefault("length_m", max(float(len(rows) - 1), 1.0))
+        body["length_m"] = max(float(len(rows) - 1), 1.0)
         body["has_axis"] = False
     named = [row for row in rows if isinstance(row.get(NODE), str) and POSITION in row]
     if doubled := [row[NODE] for k, row in enumerate(named) if row[NODE] in [n[NODE] for n in named[:k]]]:

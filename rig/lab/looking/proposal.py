@@ -151,6 +151,9 @@ def _form_lines(form: TextForm) -> Iterator[str]:
 
 def _force_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig: Rig | None) -> Iterator[str]:
     force_roles = [role for role in roles if role.quantity == "force"]
+    if not force_roles and rig is not None and all(rig.is_on_ground(station) for station in rig.forces):
+        yield 'force = "none"  # rig.json has no force_at: its base shakes'
+        return
     if not force_roles:
         yield (
             f'force = "{PLACEHOLDER}"  # no column says that it is one: move its entry here from below, '

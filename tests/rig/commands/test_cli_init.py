@@ -219,6 +219,15 @@ def test_help_has_an_example_and_every_option(rig, kind):
         assert f"--{name.replace('_', '-')} " in out
 
 
+def test_help_says_which_options_take_a_choice(rig):
+    """--contacts-m of two beams takes numbers, though its text has the word both."""
+    _, out, _ = rig("init", "beams", "--help")
+    (line,) = (line for line in out.splitlines() if "--contacts-m" in line)
+    assert "NUMBER,..." in line
+    (line,) = (line for line in out.splitlines() if "--stops" in line)
+    assert "both|upper|lower" in line
+
+
 def test_a_rig_and_a_recording_are_drawn(rig, tmp_path):
     rig("init", "mass", *options(MASS))
     assert rig("record", "rig.json", "--plant", "modal", "--duration", 2, "--out", "r.mcap")[0] == 0

@@ -69,6 +69,13 @@ def test_points_without_an_axis_have_no_slope_and_no_shapes_between_them():
     np.testing.assert_array_equal(body.shapes(np.array([0.4]), 2)[0], SHAPES["11"])
 
 
+def test_a_length_of_points_without_an_axis_does_not_limit_them():
+    """The plate's own length, 0.3 m, is no bound of the numbers that stand for its nodes."""
+    description = plate()
+    description["bodies"][0]["length_m"] = 0.3
+    assert read(description) == read(plate())
+
+
 def test_nodes_with_positions_keep_them():
     description = plate()
     for row, position_m in zip(description["bodies"][0]["shapes"], (0.0, 0.1, 0.4, 0.5), strict=True):

@@ -50,6 +50,14 @@ def test_a_support_is_a_pin_by_bernoulli_and_euler(ends, places_m, roots):
     np.testing.assert_allclose(modes_of(rig, beam).frequencies_hz(3), expected_hz, rtol=5e-4, atol=0.05)
 
 
+def test_a_support_holds_the_higher_modes_too():
+    """Clamped and pinned, tan x = tanh x: x = (n + 1/4) pi from the second root on."""
+    rig = held(BEAM, at(1.0))
+    flexural = np.sqrt(BEAM.bending_stiffness_n_m2 / BEAM.mass_per_length_kg_per_m)
+    roots = (np.arange(2, 13) + 0.25) * np.pi
+    np.testing.assert_allclose(modes_of(rig, BEAM).frequencies_hz(12)[1:], roots**2 * flexural / (2 * np.pi), rtol=3e-4)
+
+
 def test_a_support_that_gives_is_a_spring():
     sprung = replace(held(), springs=(PointSpring(station=Station("beam", 0.7), stiffness_n_per_m=3e4),))
     given = held(BEAM, at(0.7, stiffness_n_per_m=3e4))

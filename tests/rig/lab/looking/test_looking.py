@@ -9,13 +9,14 @@ import msgspec
 import numpy as np
 import pytest
 import pyuff
+from msgspec.structs import replace
 from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from rig.errors import RigError
 from rig.lab.importing import import_file
 from rig.lab.looking import look_at
-from rig.model.description import to_json
+from rig.model.description import ON_GROUND, Sensor, to_json
 from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.rig.lab.looking.loggers import ACCELERATION, FORCE_N, LOGGERS, RATE_HZ, SAMPLES, TABLE, TIME_S, rows
@@ -151,6 +152,21 @@ def test_of_several_bodies_the_owner_gives_the_place_and_known_names_need_none(t
     map_path.write_text(text.replace("0.75", "125.0"))
     with pytest.raises(RigError, match=r"sensor 'tip' stands at 125\.0 m, off 'barrel'"):
         import_file(source, map_path, tmp_path / "other.mcap")
+
+
+def test_the_map_of_a_rig_on_a_shaking_base_asks_for_no_force(tmp_path):
+    """A sensor on the ground, no force_at and no column of a force: the record is imported without a value added."""
+    table = Sensor(name="table", station=ON_GROUND, quantity="acceleration")
+    mass = replace(table, name="mass", station=RIG.sensors[0].station)
+    rig = replace(RIG, force_at=ON_GROUND, sensors=(table, mass))
+    (tmp_path / "rig.json").write_bytes(to_json(rig))
+    table_text = rows(np.column_stack([TIME_S, TABLE[:, 2], TABLE[:, 2]]), digits="%.12g")
+    (tmp_path / "run.csv").write_text(f"time_s,table [m/s^2],mass [m/s^2]\n{table_text}")
+    proposal = look_at(tmp_path / "run.csv", rig)
+    assert proposal.placeholder_count == 0
+    (tmp_path / "map.toml").write_text(proposal.text)
+    import_file(tmp_path / "run.csv", tmp_path / "map.toml", tmp_path / "r.mcap")
+    assert not read(tmp_path / "r.mcap").signals["force"].values.any()
 
 
 @pytest.mark.parametrize(
