@@ -39,7 +39,7 @@ from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
-from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof, reference
+from rig.simulation.reference import REFERENCES, Reference, reference
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -158,14 +158,14 @@ def record(
         print(f"{truth_path(out)}: what only a simulator knows")
 
 
-def _level_json(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
     if not isinstance(machine, OwnRig):
         return {}
     return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
 
 
-def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
+def _machine(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
     """Reference rig by its name, or the rig in a JSON file.
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.

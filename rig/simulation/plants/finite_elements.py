@@ -94,7 +94,7 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
             marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
             mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
-    positions = mesh_positions(rig, body, element_count)
+    positions, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
     nodes = tuple(int(mbs.AddNode(item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
     for (left_node, right_node), length, middle_m in zip(
         pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
@@ -103,7 +103,7 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
         stiffness_factor, mass_factor = (
             float(np.prod([getattr(s, f) for s in local_sections])) for f in ("stiffness_factor", "mass_factor")
         )
-        axial = AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m
+        axial = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
         mbs.AddObject(
             item("ObjectANCFCable2D")(
                 nodeNumbers=[left_node, right_node],
