@@ -1,18 +1,24 @@
 """Schematic drawing of a rig: bodies, stations, contacts with clearances, forces, sensors and attachments."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from rig.model.contact_laws import walls_m
+from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 from rig.model.nodes import place_name
+from rig.model.space import plane_rigs
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
 LENGTH_PX, LEVEL_PX, HALF_PX, GAP_PX, REACH_PX, STRUT_PX = 800.0, 300.0, 7.0, 12.0, 62.0, 70.0
 TITLE_PX = -180.0
+VIEW_GAP_PX = 70.0
+VIEW_WORDS = {"y": ", seen from the side, y up", "z": ", seen from below, z up"}
 SLOT_PX, MASS_HALF_PX = 95.0, 34.0
 LETTERS = {"acceleration": "a", "velocity": "v", "displacement": "x", "strain": "\u03b5"}
 
@@ -20,25 +26,39 @@ LETTERS = {"acceleration": "a", "velocity": "v", "displacement": "x", "strain": 
 def draw(rig: Rig, path: Path) -> None:
     """Draw a rig as SVG, to scale along the bodies; clearances and thicknesses are not to scale.
 
-    Items on a mass are drawn side by side. Raises RigError if the file cannot be written.
+    Items on a mass are drawn side by side. A rig in space is drawn from the side, and from above below that. Raises
+    RigError if the file cannot be written.
     """
     drawing = Drawing()
-    plan = _plan(rig)
-    drawing.text(0.0, TITLE_PX, rig.name, size=16)
+    for direction, plane in plane_rigs(rig).items():
+        laws = {contact.name: contact.law for contact in rig.contacts}
+        contacts = tuple(replace(contact, law=laws[contact.name]) for contact in plane.contacts)
+        numbers = [k for k, station in enumerate(rig.forces, start=1) if station.direction == direction]
+        lowest_px = max((y for _, y in drawing.corners), default=TITLE_PX - VIEW_GAP_PX)
+        plan = _plan(replace(plane, contacts=contacts), lowest_px + VIEW_GAP_PX)
+        drawing.text(0.0, plan.title_px, f"{rig.name}{VIEW_WORDS[direction] if rig.in_space else ''}", size=16)
+        _view(drawing, plan, [f"F{k}" if len(rig.forces) > 1 else "force F" for k in numbers])
+    drawing.write(path)
+
+
+def _view(drawing: Drawing, plan: "_Plan", force_names: Sequence[str]) -> None:
+    """Draw a plane rig; of a direction without forces no name is given."""
+    rig = plan.rig
     for contact in rig.contacts:
         _jaws(drawing, plan, contact)
     for body in rig.bodies:
         _body(drawing, plan, body)
     for contact in rig.contacts:
         _clearances(drawing, plan, contact)
-    _forces(drawing, plan)
+    _forces(drawing, plan, force_names)
     _sensors(drawing, plan)
     _attached(drawing, plan)
+    if rig.gravity_m_per_s2:
+        drawing.text(0.0, plan.title_px + 38, f"gravity {rig.gravity_m_per_s2:g} m/s\u00b2 downwards", GREY)
     if rig.base_motion:
         base = rig.base_motion
         words = f"base motion {base.acceleration_rms_m_per_s2:g} m/s\u00b2 rms, {base.low_hz:g} to {base.high_hz:g} Hz"
         drawing.text(0.0, plan.levels[rig.bodies[0].name] + REACH_PX + 90, words, FORCE_INK)
-    drawing.write(path)
 
 
 @dataclass(frozen=True)
@@ -50,6 +70,7 @@ class _Plan:
     scale: float
     levels: dict[str, float]
     slots: dict[str, tuple[object, ...]]
+    title_px: float
 
     def x(self, station: Station, item: object) -> float:
         left_px = self.lefts[station.body]
@@ -68,16 +89,16 @@ class _Plan:
         return self.levels[body] + self.half(body)
 
 
-def _plan(rig: Rig) -> _Plan:
+def _plan(rig: Rig, title_px: float) -> _Plan:
     lefts = left_ends(rig)
     right = max(lefts[b.name] + b.length_m for b in rig.bodies)
     extent = right - min(lefts.values())
     scale = LENGTH_PX / extent if extent > 0 else 1.0
     levels = {body.name: -LEVEL_PX * k for k, body in enumerate(rig.bodies)}
-    top = min(levels.values())
+    top = min(levels.values()) - (title_px - TITLE_PX)
     slots = {body.name: tuple(_items_on(rig, body)) for body in rig.bodies if body.is_mass}
     placed = {name: scale * (left_m - min(lefts.values())) for name, left_m in lefts.items()}
-    return _Plan(rig, placed, scale, {name: level - top for name, level in levels.items()}, slots)
+    return _Plan(rig, placed, scale, {name: level - top for name, level in levels.items()}, slots, title_px)
 
 
 def _items_on(rig: Rig, body: Body) -> Iterator[object]:
@@ -113,6 +134,8 @@ def _body(drawing: Drawing, plan: _Plan, body: Body) -> None:
         return
     beam = next((b for b in plan.rig.beams if b == body), None)
     size = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
+    if beam and beam.outer_diameter_m:
+        size = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
     drawing.text(left_px, plan.top(body.name) - 98, f"{body.name}: {body.kind}, {body.length_m:g} m{size}", size=13)
     _ruler(drawing, plan, body)
 
@@ -198,13 +221,15 @@ def _contact_notes(contact: Contact) -> Iterator[str]:
     kind = str(contact.law.__struct_config__.tag)
     if kind != "dead_zone":
         yield kind
+    if isinstance(contact.law, Annular) and contact.law.friction_coefficient:
+        yield f"friction {contact.law.friction_coefficient:g}"
 
 
-def _forces(drawing: Drawing, plan: _Plan) -> None:
-    forces, names = plan.rig.forces, dict[Station, list[str]]()
-    for number, station in enumerate(forces, start=1):
-        names.setdefault(station, []).append("force F" if len(forces) == 1 else f"F{number}")
-    for station in dict.fromkeys(s for s in forces if not plan.rig.is_on_ground(s)):
+def _forces(drawing: Drawing, plan: _Plan, force_names: Sequence[str]) -> None:
+    names = dict[Station, list[str]]()
+    for station, name in zip(plan.rig.forces, force_names, strict=False):
+        names.setdefault(station, []).append(name)
+    for station in (s for s in names if not plan.rig.is_on_ground(s)):
         x, top = plan.x(station, station), plan.top(station.body)
         drawing.arrow((x, top - 1), (x, top - 80), FORCE_INK, 3.0)
         drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE_INK)
@@ -229,7 +254,7 @@ def _sensors(drawing: Drawing, plan: _Plan) -> None:
         key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
         if plan.rig.base_sensors:
             key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in plan.rig.base_sensors)
-        drawing.text(0.0, TITLE_PX + 20, f"sensors: {key}", SENSOR_INK)
+        drawing.text(0.0, plan.title_px + 20, f"sensors: {key}", SENSOR_INK)
 
 
 def _attached(drawing: Drawing, plan: _Plan) -> None:
