@@ -3,12 +3,16 @@
 from typing import Any, ClassVar
 
 import numpy as np
+from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.contact_laws.base import ContactLaw, Signal, Values
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M, DeadZone
 from rig.model.contact_laws.elementary import beyond, contributes, root, select, smaller, tanh
 
+Components = Float[np.ndarray, "2 *shape"]
+Tensor = Float[np.ndarray, "2 2 *shape"]
+"""Components of a derivative: of the force, then of eta or its rate."""
 TINY_M = 1e-150
 """Distance from the centre below which the force has no direction, and is zero."""
 
@@ -79,21 +83,28 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
         friction_n = law.friction_coefficient * normal_n * tanh(sliding)
         return (normal_n * y - friction_n * z) / r, (normal_n * z + friction_n * y) / r
 
-    def force_n(self, eta_m: Signal, rate_m_per_s: Signal = 0.0, time_s: Signal = 0.0) -> Values:
+    def force_n(
+        self, eta_m: float | Components, rate_m_per_s: float | Components = 0.0, time_s: Signal = 0.0
+    ) -> Components:
         return super().force_n(np.asarray(eta_m), np.broadcast_to(rate_m_per_s, np.shape(eta_m)), time_s)
 
-    def penetration_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+    def penetration_m(self, eta_m: float | Components, time_s: Signal = 0.0) -> Values:
         """Depth beyond the ring, without direction, m."""
-        y, z = np.asarray(eta_m)[0] - self.center_y_m, np.asarray(eta_m)[1] - self.center_z_m
-        return np.maximum(np.hypot(y, z) - self.clearance_m - self.wear_m_per_s * np.asarray(time_s), 0.0)
+        eta_m = np.asarray(eta_m)
+        r = np.hypot(eta_m[0] - self.center_y_m, eta_m[1] - self.center_z_m)
+        return np.asarray(np.maximum(r - self.clearance_m - self.wear_m_per_s * np.asarray(time_s), 0.0))
 
-    def by_eta_n_per_m(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+    def by_eta_n_per_m(self, eta_m: float | Components, time_s: Signal = 0.0) -> Tensor:
         return self.tangent(eta_m, 0.0, time_s)[0]
 
-    def by_rate_n_s_per_m(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> Values:
+    def by_rate_n_s_per_m(
+        self, eta_m: float | Components, rate_m_per_s: float | Components, time_s: Signal = 0.0
+    ) -> Tensor:
         return self.tangent(eta_m, rate_m_per_s, time_s)[1]
 
-    def tangent(self, eta_m: Signal, rate_m_per_s: Signal, time_s: Signal = 0.0) -> tuple[Values, Values]:
+    def tangent(
+        self, eta_m: float | Components, rate_m_per_s: float | Components, time_s: Signal = 0.0
+    ) -> tuple[Tensor, Tensor]:
         """Derivatives df/d eta (N/m) and df/d eta' (N s/m), by components of the force, then of eta.
 
         With dn = t dt'eta / r and dt = -n dt'eta / r, the turn of the axes, and dv_n = v_t t / r, dv_t = -v_n t / r.
@@ -119,5 +130,5 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
         by_eta = n[:, None] * normal_by_eta + t[:, None] * friction_by_eta + turning[:, None] * t
         return by_eta, n[:, None] * normal_by_rate + t[:, None] * friction_by_rate
 
-    def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
+    def energy_j(self, eta_m: float | Components, time_s: Signal = 0.0) -> Values:
         return np.asarray(self.stiffness_n_per_m * self.penetration_m(eta_m, time_s) ** 2 / 2)
