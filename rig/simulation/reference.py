@@ -189,10 +189,14 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Length of each tube, m."""
     overlap_start_m: float = 0.45
     """Position on the cradle of the barrel's left end."""
-    barrel_diameters_m: tuple[float, float] = (0.06, 0.04)
-    """Outer and inner diameter of the barrel, m."""
-    cradle_diameters_m: tuple[float, float] = (0.08, 0.064)
-    """Outer and inner diameter of the cradle, m."""
+    barrel_outer_diameter_m: float = 0.06
+    """Outer diameter of the barrel, m."""
+    barrel_inner_diameter_m: float = 0.04
+    """Inner diameter of the barrel, m."""
+    cradle_outer_diameter_m: float = 0.08
+    """Outer diameter of the cradle, m."""
+    cradle_inner_diameter_m: float = 0.064
+    """Inner diameter of the cradle, m."""
     clearance_1_m: float = 2e-3
     """Radial clearance of contact_1, m."""
     clearance_2_m: float = 2e-3
@@ -233,7 +237,6 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     def rig(self) -> Rig:
         """Rig of these settings."""
         barrel_overlap_m = self.length_m - self.overlap_start_m
-        diameters_m = {"cradle": self.cradle_diameters_m, "barrel": self.barrel_diameters_m}
         places_m = {
             "cradle": (0.25 * self.length_m, self.overlap_start_m, 0.75 * self.length_m, self.length_m),
             "barrel": (0.0, 0.25 * self.length_m, barrel_overlap_m, self.length_m),
@@ -250,8 +253,8 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
                     ends=end_condition,
                     length_m=self.length_m,
                     damping_ratio=self.damping_ratio,
-                    outer_diameter_m=diameters_m[name][0],
-                    inner_diameter_m=diameters_m[name][1],
+                    outer_diameter_m=getattr(self, f"{name}_outer_diameter_m"),
+                    inner_diameter_m=getattr(self, f"{name}_inner_diameter_m"),
                 )
                 for name, end_condition in _END_CONDITIONS
             ),
