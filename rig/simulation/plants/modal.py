@@ -249,7 +249,7 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
         relief,
         law_records(model.laws),
         gauss_points(step_s),
-        (1,) if any(law.spatial for law in model.laws) else (),
+        True if any(law.spatial for law in model.laws) else None,
     )
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from rig.simulation.plants.compiled_laws import FAST, SECOND, SPATIAL, force_n, vector_force_n
 
 TOLERANCE_N = 1e-9
+MAX_ITERATIONS = 60
 BEND_REFRESH = 1e-4
 """Relative change of the end forces beyond which their bends within the step are recomputed."""
 FORCE, ETA, RATE, BEND = range(4)
@@ -147,13 +148,13 @@ def _sweep(current, eta, rate, reach, relief, laws, time_s, space):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     change, largest = 0.0, 0.0
     for j in range(eta.size):
-        if len(space) > 0 and laws[j].kind == SECOND:
+        if space is not None and laws[j].kind == SECOND:
             continue
         e, r = eta[j], rate[j]
         for k in range(eta.size):
             e += reach[0, 0, j, k] * current[FORCE, k] + reach[1, 0, j, k] * current[BEND, k]
             r += reach[0, 1, j, k] * current[FORCE, k] + reach[1, 1, j, k] * current[BEND, k]
-        if len(space) > 0 and laws[j].kind == SPATIAL:
+        if space is not None and laws[j].kind == SPATIAL:
             i = j + 1
             e2, r2 = eta[i], rate[i]
             for k in range(eta.size):
@@ -183,20 +184,20 @@ def _sweep(current, eta, rate, reach, relief, laws, time_s, space):
 @no_type_check
 def _solve(previous, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss, space):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
-    for iteration in range(60):
+    for iteration in range(MAX_ITERATIONS):
         change, largest = _sweep(current, eta, rate, reach, relief, laws, time_s, space)
         if iteration > 0 and change <= TOLERANCE_N:
             break
+        if space is not None and iteration == MAX_ITERATIONS - 1 and change > 1e-6 * largest:
+            current[FORCE, 0] = np.nan  # not solved: the run ends
         if iteration == 0 or change > BEND_REFRESH * largest:
             for j in range(eta.size):
-                if len(space) > 0 and laws[j].kind < 0:
+                if space is not None and laws[j].kind < 0:
                     if touches[j] and laws[j].kind == SPATIAL:
                         share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
                 elif touches[j]:
                     current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
-    if len(space) > 0 and change > TOLERANCE_N + 1e-6 * largest:
-        current[FORCE, 0] = np.nan  # not solved: the run ends
 
 
 @_compiled
@@ -227,7 +228,7 @@ def advance(
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
     at the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every
     eta and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
-    space is empty for rigs without annular contacts, for which the loop is compiled by itself.
+    space is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
     mode_count, contact_count = across.shape[1], across.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
@@ -242,7 +243,7 @@ def advance(
                 e += across[j, i] * states[n + 1, i]
                 r += across[j, i] * states[n + 1, mode_count + i]
             eta[j], rate[j] = e, r
-            if len(space) > 0 and laws[j].kind < 0:
+            if space is not None and laws[j].kind < 0:
                 touches[j] = laws[j].kind == SECOND and _touches_ring(
                     laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
                 )
