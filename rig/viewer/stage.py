@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from rig.model.components import DIRECTIONS
 from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
@@ -204,6 +205,9 @@ class Stage:
             carriers = self.point(contact.against)[:, None]
             middle[:, 1:] = carriers[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
         middle[:, 1] += self.depth_m(contact.at.body)
+        law = self.rig.contact(contact.name).law
+        if isinstance(law, Annular):
+            middle[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
         ring_points = middle[:, None] + corners
         return ring_points if contact.against is None else np.concatenate([ring_points, carriers], axis=1)
 

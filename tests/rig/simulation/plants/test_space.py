@@ -276,6 +276,16 @@ def test_the_modal_plant_comes_to_its_solution_as_the_step_goes_to_zero():
     assert errors[2] < 1e-5
 
 
+def test_friction_too_sharp_for_the_step_is_refused():
+    """A speed of 1 um/s turns the friction round within a share of a step: nothing is delivered that is not solved."""
+    rig = SHORT.rig()
+    sharp = tuple(replace(c, law=replace(c.law, sliding_speed_m_per_s=1e-6)) for c in rig.contacts)
+    time_s = np.arange(2**13) * 2.0**-14
+    forces_n = [n * np.sin(2 * np.pi * hz * time_s) for n, hz in zip(DRIVE_N, DRIVE_HZ, strict=True)]
+    with pytest.raises(RigError, match=r"diverged near .* s at step .* s; use a smaller step"):
+        simulated(modal.simulate, replace(rig, contacts=sharp), forces_n, 2.0**-14)
+
+
 def test_both_plants_move_the_barrel_in_its_rings_alike_until_chaos_parts_them():
     fast, reference = short_motion(14, "modal"), short_motion(14, "ancf")
     assert np.count_nonzero(fast.contact_force_n.any(axis=0)) > 500
