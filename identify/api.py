@@ -26,6 +26,7 @@ from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.files import check_target
 from rig.model.description import Rig, read_rig, to_json
+from rig.model.space import check_plane
 from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, channel_groups, read
 
@@ -40,6 +41,7 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
     Raises RigError if the recording cannot be read.
     """
     record = _recording(recording)
+    check_plane(record.rig, "identify check")
     with threadpool_limits(1):
         findings = check_recording(record, use, _resolved(tolerances))
     return CheckResult(findings, _title([recording], record), unchecked(record.rig))
@@ -87,6 +89,7 @@ def law(
     Needs the package pyoperon. Raises RigError if the recording does not allow it.
     """
     record = _recording(recording)
+    check_plane(record.rig, "identify law")
     laws = identify_law(
         record,
         contact=contact,
@@ -124,6 +127,8 @@ def gap(
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
     records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
+    for record in records.values():
+        check_plane(record.rig, "identify gap")
     first = next(iter(records.values()))
     reference_path = None if null_reference is None else Path(null_reference)
     if reference_path and reference_path.is_dir():
@@ -210,6 +215,7 @@ def plan(
         described = read(Path(source)) if Path(source).suffix == ".mcap" else read_rig(Path(source))
     else:
         described = source
+    check_plane(described if isinstance(described, Rig) else described.rig, "identify plan")
     test = planned_test(described, duration_s, force_rms_n, band_hz, _resolved(tolerances))
     report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())

@@ -21,13 +21,25 @@ if TYPE_CHECKING:
     from rig.model.description import Rig
     from rig.recording import Channel, Recording
     from rig.simulation.excitation import Excitation
-    from rig.simulation.reference import BarrelCradle, Sdof
+    from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 
-__all__ = ["BarrelCradle", "Channel", "Excitation", "Recording", "Rig", "RigError", "Sdof", "read", "record"]
+__all__ = [
+    "BarrelCradle",
+    "BarrelCradleAnnular",
+    "Channel",
+    "Excitation",
+    "Recording",
+    "Rig",
+    "RigError",
+    "Sdof",
+    "read",
+    "record",
+]
 __version__ = version("rig-identify")
 
 _MODULES = {
     "BarrelCradle": "rig.simulation.reference",
+    "BarrelCradleAnnular": "rig.simulation.reference",
     "Channel": "rig.recording",
     "Excitation": "rig.simulation.excitation",
     "Recording": "rig.recording",

@@ -94,7 +94,7 @@ def field_text(field: msgspec.structs.FieldInfo) -> str:
     if field.required:
         return f"`{field.encode_name}`"
     default = field.default if field.default is not msgspec.NODEFAULT else field.default_factory()
-    if isinstance(default, bool):
+    if isinstance(default, bool | str):
         return f"`{field.encode_name}` ({str(default).lower()})"
     text = "none" if default in (None, ()) else "as below" if isinstance(default, msgspec.Struct) else f"{default:g}"
     return f"`{field.encode_name}` ({text})"

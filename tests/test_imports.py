@@ -29,6 +29,7 @@ DRAWS = (
     "drawing",
     "gap_view",
     "model_view",
+    "orbit",
     "prediction_view",
     "spectra",
     "viewing",

@@ -35,11 +35,12 @@ from rig.effects import effect_named, effects
 from rig.errors import RigError, meant
 from rig.model.contact_laws import walls_m
 from rig.model.description import ON_GROUND, Station, read_rig, to_json
+from rig.model.space import check_plane
 from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
-from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof, reference
+from rig.simulation.reference import REFERENCES, Reference, reference
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -118,7 +119,10 @@ def record(
     setting_texts |= {} if duration is None else {"duration_s": str(duration)}
     setting_texts |= {} if seed is None else {"seed": str(seed)}
     machine = _machine(scenario, setting_texts)
-    rig, force_n = machine.rig(), machine.force()
+    rig = machine.rig()
+    if effect:
+        check_plane(rig, "rig record --effect")
+    force_n = machine.force()
     plant = plant or plant_for(rig)
     try:
         actual_rig = reduce(lambda modified, text: effect_named(text).applied_to(modified), effect or [], rig)
@@ -158,14 +162,14 @@ def record(
         print(f"{truth_path(out)}: what only a simulator knows")
 
 
-def _level_json(machine: Sdof | BarrelCradle | OwnRig) -> dict[str, Any]:
+def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
     if not isinstance(machine, OwnRig):
         return {}
     return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
 
 
-def _machine(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle | OwnRig:
+def _machine(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
     """Reference rig by its name, or the rig in a JSON file.
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
@@ -209,6 +213,8 @@ def info(file: File, as_json: Json = False) -> None:
     for contact in rig.contacts:
         law, against_text = contact.law, "ground" if contact.against is None else _station_text(contact.against)
         clearances_text = ", ".join(f"{1e3 * wall_m:+g}" for wall_m, _ in reversed(walls_m(law))) or "no stops"
+        if law.spatial:
+            clearances_text = f"{1e3 * law.clearance_m:g} all around"
         contact_table.add_row(
             contact.name, _station_text(contact.at), against_text, clearances_text, f"{law.stiffness_n_per_m:g}"
         )
@@ -290,7 +296,8 @@ def _empty_table(title: str, *headings: str) -> Table:
 
 
 def _station_text(station: Station) -> str:
-    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m"
+    in_z = "" if station.direction == "y" else ", z"
+    return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m{in_z}"
 
 
 def _rms(samples: np.ndarray) -> float:

@@ -16,8 +16,9 @@ MIN_PROPERTY, MAX_PROPERTY = 1e-12, 1e15
 
 
 class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="beam"):
-    """A uniform beam that bends in one plane; its left end is at position 0.
+    """A uniform beam; its left end is at position 0. It is a rectangle, or a tube by its diameters.
 
+    A rectangle has its thickness along y and its width along z. A tube bends alike in both directions.
     Modes are mass-normalised: the integral of rho A phi_i phi_k over the length is 1 for i = k and 0 otherwise.
     A free-free beam has two rigid modes, translation then rotation, as modes 1 and 2 (frequency and damping 0).
     """
@@ -28,14 +29,28 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     name: str
     ends: Literal["clamped-free", "free-free"]
     length_m: float
-    width_m: float
-    thickness_m: float
+    width_m: float = 0.0
+    thickness_m: float = 0.0
     youngs_modulus_pa: float = 210e9
     density_kg_per_m3: float = 7850.0
     damping_ratio: float = 0.01
+    outer_diameter_m: float = 0.0
+    inner_diameter_m: float = 0.0
 
     def __post_init__(self) -> None:
-        for field in ("length_m", "width_m", "thickness_m", "youngs_modulus_pa", "density_kg_per_m3"):
+        is_tube = bool(self.outer_diameter_m or self.inner_diameter_m)
+        if is_tube and (self.width_m or self.thickness_m):
+            raise RigError(
+                f"beam {self.name!r} has a width or thickness and a diameter; give width_m and thickness_m of a "
+                "rectangle, or outer_diameter_m and inner_diameter_m of a tube"
+            )
+        if is_tube and not 0 <= self.inner_diameter_m < self.outer_diameter_m:
+            raise RigError(
+                f"beam {self.name!r}: inner_diameter_m is {self.inner_diameter_m} and outer_diameter_m "
+                f"{self.outer_diameter_m}; give 0 <= inner < outer"
+            )
+        section = ("outer_diameter_m",) if is_tube else ("width_m", "thickness_m")
+        for field in ("length_m", *section, "youngs_modulus_pa", "density_kg_per_m3"):
             value = getattr(self, field)
             if not MIN_PROPERTY <= value <= MAX_PROPERTY:  # beyond, their powers are lost in rounding
                 raise RigError(
@@ -47,8 +62,16 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             )
 
     @property
+    def area_factors(self) -> tuple[float, float]:
+        """Two factors of the cross-section's area: width and thickness, m; of a tube the area itself, m^2, and 1."""
+        if self.outer_diameter_m:
+            return float(np.pi / 4 * (self.outer_diameter_m**2 - self.inner_diameter_m**2)), 1.0
+        return self.width_m, self.thickness_m
+
+    @property
     def mass_per_length_kg_per_m(self) -> float:
-        return self.density_kg_per_m3 * self.width_m * self.thickness_m
+        width, thickness = self.area_factors
+        return self.density_kg_per_m3 * width * thickness
 
     @property
     def mass_kg(self) -> float:
@@ -56,13 +79,21 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 
     @property
     def bending_stiffness_n_m2(self) -> float:
-        """E I for bending over the thickness, N m^2."""
+        """E I for bending in y, over the thickness, N m^2."""
+        if self.outer_diameter_m:
+            ring = np.pi / 64 * (self.outer_diameter_m**4 - self.inner_diameter_m**4)
+            return float(self.youngs_modulus_pa * ring)
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
     def half_thickness_m(self) -> float:
         """Distance from the neutral fibre to the surface, m."""
-        return self.thickness_m / 2
+        return (self.outer_diameter_m or self.thickness_m) / 2
+
+    @property
+    def seen_from_above(self) -> "Beam":
+        """Beam as it bends in z: a rectangle over its width."""
+        return msgspec.structs.replace(self, width_m=self.thickness_m, thickness_m=self.width_m)
 
     @property
     def kind(self) -> str:

@@ -3,6 +3,8 @@
 Each is a frozen struct that checks its own numbers; `rig.model.description` checks that its place is on a body.
 """
 
+from typing import Literal
+
 import msgspec
 import numpy as np
 from jaxtyping import Complex, Float
@@ -25,16 +27,35 @@ def check_name(kind: str, name: str) -> None:
         raise RigError(f"{kind} {name!r}: give a name of 1 to {MAX_NAME_LENGTH} signs, without control characters")
 
 
+Direction = Literal["y", "z"]
+"""Transverse directions: y up, z to the side; x lies along the bodies, gravity acts along -y."""
+DIRECTIONS: tuple[Direction, ...] = ("y", "z")
+
+
 class Station(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A place on a body, metres from its left end; one on the ground has GROUND in place of a body."""
+    """A place on a body, metres from its left end, with the direction of what is measured or acts there.
+
+    One on the ground has GROUND in place of a body.
+    """
 
     body: str
     position_m: float = 0.0
+    direction: Direction = "y"
+
+    @property
+    def label(self) -> str:
+        """Name of body, position and direction: barrel_1000mm, or barrel_1000mm_z."""
+        return f"{self.body}_{round(self.position_m * 1000):04d}mm{'' if self.direction == 'y' else '_z'}"
+
+
+ON_GROUND = Station(GROUND)
+"""Place of a sensor that measures how the base shakes, and of the force of a rig that nothing else moves."""
 
 
 class Contact(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Two stations that meet; the relative displacement is `at` minus `against`.
 
+    A law of one direction acts in that of the stations; an annular one in both, and its stations give none.
     In place of a second station stands None, in rig.json null, "ground" or nothing, for the ground.
     """
 

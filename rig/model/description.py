@@ -3,21 +3,26 @@
 The components' structs are in `rig.model.components` and importable from here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 import msgspec
+from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.files import contents
 from rig.limits import SCHEMA_VERSION, check_json, check_largest, check_schema_version
 from rig.model.beam import Beam
+from rig.model.checks import check_components
 from rig.model.components import (
+    DIRECTIONS,
     GROUND,
+    ON_GROUND,
     RISE_S,
     BaseMotion,
     Clamp,
     Contact,
+    Direction,
     ForceSensor,
     PointDamper,
     PointMass,
@@ -39,12 +44,14 @@ from rig.model.tolerances import Tolerances
 
 __all__ = [
     "GROUND",
+    "ON_GROUND",
     "RISE_S",
     "UNITS",
     "BaseMotion",
     "Body",
     "Clamp",
     "Contact",
+    "Direction",
     "ForceSensor",
     "PointDamper",
     "PointMass",
@@ -57,6 +64,7 @@ __all__ = [
     "Tone",
     "check_given",
     "check_name",
+    "contact_rows",
     "contact_stations",
     "force_names",
     "from_json",
@@ -67,10 +75,13 @@ __all__ = [
 
 Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
-ON_GROUND = Station(GROUND)
-"""Place of a sensor that measures how the base shakes, and of the force of a rig that nothing else moves."""
-MAX_PER_KIND = 1000
-"""Largest number of bodies, of contacts, of sensors and of forces."""
+UNWRITTEN = (
+    b',"direction":"y"',
+    b',"gravity_m_per_s2":0.0',
+    b',"outer_diameter_m":0.0,"inner_diameter_m":0.0',
+    b',"width_m":0.0,"thickness_m":0.0',
+)
+"""Fields at their defaults that rig.json leaves out; no text within the JSON's strings reads so."""
 
 
 class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -112,6 +123,8 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     """Dampers from a body to the base."""
     tones: tuple[Tone, ...] = ()
     """Unmeasured harmonic forces."""
+    gravity_m_per_s2: float = 0.0
+    """Acceleration of gravity, along -y."""
     tolerances: Tolerances | None = None
     """Standard deviations of the description, where its author states them."""
     schema_version: int = SCHEMA_VERSION
@@ -122,32 +135,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
             raise RigError(
                 f"rig {self.name!r}: sample_rate_hz is {self.sample_rate_hz}; give a value above zero, 1e-6 to 1e9"
             )
-        check_name("rig", self.name)
-        for kind, names in (
-            ("body", [b.name for b in self.bodies]),
-            ("contact", [c.name for c in self.contacts]),
-            ("sensor", [s.name for s in self.sensors]),
-        ):
-            _check_names(f"rig {self.name!r}", kind, names)
-        self._check_forces()
-        for sensor in self.sensors:
-            self._check_sensor(sensor)
-        for contact in self.contacts:
-            for station in contact_stations(contact):
-                self._check_station(f"contact {contact.name!r}", station)
-        for kind, attached in (
-            ("point mass", self.masses),
-            ("point spring", self.springs),
-            ("support", self.supports),
-            ("point load", self.loads),
-            ("point damper", self.dampers),
-            ("tone", self.tones),
-        ):
-            for item in attached:
-                self._check_station(f"a {kind}", item.station)
-        self._check_held()
-        for body in self.bodies if self.base_motion or self.base_sensors else ():
-            _check_carried(body)
+        check_components(self)
 
     @property
     def base_sensors(self) -> tuple[Sensor, ...]:
@@ -157,6 +145,25 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def is_on_ground(self, station: Station) -> bool:
         """True for a station on the ground, not on a body of that name."""
         return station.body == GROUND and all(b.name != GROUND for b in self.bodies)
+
+    @property
+    def directions(self) -> tuple[Direction, ...]:
+        """Directions in which the bodies move: y, and z if something measures or acts in it."""
+        in_z = any(station.direction == "z" for station in self._stations) or any(c.law.spatial for c in self.contacts)
+        return DIRECTIONS if in_z else DIRECTIONS[:1]
+
+    @property
+    def in_space(self) -> bool:
+        """True if the bodies move in both directions."""
+        return len(self.directions) > 1
+
+    @property
+    def _stations(self) -> Iterator[Station]:
+        """Stations of everything that has a direction."""
+        yield from self.forces
+        yield from (s for contact in self.contacts for s in contact_stations(contact))
+        for items in (self.sensors, self.springs, self.loads, self.dampers, self.tones):
+            yield from (item.station for item in items)
 
     @property
     def forces(self) -> tuple[Station, ...]:
@@ -216,89 +223,34 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         """Contact of that name."""
         return next(c for c in self.contacts if c.name == name)
 
-    def _check_forces(self) -> None:
-        if isinstance(self.force_at, tuple):
-            if not 2 <= len(self.force_at) <= MAX_PER_KIND:
-                raise RigError(
-                    f"rig {self.name!r}: force_at is a list of {len(self.force_at)}; give the place of one force by "
-                    f"itself, those of several as a list of 2 to {MAX_PER_KIND}"
-                )
-            _check_names(f"rig {self.name!r}", "channel", [*self.force_names, *(s.name for s in self.sensors)])
-        for name, station in zip(self.force_names, self.forces, strict=True):
-            if not self.is_on_ground(station):
-                self._check_station(f"the {name}", station)
-            elif len(self.forces) > 1 or not self.base_sensors:
-                raise RigError(
-                    f"rig {self.name!r}: the {name} acts on the ground, where it moves nothing; give force_at the "
-                    "place of the measured force, or leave it out and put a sensor on the ground, if it shakes"
-                )
-
-    def _check_sensor(self, sensor: Sensor) -> None:
-        if not self.is_on_ground(sensor.station):
-            self._check_station(f"sensor {sensor.name!r}", sensor.station)
-        elif sensor.station != ON_GROUND:
-            raise RigError(f"sensor {sensor.name!r} stands on the ground, which has one place; give no position_m")
-        self.fibre_m(sensor)
-        if not sensor.high_pass_hz < self.sample_rate_hz / 2:
-            raise RigError(
-                f"sensor {sensor.name!r}: high_pass_hz is {sensor.high_pass_hz}; give less than half the "
-                f"sample_rate_hz of {self.sample_rate_hz:g}"
-            )
-
-    def _check_held(self) -> None:
-        for support in self.supports:
-            self._check_support(support)
-        for clamp in self.clamps:
-            if getattr(self.body(clamp.body), "ends", None) != "clamped-free":
-                raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
-        if len({c.body for c in self.clamps}) < len(self.clamps):
-            raise RigError(f"rig {self.name!r}: more than one clamp holds the same beam; give one")
-
-    def _check_support(self, support: Support) -> None:
-        body, position_m = self.body(support.station.body), support.station.position_m
-        if body.is_mass:
-            raise RigError(
-                f"a support holds {body.name!r}, a mass; supports stand along beams and structures, a mass has its own "
-                "spring, frequency_hz"
-            )
-        if body.clamped and position_m == 0:
-            raise RigError(f"a support stands at the clamped end of {body.name!r}, which is held there; leave it out")
-        if sum(other.station == support.station for other in self.supports) > 1:
-            raise RigError(f"more than one support stands at {position_m} m of {body.name!r}; give one")
-
-    def _check_station(self, label: str, station: Station) -> None:
-        body = self.body(station.body)
-        if not 0 <= station.position_m <= body.length_m:
-            raise RigError(f"{label} stands at {station.position_m} m, off {body.name!r}; give 0 to {body.length_m} m")
-
 
 def force_names(count: int) -> tuple[str, ...]:
     return tuple(f"force_{k}" for k in range(1, count + 1)) if count > 1 else ("force",)
 
 
-def _check_names(owner: str, kind: str, names: Sequence[str]) -> None:
-    """Raise RigError if there are too many names, or two are equal, or `check_name` refuses one."""
-    if len(names) > MAX_PER_KIND:
-        raise RigError(f"{owner}: has {len(names)} times a {kind}; give at most {MAX_PER_KIND}")
-    for name in names:
-        check_name(kind, name)
-    if doubled := sorted({n for n in names if names.count(n) > 1}):
-        raise RigError(f"{owner}: more than one {kind} is named {doubled[0]!r}; names must differ")
-
-
-def _check_carried(body: Body) -> None:
-    """Raise RigError if the modes of a body do not say how a moving base carries it."""
-    if isinstance(body, Structure):
-        body.translation()
-
-
 def stations_of(rig: Rig) -> tuple[Station, ...]:
     """Every distinct station on a body with a sensor or a contact, body by body from left to right."""
     stations = {s.station for s in rig.sensors if s not in rig.base_sensors} | {
-        station for contact in rig.contacts for station in contact_stations(contact)
+        station for contact in contact_rows(rig) for station in contact_stations(contact)
     }
     order = [b.name for b in rig.bodies]
-    return tuple(sorted(stations, key=lambda s: (order.index(s.body), s.position_m)))
+    return tuple(sorted(stations, key=lambda s: (order.index(s.body), s.position_m, s.direction)))
+
+
+def contact_rows(rig: Rig) -> tuple[Contact, ...]:
+    """Contacts by the components of their relative displacement: an annular one twice, NAME_y and NAME_z."""
+    return tuple(
+        in_direction
+        for contact in rig.contacts
+        for in_direction in (
+            [_component(contact, direction) for direction in DIRECTIONS] if contact.law.spatial else [contact]
+        )
+    )
+
+
+def _component(contact: Contact, direction: Direction) -> Contact:
+    at, against = (None if s is None else replace(s, direction=direction) for s in (contact.at, contact.against))
+    return replace(contact, name=f"{contact.name}_{direction}", at=at, against=against)
 
 
 def check_given(rig: Rig, source: str) -> None:
@@ -322,7 +274,11 @@ def check_given(rig: Rig, source: str) -> None:
 
 
 def to_json(rig: Rig) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(rig), indent=2)
+    """JSON text of a rig, without the fields of `UNWRITTEN` at their defaults."""
+    text = msgspec.json.encode(rig)
+    for field in UNWRITTEN:
+        text = text.replace(field, b"")
+    return msgspec.json.format(text, indent=2)
 
 
 def from_json(text: bytes, source: str) -> Rig:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Rig, Station
 from rig.model.modes import mode_count, modes_of
+from rig.model.space import plane_rigs
 
 LOWEST_HZ = 0.5
 """Lower end of the excited band, Hz, as in the reference rigs."""
@@ -37,8 +38,12 @@ def rattling(rig: Rig, low_hz: float, high_hz: float) -> Level:
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
     eta = sum_m b_m p_m F / (w_m^2 - w^2 + 2 i z_m w_m w), with the springs between bodies. Rounded to one significant
     digit; 1 N if no contact has a clearance in reach or none responds to the force. The clearance of a contact is the
-    mean over its stops in reach.
+    mean over its stops in reach. In space, the larger of the forces of both directions.
     """
+    if rig.in_space:
+        driven = {station.direction for station in rig.forces}
+        levels = [rattling(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven]
+        return max(levels, key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINES)
     squares = np.sum([_squares_by(rig, station, omega) for station in rig.forces], axis=0)
     needed: list[tuple[float, str, float]] = []

@@ -16,9 +16,9 @@ def quantities_of(rig: Rig) -> tuple[QuantityName, ...]:
 
 
 def named_sensor(station: Station, quantity: QuantityName, noise_density: float = 0.0) -> Sensor:
-    """Sensor named after body, position and quantity; noise_density (m/s^2/sqrt(Hz)) is for accelerometers only."""
+    """Sensor named after its station and quantity; noise_density (m/s^2/sqrt(Hz)) is for accelerometers only."""
     return Sensor(
-        name=f"{station.body}_{round(station.position_m * 1000):04d}mm_{quantity}",
+        name=f"{station.label}_{quantity}",
         station=station,
         quantity=quantity,
         noise_density=noise_density if quantity == "acceleration" else 0.0,

@@ -15,6 +15,7 @@ from rig.recording.file import (
     with_history,
 )
 from rig.recording.foreign import RIG_NAME
+from rig.recording.planes import plane_recording
 from rig.recording.writer import RecordingWriter, writing
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "RecordingWriter",
     "Signals",
     "channel_groups",
+    "plane_recording",
     "read",
     "read_truth",
     "recorded_at",

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from rig.errors import RigError
 from rig.limits import unique_keys
@@ -26,7 +27,7 @@ class Channels:
 
 def to_metadata(channels: Channels) -> dict[str, str]:
     """MCAP channel metadata of a group; lists and numbers as JSON."""
-    station_values = [None if s is None else {"body": s.body, "position_m": s.position_m} for s in channels.stations]
+    station_values = [None if s is None else _station_value(s) for s in channels.stations]
     return {
         "quantity": channels.quantity,
         "unit": channels.unit,
@@ -36,6 +37,15 @@ def to_metadata(channels: Channels) -> dict[str, str]:
     }
 
 
+def _station_value(station: Station) -> dict[str, str | float]:
+    value: dict[str, str | float] = {"body": station.body, "position_m": station.position_m}
+    return value if station.direction == "y" else value | {"direction": station.direction}
+
+
+def _station(value: Mapping[str, Any]) -> Station:
+    return Station(str(value["body"]), float(value["position_m"]), value.get("direction", "y"))
+
+
 def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     """Group described by MCAP channel metadata; raises RigError if they are incomplete or inconsistent."""
     if missing_keys := [key for key in ("quantity", "unit", *_JSON_KEYS) if key not in metadata]:
@@ -43,7 +53,7 @@ def from_metadata(topic: str, metadata: Mapping[str, str]) -> Channels:
     try:
         names = tuple(str(n) for n in json.loads(metadata["names"]))
         station_values = json.loads(metadata["stations"], object_pairs_hook=unique_keys)
-        stations = tuple(None if p is None else Station(str(p["body"]), float(p["position_m"])) for p in station_values)
+        stations = tuple(None if p is None else _station(p) for p in station_values)
         for name in names:
             check_name("channel", name)
         rate_hz = float(json.loads(metadata["sample_rate_hz"]))

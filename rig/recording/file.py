@@ -16,7 +16,7 @@ from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
 from rig.errors import RigError
-from rig.model.description import UNITS, Rig, Sensor, Station, check_given, from_json, stations_of
+from rig.model.description import UNITS, Rig, Sensor, Station, check_given, contact_rows, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
 from rig.recording.assembly import Assembly
@@ -170,8 +170,8 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file, which holds what only a simulator knows."""
-    stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in rig.contacts), rig.sample_rate_hz
-    station_names = tuple(f"{s.body}_{round(s.position_m * 1000):04d}mm" for s in stations)
+    stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
+    station_names = tuple(s.label for s in stations)
     no_stations = (None,) * len(contact_names)
     return {
         "force": _force_channels(rig),

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig, Station
+from rig.simulation.plants.loading import connection_forces_n
 from rig.simulation.plants.modal import Model, applied_inputs, body_modes_of, constants_of, model_of, shape_row
 from rig.simulation.replay import forces_at_steps, step_s_of
 
@@ -41,7 +42,7 @@ def modal(
     model, body_modes = model_of(rig_without_base, False, MODE_COUNT), body_modes_of(rig_without_base, MODE_COUNT)
     constants = constants_of(model, step_s)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
-    modes_by_stations = modal_inverse(shapes, [(body.name, count) for body, _, count in body_modes], stations)
+    modes_by_stations = modal_inverse(shapes, [(body.name, count) for body, _, count, _ in body_modes], stations)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory, contact_n = (
@@ -84,5 +85,5 @@ def modal_inverse(
 def contact_state_at(model: Model, state: Float[np.ndarray, " both"], time_s: float) -> Float[np.ndarray, "4 contacts"]:
     """Contact state of `stepping.advance` at a modal state: force, eta, eta', and zero bend."""
     eta_m, rate_m_per_s = (model.across @ half for half in state.reshape(2, -1))
-    force_n = [float(law.force_n(e, r, time_s)) for law, e, r in zip(model.laws, eta_m, rate_m_per_s, strict=True)]
-    return np.stack([np.array(force_n, dtype=float), eta_m, rate_m_per_s, np.zeros(len(force_n))])
+    force_n = connection_forces_n(model.laws, eta_m, rate_m_per_s, time_s)
+    return np.stack([force_n, eta_m, rate_m_per_s, np.zeros(force_n.size)])

@@ -1,4 +1,4 @@
-"""The two reference rigs of the paper, with the settings that `rig record SCENARIO --set KEY=VALUE` may change."""
+"""The paper's two reference rigs and one in space, with the settings of `rig record SCENARIO --set KEY=VALUE`."""
 
 from typing import Literal
 
@@ -6,6 +6,8 @@ import msgspec
 
 from rig.errors import RigError, meant
 from rig.model.beam import Beam
+from rig.model.components import DIRECTIONS
+from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.decoding import explained
 from rig.model.description import Contact, Rig, Station
@@ -180,6 +182,115 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         )
 
 
+class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The barrel as a tube that lies in two rings of its cradle, a clamped tube, and moves up, down and sideways."""
+
+    length_m: float = 1.0
+    """Length of each tube, m."""
+    overlap_start_m: float = 0.45
+    """Position on the cradle of the barrel's left end."""
+    barrel_outer_diameter_m: float = 0.06
+    """Outer diameter of the barrel, m."""
+    barrel_inner_diameter_m: float = 0.04
+    """Inner diameter of the barrel, m."""
+    cradle_outer_diameter_m: float = 0.08
+    """Outer diameter of the cradle, m."""
+    cradle_inner_diameter_m: float = 0.064
+    """Inner diameter of the cradle, m."""
+    clearance_1_m: float = 2e-3
+    """Radial clearance of contact_1, m."""
+    clearance_2_m: float = 2e-3
+    """Radial clearance of contact_2, m."""
+    stiffness_1_n_per_m: float = 5e5
+    """Stiffness of contact_1, N/m."""
+    stiffness_2_n_per_m: float = 5e5
+    """Stiffness of contact_2, N/m."""
+    contact_damping_n_s_per_m: float = 200.0
+    """Damping of a closed contact, N s/m."""
+    friction_coefficient: float = 0.1
+    """Friction coefficient of both contacts."""
+    gravity_m_per_s2: float = 9.81
+    """Acceleration of gravity, m/s^2."""
+    damping_ratio: float = 0.01
+    """Damping ratio of every mode of both tubes."""
+    sensors: str = "displacement+acceleration"
+    """Quantities measured at every station in both directions, joined by +."""
+    noise_density: float = 0.0
+    """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
+    sample_rate_hz: float = 4096.0
+    """Rate of every channel, Hz."""
+    step_s: float = 2.0**-14
+    """Time step of the simulation, s."""
+    duration_s: float = 60.0
+    """Length of the recording, s."""
+    excitation: str = "gaussian"
+    """Kind of the forces: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
+    rms_n: float = 60.0
+    """Root mean square of each force, N."""
+    low_hz: float = 0.5
+    """Lower end of the forces' band, Hz."""
+    high_hz: float = 100.0
+    """Upper end of the forces' band, Hz."""
+    seed: int = 1
+    """Seed of the random forces."""
+
+    def rig(self) -> Rig:
+        """Rig of these settings."""
+        barrel_overlap_m = self.length_m - self.overlap_start_m
+        places_m = {
+            "cradle": (0.25 * self.length_m, self.overlap_start_m, 0.75 * self.length_m, self.length_m),
+            "barrel": (0.0, 0.25 * self.length_m, barrel_overlap_m, self.length_m),
+        }
+        contacts = (
+            ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
+            ("contact_2", barrel_overlap_m, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
+        )
+        return Rig(
+            name="barrel_cradle_annular",
+            bodies=tuple(
+                Beam(
+                    name=name,
+                    ends=end_condition,
+                    length_m=self.length_m,
+                    damping_ratio=self.damping_ratio,
+                    outer_diameter_m=getattr(self, f"{name}_outer_diameter_m"),
+                    inner_diameter_m=getattr(self, f"{name}_inner_diameter_m"),
+                )
+                for name, end_condition in _END_CONDITIONS
+            ),
+            contacts=tuple(
+                Contact(
+                    name=name,
+                    at=Station("barrel", on_barrel_m),
+                    against=Station("cradle", on_cradle_m),
+                    law=Annular(
+                        clearance_m=clearance_m,
+                        stiffness_n_per_m=stiffness_n_per_m,
+                        damping_n_s_per_m=self.contact_damping_n_s_per_m,
+                        friction_coefficient=self.friction_coefficient,
+                    ),
+                )
+                for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in contacts
+            ),
+            force_at=tuple(Station("barrel", self.length_m, direction) for direction in DIRECTIONS),
+            sensors=tuple(
+                named_sensor(Station(body, position_m, direction), quantity, self.noise_density)
+                for quantity in _quantities(self.sensors)
+                for direction in DIRECTIONS
+                for body, positions_m in places_m.items()
+                for position_m in positions_m
+            ),
+            sample_rate_hz=self.sample_rate_hz,
+            gravity_m_per_s2=self.gravity_m_per_s2,
+        )
+
+    def force(self) -> Excitation:
+        """Exciting force of these settings, with a seed of its own in each direction."""
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
+
+
 _END_CONDITIONS: tuple[tuple[str, Literal["clamped-free", "free-free"]], ...] = (
     ("cradle", "clamped-free"),
     ("barrel", "free-free"),
@@ -191,10 +302,15 @@ _STATION_SHARES: dict[int, tuple[tuple[float, ...], tuple[float, ...]]] = {
     10: ((0.1, 0.2, 0.3, 0.35, 0.55, 0.65, 0.75, 0.9), (0.1, 0.2, 0.3, 0.4, 0.7, 0.8, 0.9, 1.0)),
 }
 
-REFERENCES: dict[str, type[Sdof] | type[BarrelCradle]] = {"sdof": Sdof, "barrel_cradle": BarrelCradle}
+Reference = Sdof | BarrelCradle | BarrelCradleAnnular
+REFERENCES: dict[str, type[Reference]] = {
+    "sdof": Sdof,
+    "barrel_cradle": BarrelCradle,
+    "barrel_cradle_annular": BarrelCradleAnnular,
+}
 
 
-def reference(scenario: str, settings: dict[str, str]) -> Sdof | BarrelCradle:
+def reference(scenario: str, settings: dict[str, str]) -> Reference:
     """Reference rig of that name with settings given as text, each checked against its type.
 
     Raises RigError for an unknown scenario or key, and for a value that does not fit.

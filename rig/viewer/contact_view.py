@@ -16,6 +16,7 @@ from rig.model.description import Contact
 from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
 from rig.viewer.drawing import TIMELINE, entity, pixels, send, send_labels, send_legend, send_lines, send_static
+from rig.viewer.orbit import Orbit, send_rings
 from rig.viewer.palette import CLOSED, FAINT, FORCE, FOUND, MACHINE, SOURCES, STEEL, Colour
 
 TRAIL_POINTS = 60
@@ -41,7 +42,8 @@ LawSource = Literal["true", "identified", "believed"]
 @dataclass(frozen=True)
 class ContactMotion:
     """Motion of a contact over the record: eta_m is its relative displacement. Its law is drawn as walls and defines
-    closure; wall_source is the law's.
+    closure; wall_source is the law's. Of an annular contact, which has an orbit, eta_m is the distance from its centre,
+    force_n the size of the force, and the laws are `radial_law`.
 
     overlaid_laws are drawn over it, by source; force_n is the contact force where it is known. The samples may be a
     part of the record: identified motion, for which is_identified is true, begins later and ends at until_s.
@@ -58,6 +60,13 @@ class ContactMotion:
     frame_samples: Int[np.ndarray, " frames"]
     stride: int
     is_identified: bool = False
+    orbit: Orbit | None = None
+
+    def closing_place(self, sample: int) -> str:
+        """Where the contact closes at a sample, in words."""
+        if self.orbit is not None:
+            return f"at {self.orbit.angle_deg(sample):.0f}\u00b0 from y towards z"
+        return f"at its {'upper' if self.depth_m[sample] > 0 else 'lower'} stop"
 
     @property
     def colour(self) -> Colour:
@@ -113,37 +122,20 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         motion.contact.law,
         1.1 * motion.reach_mm,
     )
+    if motion.orbit is None:
+        _send_walls(stream, entity_path, motion, half_width_mm)
+    else:
+        send_rings(stream, entity_path, [(motion.wall_source, law), *motion.overlaid_laws.items()], motion.reach_mm)
     time_s = motion.time_s[motion.frame_samples]
-    hatch_ends, colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
-    for level_mm, direction in _wall_levels(law):
-        hatch_lines = [
-            [[x, level_mm], [x - 0.05 * half_width_mm, level_mm + direction * 0.05 * half_width_mm]]
-            for x in hatch_ends[1:]
-        ]
-        wall_lines = [[[-half_width_mm, level_mm], [half_width_mm, level_mm]], *hatch_lines]
-        send_static(
-            stream,
-            f"{entity_path}/{SIDE_NAMES[direction]}",
-            rr.LineStrips2D(wall_lines, colors=[colour], radii=pixels(1.5)),
-        )
-    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_COLUMNS[0], colour)
-    for label_column, (law_source, overlaid_law) in zip(LABEL_COLUMNS[1:], motion.overlaid_laws.items(), strict=False):
-        dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
-        dash_lines = [
-            [[a, level_mm], [b, level_mm]] for level_mm, _ in _wall_levels(overlaid_law) for a, b in dash_ends
-        ]
-        dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
-        send_static(stream, f"{entity_path}/{law_source}", dash_strips)
-        _send_wall_labels(
-            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_column, SOURCES[law_source]
-        )
     now_x_mm = 0.15 * half_width_mm
     trail_offsets = np.linspace(-TRAIL_S * motion.rate_hz, 0, TRAIL_POINTS).round().astype(int)
-    trail_points = np.empty((motion.frame_samples.size, TRAIL_POINTS, 2))
-    trail_points[..., 0] = now_x_mm + (half_width_mm + now_x_mm) * trail_offsets / -trail_offsets[0]
-    trail_points[..., 1] = -1e3 * motion.eta_m[np.maximum(motion.frame_samples[:, None] + trail_offsets, 0)]
-    middle_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
-    send_static(stream, f"{entity_path}/middle", middle_line)
+    trail_samples = np.maximum(motion.frame_samples[:, None] + trail_offsets, 0)
+    if motion.orbit is None:
+        trail_points = np.empty((motion.frame_samples.size, TRAIL_POINTS, 2))
+        trail_points[..., 0] = now_x_mm + (half_width_mm + now_x_mm) * trail_offsets / -trail_offsets[0]
+        trail_points[..., 1] = -1e3 * motion.eta_m[trail_samples]
+    else:
+        trail_points = motion.orbit.points_mm[trail_samples]
     send_static(
         stream, f"{entity_path}/trail", rr.LineStrips2D.from_fields(colors=[motion.colour], radii=[pixels(0.75)])
     )
@@ -167,6 +159,36 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
         for part_name in ("trail", "point"):
             stream.log(f"{entity_path}/{part_name}", rr.Clear(recursive=False))
         stream.log(f"{entity_path}/reading", rr.Points2D.from_fields(labels=["not identified"], colors=[STEEL]))
+
+
+def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMotion, half_width_mm: float) -> None:
+    """Send the walls with their hatching and labels, those of overlaid laws dashed, and the middle."""
+    law = motion.contact.law
+    hatch_ends, colour = (np.linspace(-half_width_mm, half_width_mm, HATCH_COUNT + 1), SOURCES[motion.wall_source])
+    for level_mm, direction in _wall_levels(law):
+        hatch_lines = [
+            [[x, level_mm], [x - 0.05 * half_width_mm, level_mm + direction * 0.05 * half_width_mm]]
+            for x in hatch_ends[1:]
+        ]
+        wall_lines = [[[-half_width_mm, level_mm], [half_width_mm, level_mm]], *hatch_lines]
+        send_static(
+            stream,
+            f"{entity_path}/{SIDE_NAMES[direction]}",
+            rr.LineStrips2D(wall_lines, colors=[colour], radii=pixels(1.5)),
+        )
+    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_COLUMNS[0], colour)
+    for label_column, (law_source, overlaid_law) in zip(LABEL_COLUMNS[1:], motion.overlaid_laws.items(), strict=False):
+        dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
+        dash_lines = [
+            [[a, level_mm], [b, level_mm]] for level_mm, _ in _wall_levels(overlaid_law) for a, b in dash_ends
+        ]
+        dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
+        send_static(stream, f"{entity_path}/{law_source}", dash_strips)
+        _send_wall_labels(
+            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_column, SOURCES[law_source]
+        )
+    middle_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
+    send_static(stream, f"{entity_path}/middle", middle_line)
 
 
 def _wall_levels(law: ContactLaw) -> list[tuple[float, int]]:
@@ -248,10 +270,7 @@ def send_events(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """
     change_samples = _change_samples(motion)
     closing_samples, opening_samples = (event_samples[:MAX_CLOSINGS] for event_samples in change_samples)
-    event_texts = [
-        f"{motion.contact.name} closes at its {'upper' if motion.depth_m[s] > 0 else 'lower'} stop"
-        for s in closing_samples
-    ]
+    event_texts = [f"{motion.contact.name} closes {motion.closing_place(s)}" for s in closing_samples.tolist()]
     earlier_closing = np.searchsorted(closing_samples, opening_samples)  # an opening ends the closing before it
     closing_starts = np.concatenate([[0], closing_samples])[earlier_closing]
     for closing_start, opening_sample in zip(closing_starts, opening_samples, strict=True):

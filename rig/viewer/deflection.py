@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 from scipy.signal.windows import tukey
 
 from rig.errors import RigError
-from rig.model.description import ON_GROUND, Body, Rig, Station
+from rig.model.description import ON_GROUND, Body, Direction, Rig, Station, contact_rows
 from rig.recording import Recording
 
 CORNER_HZ = 1.0
@@ -29,9 +29,15 @@ class Deflection:
         body: Body,
         positions_m: Float[np.ndarray, " positions"],
         samples: slice | Int[np.ndarray, " frames"] = ALL_SAMPLES,
+        direction: Direction = "y",
     ) -> Float[np.ndarray, "positions frames"]:
-        """w(x) = phi(x) pinv(phi(stations)) w(stations), with as many modes as the body has stations."""
-        station_rows = [i for i, s in enumerate(self.stations) if s.body == body.name]
+        """w(x) = phi(x) pinv(phi(stations)) w(stations), with as many modes as the body has stations.
+
+        Zero in a direction without stations.
+        """
+        station_rows = [i for i, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
+        if not station_rows:
+            return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
         stations_m = np.array([self.stations[i].position_m for i in station_rows])
         mode_count = min(len(station_rows), body.max_modes)
         inverse_shapes = np.linalg.pinv(body.shapes(stations_m, mode_count), rcond=1e-3)
@@ -43,13 +49,14 @@ class Deflection:
         """Displacement at a station, m: as measured there, else from the body's modes."""
         if station in self.stations:
             return self.displacement_m[self.stations.index(station)]
-        return self.of_body(self.rig.body(station.body), np.array([station.position_m]))[0]
+        place = np.array([station.position_m])
+        return self.of_body(self.rig.body(station.body), place, direction=station.direction)[0]
 
     def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
-        """Displacement of each contact's station less that of the station it strikes against, m."""
+        """Displacement of each contact's station less that of the station it strikes against, m (`contact_rows`)."""
         displacement_rows = [
             self.displacement_at(c.at) - (self.displacement_at(c.against) if c.against else 0.0)
-            for c in self.rig.contacts
+            for c in contact_rows(self.rig)
         ]
         return np.array(displacement_rows).reshape(len(displacement_rows), self.displacement_m.shape[1])
 

@@ -15,7 +15,7 @@ from rig.errors import RigError
 from rig.files import contents
 from rig.limits import decoded_result
 from rig.model.contact_laws import ContactLaw, DeadZone
-from rig.model.description import Rig
+from rig.model.description import Rig, contact_rows
 
 MIN_DURATION_S = 0.1
 """Least duration of the curves, s."""
@@ -91,7 +91,7 @@ def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
         columns = _parquet(path) if path.suffix == ".parquet" else _csv(path)
         time_s = columns["time_s"]
         relative_displacement_m, force_n = (
-            np.array([columns[f"{c.name} {quantity}"] for c in rig.contacts]).reshape(len(rig.contacts), time_s.size)
+            np.array([columns[f"{c.name} {quantity}"] for c in contact_rows(rig)]).reshape(-1, time_s.size)
             for quantity in ("relative displacement m", "contact force N")
         )
     except KeyError as error:

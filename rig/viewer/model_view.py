@@ -12,6 +12,9 @@ from rig.viewer.drawing import KEY, entity, pixels, send, send_labels, send_stat
 from rig.viewer.palette import FAINT, FORCE, MACHINE, MEANINGS, SOURCES, STEEL, Colour, shades
 from rig.viewer.stage import Stage
 
+UPWARDS, OUTWARDS = (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)
+"""Directions of y and of z of the rig on the stage."""
+
 
 def send_key(stream: rr.RecordingStream) -> None:
     """Send the meanings of the colours, side by side."""
@@ -34,7 +37,8 @@ def send_model(
         if scene.rig.is_on_ground(station):
             continue
         entity_path, arrow_vectors = entity("model", force_name), np.zeros((scene.time_s.size, 3))
-        arrow_vectors[:, 2] = 0.2 * scene.extent_m * force_n[scene.frame_samples] / longest_n
+        lengths_m = 0.2 * scene.extent_m * force_n[scene.frame_samples] / longest_n
+        arrow_vectors += lengths_m[:, None] * np.array(UPWARDS if station.direction == "y" else OUTWARDS)
         send_static(stream, entity_path, rr.Arrows3D.from_fields(colors=[FORCE], radii=[0.004 * scene.extent_m]))
         send(stream, entity_path, scene.time_s, rr.Arrows3D, vectors=arrow_vectors, origins=scene.force_origin(station))
 
@@ -64,7 +68,8 @@ def _send_contact(stream: rr.RecordingStream, scene: Stage, contact_motion: Cont
     entity_path, tip_points = entity("model", contact.name), scene.tip(contact)
     fork_style = rr.LineStrips3D.from_fields(colors=[SOURCES[contact_motion.wall_source]], radii=[pixels(1.75)])
     send_static(stream, entity_path, fork_style)
-    send(stream, entity_path, scene.time_s, rr.LineStrips3D, strips=scene.fork(contact, contact.law))
+    strips = scene.ring(contact) if contact_motion.orbit is not None else scene.fork(contact, contact.law)
+    send(stream, entity_path, scene.time_s, rr.LineStrips3D, strips=strips)
     if scene.stands_beside(contact):
         tongue_strips = np.stack([scene.point(contact.at), tip_points], axis=1)
         send_static(stream, f"{entity_path}/tongue", rr.LineStrips3D.from_fields(colors=[MACHINE], radii=[pixels(3.0)]))

@@ -5,8 +5,11 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float, Int
+from msgspec.structs import replace
 
+from rig.model.components import DIRECTIONS
 from rig.model.contact_laws import ContactLaw, walls_m
+from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station
 from rig.model.layout import left_ends
 from rig.viewer.deflection import Deflection
@@ -20,6 +23,7 @@ LARGEST_DEFLECTION = 0.25
 """Largest deflection by default, as a share of the extent."""
 MASS_PITCH_M = 0.6
 """Distance between the middles of masses that stand side by side, m."""
+RING_CORNERS = 49
 JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
 """Corners of a fork at its upper and its lower stop: at the tip, then at the carrier."""
 
@@ -28,6 +32,7 @@ JAW_CORNERS = {1: [0, 1], -1: [3, 2]}
 class Stage:
     """Geometry in metres: x along the bodies, y in depth, z is the deflection times the magnification.
 
+    In space a deflection in z of the rig comes out of the depth, towards the eye.
     Bodies are arranged in depth, the last one in front; the left end of each is at x = left_ends_m. Masses without a
     beam stand side by side instead.
     """
@@ -69,8 +74,9 @@ class Stage:
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""
-        z = self.magnification * self.deflection.displacement_at(station)[self.frame_samples]
-        return self._points_on_body(np.full((z.size, 1), station.position_m), station.body, z[:, None])[:, 0]
+        displacements_m = [self.deflection.displacement_at(replace(station, direction=d)) for d in DIRECTIONS]
+        up, out = (self.magnification * w[self.frame_samples, None] for w in displacements_m)
+        return self._points_on_body(np.full(up.shape, station.position_m), station.body, up, out)[:, 0]
 
     def rest_line(self, body: Body) -> Float[np.ndarray, "ends 3"]:
         """Neutral line of a body at rest, slightly longer than the body."""
@@ -83,11 +89,16 @@ class Stage:
         if body.length_m:
             x, z = np.linspace(0, body.length_m, NODE_COUNT), np.zeros(NODE_COUNT)
             deflection_m = self.deflection.of_body(body, x, self.frame_samples).T
+            out_m = self.deflection.of_body(body, x, self.frame_samples, "z").T
         else:
             x, z = self._half_size_m(body) * np.array([[-1, 1, 1, -1, -1], [-1, -1, 1, 1, -1]])
-            deflection_m = self.deflection.displacement_at(Station(body.name))[self.frame_samples, None]
+            deflection_m, out_m = (
+                self.deflection.displacement_at(Station(body.name, 0.0, d))[self.frame_samples, None]
+                for d in DIRECTIONS
+            )
+        x = np.broadcast_to(x, (self.frame_samples.size, x.size))
         return self._points_on_body(
-            np.broadcast_to(x, (self.frame_samples.size, x.size)), body.name, z + self.magnification * deflection_m
+            x, body.name, z + self.magnification * deflection_m, self.magnification * out_m + 0 * x
         )
 
     def centre(self, body: Body) -> Float[np.ndarray, "frames 3"]:
@@ -132,6 +143,8 @@ class Stage:
         Several contacts of two masses share the gap between them.
         """
         tip_points = self.point(contact.at)
+        if self.is_annular(contact):
+            return tip_points
         if contact.against is None:
             _, half_depth_m, half_height_m = self.half_sizes(self.rig.body(contact.at.body))
             tip_points += np.stack(
@@ -176,6 +189,28 @@ class Stage:
             jaw_points[:, tip_corner] = jaw_points[:, carrier_corner]
         return jaw_points
 
+    def is_annular(self, contact: Contact) -> bool:
+        """True of a contact that is annular in the rig, whose law is drawn over the distance from its centre."""
+        return self.rig.contact(contact.name).law.spatial
+
+    def ring(self, contact: Contact) -> Float[np.ndarray, "frames corners 3"]:
+        """Ring of an annular contact about the point that moves in it, and the line to its carrier."""
+        turn = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNERS)
+        radius = self.magnification * contact.law.clearance_m + self._half_size_m(self.rig.body(contact.at.body))
+        middle = np.zeros((self.frame_samples.size, 3))
+        middle[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
+        corners = radius * np.stack([0 * turn, -np.sin(turn), np.cos(turn)], axis=1)
+        carriers = middle[:, None]
+        if contact.against is not None:
+            carriers = self.point(contact.against)[:, None]
+            middle[:, 1:] = carriers[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
+        middle[:, 1] += self.depth_m(contact.at.body)
+        law = self.rig.contact(contact.name).law
+        if isinstance(law, Annular):
+            middle[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
+        ring_points = middle[:, None] + corners
+        return ring_points if contact.against is None else np.concatenate([ring_points, carriers], axis=1)
+
     def _between(self, body_name: str, other_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
         middle_m, to_other_m = self.left_ends_m[body_name], self.left_ends_m[other_name] - self.left_ends_m[body_name]
@@ -186,9 +221,14 @@ class Stage:
         return 0.0 if body.length_m else 0.12 * self.extent_m
 
     def _points_on_body(
-        self, x_m: Float[np.ndarray, "frames nodes"], body_name: str, z_m: Float[np.ndarray, "frames nodes"]
+        self,
+        x_m: Float[np.ndarray, "frames nodes"],
+        body_name: str,
+        z_m: Float[np.ndarray, "frames nodes"],
+        out_m: Float[np.ndarray, "frames nodes"] | float = 0.0,
     ) -> Float[np.ndarray, "frames nodes 3"]:
-        return np.stack([self.left_ends_m[body_name] + x_m, np.full(z_m.shape, self.depth_m(body_name)), z_m], axis=2)
+        depth_m = np.full(z_m.shape, self.depth_m(body_name)) - out_m
+        return np.stack([self.left_ends_m[body_name] + x_m, depth_m, z_m], axis=2)
 
 
 def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | None) -> Stage:

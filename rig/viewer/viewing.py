@@ -33,6 +33,7 @@ from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
+from rig.viewer.orbit import Orbit, centre_of, radial_law
 from rig.viewer.palette import FORCE, SENSOR, Colour, shades
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
@@ -152,8 +153,11 @@ def _contact_motions(
     if truth is None and identified_contacts.curves is not None:
         known_samples = identified_contacts.curves.covered_samples(time_s)
         relative_displacement_m, force_n = identified_contacts.curves.interpolate(time_s[known_samples])
-    contact_motions = []
+    contact_motions, first_row = [], 0
     for index, believed_contact in enumerate(recording.rig.contacts):
+        is_annular = believed_contact.law.spatial
+        rows = slice(first_row, first_row + 1 + is_annular)
+        first_row = rows.stop
         law_by_source: dict[LawSource, ContactLaw] = {} if truth is None else {"true": truth.rig.contacts[index].law}
         law_by_source |= (
             {"identified": identified_contacts.laws[believed_contact.name]}
@@ -162,6 +166,10 @@ def _contact_motions(
         )
         law_by_source["believed"] = believed_contact.law
         wall_source = next(iter(law_by_source))
+        eta_m, contact_n = relative_displacement_m[rows], None if force_n is None else force_n[rows]
+        orbit = Orbit(eta_m - centre_of(law_by_source[wall_source], believed_contact.law)) if is_annular else None
+        if is_annular:
+            law_by_source = {source_name: radial_law(law) for source_name, law in law_by_source.items()}
         overlaid_laws = {
             source_name: contact_law
             for source_name, contact_law in law_by_source.items()
@@ -177,12 +185,13 @@ def _contact_motions(
             },
             time_s=time_s[known_samples],
             until_s=float(time_s[known_samples.stop]) if known_samples.stop < time_s.size else None,
-            eta_m=relative_displacement_m[index],
-            force_n=None if force_n is None else force_n[index],
+            eta_m=eta_m[0] if orbit is None else orbit.radius_m,
+            force_n=None if contact_n is None else np.hypot(*contact_n) if is_annular else contact_n[0],
             frame_samples=frame_samples[(frame_samples >= known_samples.start) & (frame_samples < known_samples.stop)]
             - known_samples.start,
             stride=stride,
             is_identified=truth is None and identified_contacts.curves is not None,
+            orbit=orbit,
         )
         contact_motions.append(contact_motion)
     return contact_motions
@@ -240,7 +249,7 @@ def _send_series(
             ]
             values = signals.values[[i for i, _ in channel_stations], ::stride]
             station_names, entity_path = (
-                [f"{s.position_m:g} m" for _, s in channel_stations],
+                [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations],
                 entity(quantity, body.name),
             )
             colours = shades(SENSOR, len(station_names))

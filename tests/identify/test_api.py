@@ -12,6 +12,7 @@ import identify
 import rig
 from identify.gaps.results import Matters
 from rig.model.description import read_rig, to_json
+from rig.recording import Signals, channel_groups
 
 SOME = Matters(contact=0.1)
 """What a minute of one mass bounds: by two forces 1.2 and 3.4 %; half a minute up to 13 %."""
@@ -43,6 +44,23 @@ def test_a_channel_that_is_not_there_is_refused_with_those_that_are(file):
 def test_a_channel_as_pandas(file):
     series = rig.read(file)["force"].to_pandas()
     assert (series.name, series.index.name) == ("force, N", "time_s")
+
+
+@pytest.mark.parametrize("name", ["check", "law", "gap", "plan"])
+def test_what_takes_plane_rigs_alone_refuses_rigs_in_space(name):
+    machine = rig.BarrelCradleAnnular().rig()
+    groups = channel_groups(machine)
+    signals = {n: Signals(channels, 0.0, np.zeros((len(channels.names), 64))) for n, channels in groups.items()}
+    with pytest.raises(rig.RigError, match=f"contact 'contact_1' is annular, and identify {name} takes rigs that move"):
+        getattr(identify, name)(rig.Recording(machine, signals, {}))
+
+
+def test_recordings_in_space_are_not_compared(tmp_path):
+    machine = rig.BarrelCradleAnnular(sensors="acceleration")
+    for seed in (1, 2):
+        rig.record(machine.rig(), tmp_path / f"{seed}.mcap", force=machine.force(), duration_s=1.5)
+    with pytest.raises(rig.RigError, match="contact 'contact_1' is annular, and a comparison of recordings takes"):
+        identify.compare(sorted(tmp_path.glob("[12].mcap")))
 
 
 def test_a_recording_as_pandas(file):

@@ -6,12 +6,14 @@ from rig.model.contact_laws.base import ContactLaw, penetration_m, walls_m
 from rig.model.contact_laws.dead_zone import DeadZone
 from rig.registry import subclasses
 
-__all__ = ["LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m", "walls_m"]
+__all__ = ["LAWS", "PLANE_LAWS", "AnyLaw", "ContactLaw", "DeadZone", "penetration_m", "walls_m"]
 
 LAWS: dict[str, type[ContactLaw]] = {
-    str(kind.__struct_config__.tag): kind for kind in subclasses(__path__, __name__, ContactLaw)
+    str(tag): kind for kind in subclasses(__path__, __name__, ContactLaw) if (tag := kind.__struct_config__.tag)
 }
 """Every law by the `type` that rig.json calls it."""
+PLANE_LAWS = tuple(law for law in LAWS.values() if not law.spatial)
+"""Laws of one direction."""
 
 if TYPE_CHECKING:
     AnyLaw = ContactLaw

@@ -1,6 +1,6 @@
-"""Base of every contact law: two stops with clearances, a force, its derivatives and the energy that it stores."""
+"""Base of every contact law: clearances, a force, its derivatives and the energy that it stores."""
 
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import msgspec
 import numpy as np
@@ -18,8 +18,8 @@ CLEARANCES = ("lower_clearance_m", "upper_clearance_m")
 class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A force f(eta, eta', t) against the relative displacement eta: -f on the body that eta is counted for.
 
-    The stops stand at `upper_clearance_m` above and `lower_clearance_m` below; both clearances grow by `wear_m_per_s`
-    from what they are at time 0. A clearance is infinite where that side has no stop.
+    A `spatial` law acts in both directions: eta, its rate and the force have the components y and z as their first
+    axis, and derivatives the components of the force, then those of eta.
 
     `formula` is the law: the only place that evaluates it, for arrays, for the compiled loop of the modal plant and for
     Exudyn's connectors. It uses + - * /, `rig.model.contact_laws.elementary`, and conditions on the law's own numbers
@@ -32,12 +32,21 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """True of laws that clearances, stiffness and damping describe, unless further fields say otherwise."""
     has_stops: ClassVar[bool] = True
     """False of a spring, which has no clearances."""
+    spatial: ClassVar[bool] = False
+    """True of laws of both directions."""
 
-    lower_clearance_m: float
-    upper_clearance_m: float
-    stiffness_n_per_m: float
-    damping_n_s_per_m: float = 0.0
-    wear_m_per_s: float = 0.0
+    if TYPE_CHECKING:  # fields or properties of every law
+
+        @property
+        def lower_clearance_m(self) -> float: ...
+        @property
+        def upper_clearance_m(self) -> float: ...
+        @property
+        def stiffness_n_per_m(self) -> float: ...
+        @property
+        def damping_n_s_per_m(self) -> float: ...
+        @property
+        def wear_m_per_s(self) -> float: ...
 
     def __post_init__(self) -> None:
         for field in self.__struct_fields__:
@@ -100,6 +109,20 @@ class ContactLaw(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def energy_j(self, eta_m: Signal, time_s: Signal = 0.0) -> Values:
         """Potential energy of the force at rest, J."""
         raise NotImplementedError
+
+
+class PlaneLaw(ContactLaw, frozen=True, kw_only=True):
+    """A law of one direction, with two stops.
+
+    They stand at `upper_clearance_m` above and `lower_clearance_m` below; both clearances grow by `wear_m_per_s` from
+    what they are at time 0. A clearance is infinite where that side has no stop.
+    """
+
+    lower_clearance_m: float
+    upper_clearance_m: float
+    stiffness_n_per_m: float
+    damping_n_s_per_m: float = 0.0
+    wear_m_per_s: float = 0.0
 
 
 def walls_m(law: ContactLaw) -> list[tuple[float, int]]:

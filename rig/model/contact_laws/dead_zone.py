@@ -5,14 +5,14 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.errors import RigError
-from rig.model.contact_laws.base import ContactLaw, Signal, Values, depth_of
+from rig.model.contact_laws.base import PlaneLaw, Signal, Values, depth_of
 from rig.model.contact_laws.elementary import contributes, magnitude, power, select, smaller, tanh
 
 DAMPING_DEPTH_M = 1e-5
 FRICTION_SPEED_M_PER_S = 0.02
 
 
-class DeadZone(ContactLaw, frozen=True, kw_only=True, tag="dead_zone"):
+class DeadZone(PlaneLaw, frozen=True, kw_only=True, tag="dead_zone"):
     """A gap with a stop on either side; inside the gap nothing but friction passes.
 
     With the relative displacement eta and its rate::

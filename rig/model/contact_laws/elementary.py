@@ -44,5 +44,10 @@ def power(x: Any, exponent: Any) -> Any:
 
 
 @singledispatch
+def root(x: Any) -> Any:
+    return np.sqrt(x)
+
+
+@singledispatch
 def tanh(x: Any) -> Any:
     return np.tanh(x)

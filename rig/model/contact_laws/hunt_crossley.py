@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 
 from rig.errors import RigError
-from rig.model.contact_laws.base import ContactLaw, Signal, Values, depth_of
+from rig.model.contact_laws.base import PlaneLaw, Signal, Values, depth_of
 from rig.model.contact_laws.elementary import magnitude, power
 
 
-class HuntCrossley(ContactLaw, frozen=True, kw_only=True, tag="hunt_crossley"):
+class HuntCrossley(PlaneLaw, frozen=True, kw_only=True, tag="hunt_crossley"):
     """Two stops of a material that dissipates while it is compressed, without a jump of the force at first touch::
 
         f = (k depth + c rate |depth / d|) |depth / d|^(p - 1)

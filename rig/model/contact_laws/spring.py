@@ -5,10 +5,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from rig.errors import RigError
-from rig.model.contact_laws.base import ContactLaw, Signal, Values, depth_of
+from rig.model.contact_laws.base import PlaneLaw, Signal, Values, depth_of
 
 
-class Spring(ContactLaw, frozen=True, kw_only=True, tag="spring"):
+class Spring(PlaneLaw, frozen=True, kw_only=True, tag="spring"):
     """A linear spring and damper, a strut or a bushing between two bodies or to the ground::
 
         f = k eta + c rate

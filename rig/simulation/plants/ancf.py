@@ -9,12 +9,20 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.extras import needs_extra
-from rig.model.description import Rig, Station, stations_of
+from rig.model.components import DIRECTIONS
+from rig.model.description import Rig, Station, contact_rows, stations_of
 from rig.model.quantities import Quantity
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_of
 from rig.simulation.plants.connectors import ChangingModulus, Extra, Section, modulus_change
 from rig.simulation.plants.finite_elements import add_loads, build, item
-from rig.simulation.plants.loading import base_motion, check_softening, connections, softening_limits_m, true_force
+from rig.simulation.plants.loading import (
+    base_motion,
+    check_softening,
+    connections,
+    has_static_load,
+    softening_limits_m,
+    true_force,
+)
 from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, sensor_row, station_row
 
 ELEMENTS = 20
@@ -49,10 +57,10 @@ def simulate(
     try:
         mbs = container.AddSystem()
         meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra)
-        instruments = _instruments(exu, mbs, rig, meshes, connectors[: len(rig.contacts)])
+        instruments = _instruments(exu, mbs, rig, meshes, connectors)
         _excite(mbs, rig, meshes, loads, excitation, step_s, extra)
         mbs.Assemble()
-        if rig.loads:
+        if has_static_load(rig):
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         settings, steps = _settings(exu, step_s), len(force_n) - 1
         for first in range(0, steps, BLOCK_STEPS):
@@ -91,7 +99,7 @@ def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra: tuple[Extr
     Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
     """
     base = base_motion(rig, len(force_n), step_s)
-    if (base or rig.loads) and any(isinstance(e, Section) for e in extra):
+    if (base or has_static_load(rig)) and any(isinstance(e, Section) for e in extra):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
     measured_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
     true_n = (true_force(rig, signal[:], step_s) for signal in measured_n.signals)
@@ -108,7 +116,7 @@ def _excite(
     extra: tuple[Extra, ...],
 ) -> None:
     """Register the function that sets loads, base acceleration and changing moduli before every step."""
-    set_base = add_loads(mbs, rig, meshes) if rig.loads or excitation.base else None
+    set_base = add_loads(mbs, rig, meshes) if has_static_load(rig) or excitation.base else None
     changes = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
 
     def apply(system: Any, time_s: float) -> bool:
@@ -126,27 +134,30 @@ def _excite(
 
 @dataclass(frozen=True)
 class _Instruments:
-    """Readers of a segment: all transverse coordinates by time derivative, and the contact forces.
+    """Readers of a segment: all transverse coordinates by time derivative, and the contact forces with their columns.
 
     `stations` and `sensors` are the rows that make a station's displacement and a sensor's quantity of them.
     """
 
     coordinates: dict[int, Callable[[], Float[np.ndarray, "rows samples"]]]
-    contact_forces: list[int]
+    contact_forces: list[tuple[int, int]]
     stations: dict[Station, Float[np.ndarray, " rows"]]
     sensors: list[tuple[Quantity, Float[np.ndarray, " rows"]]]
     limits_m: Float[np.ndarray, " connections"]
 
 
-def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], contacts: list[int]) -> _Instruments:
+def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: list[int]) -> _Instruments:
     """Exudyn sensors on every node and on the connectors of the contacts."""
     orders = {0, *(s.measures.order for s in rig.sensors)}
     force = exu.OutputVariableType.Force
     return _Instruments(
         coordinates={order: _read_nodes(exu, mbs, meshes, order) for order in orders},
         contact_forces=[
-            int(mbs.AddSensor(item("SensorObject")(objectNumber=c, storeInternal=True, outputVariableType=force)))
-            for c in contacts
+            (
+                int(mbs.AddSensor(item("SensorObject")(objectNumber=c, storeInternal=True, outputVariableType=force))),
+                2 + DIRECTIONS.index(contact.at.direction) if contact.law.spatial else 1,
+            )
+            for c, contact in zip(connectors, contact_rows(rig), strict=False)
         ],
         stations={s: station_row(meshes, s) for s in {*stations_of(rig), *(c.at for c in connections(rig))}},
         sensors=[(s.measures, sensor_row(rig, meshes, s)) for s in rig.sensors],
@@ -178,8 +189,10 @@ def _motion(
         forces_n=excitation.measured_n[span],
         sensed=_stack(sensed, count),
         displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], count),
-        eta_m=_stack(relative_m[: len(rig.contacts)], count),
-        contact_force_n=_stack([mbs.GetSensorStoredData(s)[repeated:, 1] for s in instruments.contact_forces], count),
+        eta_m=_stack(relative_m[: len(instruments.contact_forces)], count),
+        contact_force_n=_stack(
+            [mbs.GetSensorStoredData(s)[repeated:, column] for s, column in instruments.contact_forces], count
+        ),
     )
 
 

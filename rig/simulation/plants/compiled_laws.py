@@ -1,5 +1,6 @@
 """Contact laws for the compiled loop of the modal plant: their formulas by numba, their numbers as rows of a table."""
 
+import math
 import sys
 import zlib
 from collections.abc import Callable, Sequence
@@ -14,8 +15,10 @@ import numpy as np
 from numba.extending import overload
 
 import rig.model.contact_laws
-from rig.model.contact_laws import LAWS, ContactLaw
-from rig.model.contact_laws.elementary import beyond, contributes, magnitude, power, select, smaller, tanh
+from rig.model.contact_laws import LAWS, PLANE_LAWS, ContactLaw
+from rig.model.contact_laws.annular import Annular
+from rig.model.contact_laws.elementary import beyond, contributes, magnitude, power, root, select, smaller, tanh
+from rig.simulation.plants.loading import law_spans
 
 FAST = {"fastmath": {"contract", "reassoc", "nsz"}, "error_model": "numpy"}
 inlined = numba.njit(inline="always", **FAST)
@@ -27,6 +30,8 @@ def _source_checksum() -> int:
     return zlib.crc32(b"".join(path.read_bytes() for path in [*files, Path(__file__)]))
 
 
+SPATIAL, SECOND = -1, -2
+"""Kinds of the first and the second row of an annular contact."""
 COLUMNS = np.dtype(
     [
         ("kind", "i8"),
@@ -40,12 +45,15 @@ changed formula makes another type, for which numba compiles anew."""
 
 
 def law_records(laws: Sequence[ContactLaw]) -> Any:
-    """Table with a row of coefficients per law, of any kind."""
+    """Table with a row of coefficients per law, of any kind; a law of both directions has two, SPATIAL and SECOND."""
     table = np.zeros(len(laws), COLUMNS)
     for row, law in zip(table, laws, strict=True):
         for name, value in msgspec.structs.asdict(law).items():
             row[name] = value
-        row["kind"], row["acts_in_the_gap"] = [*LAWS.values()].index(type(law)), law.acts_in_the_gap
+        row["kind"] = SPATIAL if law.spatial else PLANE_LAWS.index(type(law))
+        row["acts_in_the_gap"] = law.acts_in_the_gap
+    for _, rows in law_spans(laws):
+        table["kind"][rows.start + 1 : rows.stop] = SECOND
     return table.view(np.recarray)
 
 
@@ -77,6 +85,7 @@ _NUMBERS: dict[Callable[..., Any], Callable[..., Any]] = {
     smaller: lambda one, other: min(one, other),  # noqa: PLW0108 - numba takes no builtins here
     magnitude: lambda x: abs(x),  # noqa: PLW0108
     power: _power,
+    root: lambda x: math.sqrt(x),  # noqa: PLW0108
     tanh: _tanh,
 }
 """Scalar implementations of the functions that formulas use."""
@@ -106,5 +115,7 @@ def _chained(formulas: Sequence[Callable[..., Any]], first: int = 0) -> Any:
     return chosen
 
 
-force_n = _chained([law.formula for law in LAWS.values()])
+force_n = _chained([law.formula for law in PLANE_LAWS])
 """Contact force (N) from (row, eta, eta', t)."""
+vector_force_n = inlined(unwrap(Annular.formula))
+"""Its components y and z from (row, (eta_y, eta_z), (eta_y', eta_z'), t) of an annular contact."""

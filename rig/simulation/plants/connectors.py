@@ -53,8 +53,12 @@ def add_contact(exu: Any, mbs: Any, against_marker: int, marker: int, law: Conta
 
     @no_type_check  # recorded symbolically from the plain function
     def force_n(_system, t, _number, eta, rate, _stiffness, _damping, _offset):
+        if law.spatial:
+            return [exu.symbolic.Real(0.0), *law.formula(law, (eta[1], eta[2]), (rate[1], rate[2]), t)]
         return law.formula(law, eta, rate, t)
 
+    if law.spatial:
+        return _connected(mbs, against_marker, marker, force_n, [0.0] * 3, [0.0] * 3)
     return _connected(mbs, against_marker, marker, force_n, law.stiffness_n_per_m, law.damping_n_s_per_m)
 
 
@@ -71,7 +75,8 @@ def _let_formulas_record(symbolic: Any) -> None:
         return symbolic.IfThenElse(condition, symbolic.Real(1.0) * chosen, symbolic.Real(1.0) * otherwise)
 
     functions = {"beyond": beyond, "select": select, "smaller": symbolic.min, "magnitude": symbolic.abs}
-    for name, function in (functions | {"power": symbolic.pow, "tanh": symbolic.tanh}).items():
+    functions |= {"power": symbolic.pow, "root": symbolic.sqrt, "tanh": symbolic.tanh}
+    for name, function in functions.items():
         getattr(elementary, name).register(symbolic.Real, function)
 
 
@@ -101,14 +106,18 @@ def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Call
 
 
 def _connected(
-    mbs: Any, against_marker: int, marker: int, law: Callable[..., Any], stiffness: float = 0.0, damping: float = 0.0
+    mbs: Any,
+    against_marker: int,
+    marker: int,
+    law: Callable[..., Any],
+    stiffness: float | list[float] = 0.0,
+    damping: float | list[float] = 0.0,
 ) -> int:
     from exudyn.advancedUtilities import CreateSymbolicUserFunction
-    from exudyn.itemInterface import CoordinateSpringDamper
+    from exudyn.itemInterface import CartesianSpringDamper, CoordinateSpringDamper
 
-    connector = mbs.AddObject(
-        CoordinateSpringDamper(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping)
-    )
+    kind = CartesianSpringDamper if isinstance(stiffness, list) else CoordinateSpringDamper
+    connector = mbs.AddObject(kind(markerNumbers=[against_marker, marker], stiffness=stiffness, damping=damping))
     function = CreateSymbolicUserFunction(mbs, law, "springForceUserFunction", connector)
     mbs.SetObjectParameter(connector, "springForceUserFunction", function)
     mbs.variables[f"law of connector {connector}"] = function  # Exudyn does not keep it alive

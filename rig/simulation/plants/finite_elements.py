@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 import scipy
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.model.beam import Beam
-from rig.model.description import Body, PointSpring, Rig, Station
+from rig.model.description import Body, Direction, PointSpring, Rig, Station
 from rig.model.modes import held_coordinates, with_attachments
 from rig.model.oscillator import Oscillator
+from rig.model.space import plane_rigs
 from rig.model.supports import attached_springs
 from rig.simulation.plants.connectors import Extra, GroundedForce, Section, add_contact, add_grounded
 from rig.simulation.plants.loading import connections
@@ -29,8 +30,8 @@ def build(
 ) -> tuple[list[Mesh], list[int], list[int]]:
     """Add bodies, damping, contacts and loads; return the meshes, the connectors and the loads' numbers.
 
-    The connectors are those of the contacts, then those of cubic springs, dampers and the extra forces. The loads are
-    the exciting forces, with their first values, and the tones.
+    The connectors are those of the contacts, an annular one twice, then those of cubic springs, dampers and the extra
+    forces. The loads are the exciting forces, with their first values, and the tones.
     """
     sections = [e for e in extra if isinstance(e, Section)]
     rig = _with_nodes_for(rig, extra)
@@ -43,7 +44,19 @@ def build(
     def marker(station: Station | None) -> int:
         return ground if station is None else _add_marker(mbs, meshes, station)
 
-    connectors = [add_contact(exu, mbs, marker(c.against), marker(c.at), c.law) for c in connections(rig)]
+    def position(station: Station | None) -> int:
+        if station is None:
+            ground_body = mbs.AddObject(item("ObjectGround")())
+            return int(mbs.AddMarker(item("MarkerBodyPosition")(bodyNumber=ground_body)))
+        mesh = next(m for m in meshes if m.body.name == station.body)
+        return int(mbs.AddMarker(item("MarkerNodePosition")(nodeNumber=mesh.node_at(station.position_m))))
+
+    connectors: list[int] = []
+    for c in connections(rig):
+        if not c.law.spatial:
+            connectors.append(add_contact(exu, mbs, marker(c.against), marker(c.at), c.law))
+        elif c.at.direction == "y":
+            connectors += [add_contact(exu, mbs, position(c.against), position(c.at), c.law)] * len(rig.directions)
     connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)]
     forces = [None if rig.is_on_ground(station) else station for station in rig.forces]
     load_points = [*zip(forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
@@ -64,7 +77,7 @@ def _with_nodes_for(rig: Rig, extra: tuple[Extra, ...]) -> Rig:
 def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     """Add a marker on the displacement of the node at a station; return its number."""
     mesh = next(m for m in meshes if m.body.name == station.body)
-    node, coordinate = mesh.node_at(station.position_m), mesh.transverse[0]
+    node, coordinate = mesh.node_at(station.position_m), mesh.coordinates_of(station.direction)[0]
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
@@ -76,16 +89,22 @@ def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, element_count: int, s
 
 
 def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _element_count: int, _sections: list[Section]) -> Mesh:
-    loaded = with_attachments(rig, body)
-    node = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
-    mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=loaded.mass_kg))
-    marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=0))
-    mbs.AddObject(
-        item("CoordinateSpringDamper")(
-            markerNumbers=[ground, marker], stiffness=loaded.stiffness_n_per_m, damping=loaded.damping_n_s_per_m
+    if rig.in_space:
+        node = int(mbs.AddNode(item("NodePoint")(referenceCoordinates=[0.0, 0.0, 0.0])))
+        mbs.AddObject(item("MassPoint")(nodeNumber=node, physicsMass=with_attachments(rig, body).mass_kg))
+    else:
+        node = int(mbs.AddNode(item("Node1D")(referenceCoordinates=[0.0])))
+        mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=with_attachments(rig, body).mass_kg))
+    mesh = Mesh(body, np.zeros(1), (node,), rig.directions)
+    for direction, plane in plane_rigs(rig).items():
+        loaded, (coordinate,) = with_attachments(plane, body), mesh.coordinates_of(direction)
+        marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
+        mbs.AddObject(
+            item("CoordinateSpringDamper")(
+                markerNumbers=[ground, marker], stiffness=loaded.stiffness_n_per_m, damping=loaded.damping_n_s_per_m
+            )
         )
-    )
-    return Mesh(body, np.zeros(1), (node,))
+    return mesh
 
 
 def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, sections: list[Section]) -> Mesh:
@@ -94,8 +113,15 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
             marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
             mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
-    positions = mesh_positions(rig, body, element_count)
-    nodes = tuple(int(mbs.AddNode(item("NodePoint2DSlope1")(referenceCoordinates=[x, 0, 1, 0]))) for x in positions)
+    positions, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
+    if rig.in_space and body.bending_stiffness_n_m2 != body.seen_from_above.bending_stiffness_n_m2:
+        raise RigError(
+            f"the ancf plant bends beams in space alike in y and z, and {body.name!r} is wider than thick; give a tube "
+            "or a square, or simulate it with modal"
+        )
+    node_type, reference = ("NodePointSlope1", [0, 0, 1, 0, 0]) if rig.in_space else ("NodePoint2DSlope1", [0, 1, 0])
+    nodes = tuple(int(mbs.AddNode(item(node_type)(referenceCoordinates=[x, *reference]))) for x in positions)
+    mesh = Mesh(body, positions, nodes, rig.directions)
     for (left_node, right_node), length, middle_m in zip(
         pairwise(nodes), np.diff(positions), (positions[1:] + positions[:-1]) / 2, strict=True
     ):
@@ -103,9 +129,9 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
         stiffness_factor, mass_factor = (
             float(np.prod([getattr(s, f) for s in local_sections])) for f in ("stiffness_factor", "mass_factor")
         )
-        axial = AXIAL_FACTOR * body.youngs_modulus_pa * body.width_m * body.thickness_m
+        axial = AXIAL_FACTOR * body.youngs_modulus_pa * width * thickness
         mbs.AddObject(
-            item("ObjectANCFCable2D")(
+            item("ObjectANCFCable" if rig.in_space else "ObjectANCFCable2D")(
                 nodeNumbers=[left_node, right_node],
                 length=length,
                 massPerLength=mass_factor * body.mass_per_length_kg_per_m,
@@ -114,8 +140,9 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
             )
         )
     if body.clamped:  # a free beam needs no hold lengthwise: no force acts there, its centre stays
-        fix(nodes[0], (0, 1, 3)[: 1 + held_coordinates(rig, body)])
-    return Mesh(body, positions, nodes)
+        held = held_coordinates(rig, body)
+        fix(nodes[0], (0, *(c for direction in mesh.directions for c in mesh.coordinates_of(direction)[:held])))
+    return mesh
 
 
 _ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_mass}
@@ -125,19 +152,24 @@ _ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the beams' point masses, linear springs, supports and clamps as nodal mass and stiffness matrices."""
 
-    def add(station: Station, **matrices: Float[np.ndarray, "4 4"]) -> None:
+    def add(matrix: str, station: Station, value: float, slope: float = 0.0) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
         if not mesh.body.is_mass:
-            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[mesh.node_at(station.position_m)], **matrices))
+            diagonal = np.zeros(mesh.per_node)
+            diagonal[mesh.coordinates_of(station.direction)] = value, slope
+            if matrix == "massMatrix" and station.direction == "y":
+                diagonal[0] = value
+            node = mesh.node_at(station.position_m)
+            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[node], **{matrix: np.diag(diagonal)}))
 
-    for point in rig.masses:
-        add(point.station, massMatrix=np.diag([point.mass_kg, point.mass_kg, 0.0, 0.0]))
-    for spring in attached_springs(rig):
-        add(
-            spring.station, stiffnessMatrix=np.diag([0.0, spring.stiffness_n_per_m, 0.0, spring.rotational_n_m_per_rad])
-        )
-    for clamp in rig.clamps:
-        add(Station(clamp.body), stiffnessMatrix=np.diag([0.0, 0.0, 0.0, clamp.rotational_n_m_per_rad]))
+    for direction, plane in plane_rigs(rig).items():
+        for point in plane.masses:
+            add("massMatrix", replace(point.station, direction=direction), point.mass_kg)
+        for spring in attached_springs(plane):
+            station = replace(spring.station, direction=direction)
+            add("stiffnessMatrix", station, spring.stiffness_n_per_m, spring.rotational_n_m_per_rad)
+        for clamp in plane.clamps:
+            add("stiffnessMatrix", Station(clamp.body, 0.0, direction), 0.0, clamp.rotational_n_m_per_rad)
 
 
 def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
@@ -147,8 +179,8 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     first = 0
     for mesh in meshes:
         size = mesh.per_node * len(mesh.nodes)
-        if not mesh.body.is_mass:
-            free = free_coordinates(rig, mesh)
+        for direction in () if mesh.body.is_mass else mesh.directions:
+            free = free_coordinates(rig, mesh, direction)
             inside = np.ix_(first + free, first + free)
             squares, shapes = scipy.linalg.eigh(stiffness[inside], mass[inside])
             rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
@@ -160,9 +192,10 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
         first += size
 
 
-def free_coordinates(rig: Rig, mesh: Mesh) -> Int[np.ndarray, " free"]:
-    """Indices of the transverse coordinates of a beam's nodes that no clamp fixes."""
-    transverse = np.array([4 * i + c for i in range(len(mesh.nodes)) for c in mesh.transverse])
+def free_coordinates(rig: Rig, mesh: Mesh, direction: Direction = "y") -> Int[np.ndarray, " free"]:
+    """Indices of the transverse coordinates of a beam's nodes in one direction that no clamp fixes."""
+    of_node = mesh.coordinates_of(direction)
+    transverse = np.array([mesh.per_node * i + c for i in range(len(mesh.nodes)) for c in of_node])
     return transverse[held_coordinates(rig, mesh.body) :]
 
 

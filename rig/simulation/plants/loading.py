@@ -1,13 +1,16 @@
 """Loads on a rig besides its measured force: true force, base motion, cubic springs, dampers, static loads."""
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import scipy
 from jaxtyping import Complex, Float
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import RISE_S, Contact, Rig, Station, contact_stations
+from rig.model.description import RISE_S, Contact, Rig, Station, contact_rows, contact_stations
 from rig.model.modes import modes_of
+from rig.model.space import in_plane
 from rig.simulation.excitation import noise_spectrum
 from rig.simulation.motion import ForceSignal
 
@@ -58,12 +61,12 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:
-    """Contacts, then cubic springs and dampers as dead zones to the ground without clearance and linear stiffness."""
-
+    """Contacts by components (`contact_rows`), then cubic springs and dampers as dead zones to the ground without
+    clearance and linear stiffness."""
     springs = [s for s in rig.springs if s.cubic_n_per_m3]
     grounded = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
     grounded += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
-    return (*rig.contacts, *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))
+    return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))
 
 
 def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
@@ -96,11 +99,35 @@ def check_softening(
 def _static_stiffness(rig: Rig, station: Station) -> float:
     """Static stiffness of a body at a station, N/m; zero if it has a rigid-body mode."""
     body = rig.body(station.body)
-    modes, count = modes_of(rig, body), body.max_modes
+    modes, count = modes_of(in_plane(rig, station.direction), body), body.max_modes
     omega = 2 * np.pi * modes.frequencies_hz(count)
     if not np.all(omega > 0):
         return 0.0
     return float(1 / np.sum((modes.shapes(np.array([station.position_m]), count)[0] / omega) ** 2))
+
+
+def has_static_load(rig: Rig) -> bool:
+    """True if constant forces or gravity act on a rig."""
+    return bool(rig.loads or rig.gravity_m_per_s2)
+
+
+def law_spans(laws: Sequence[ContactLaw]) -> Iterator[tuple[ContactLaw, slice]]:
+    """Every law with its rows among the connections: one, or two of a law of both directions, which stands twice."""
+    row = 0
+    while row < len(laws):
+        yield laws[row], slice(row, row + 1 + laws[row].spatial)
+        row += 1 + laws[row].spatial
+
+
+def connection_forces_n(
+    laws: Sequence[ContactLaw],
+    eta_m: Float[np.ndarray, " connections"],
+    rate_m_per_s: Float[np.ndarray, " connections"],
+    time_s: float = 0.0,
+) -> Float[np.ndarray, " connections"]:
+    """Force of every connection at its relative displacement and rate, N."""
+    forces = [law.force_n(eta_m[rows], rate_m_per_s[rows], time_s) for law, rows in law_spans(laws)]
+    return np.concatenate([np.zeros(0), *forces])
 
 
 def equilibrium(
@@ -147,16 +174,22 @@ def _least_energy(
     q = np.zeros(load.size)
 
     def energy(trial: Float[np.ndarray, " modes"]) -> float:
-        stored = sum(float(law.energy_j(eta)) for law, eta in zip(laws, across @ trial, strict=True))
+        eta = across @ trial
+        stored = sum(float(np.sum(law.energy_j(eta[rows]))) for law, rows in law_spans(laws))
         return float(squares @ trial**2 / 2 + stored - load @ trial)
 
     def slopes(
         trial: Float[np.ndarray, " modes"],
     ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        pairs = list(zip(laws, across @ trial, strict=True))
-        forces = np.array([float(law.force_n(eta)) for law, eta in pairs])
-        tangent = np.array([float(law.by_eta_n_per_m(eta)) for law, eta in pairs])
-        return squares * trial + forces @ across - load, np.diag(squares) + (across.T * tangent) @ across
+        eta, tangent, coupling = across @ trial, np.zeros(len(across)), np.zeros((load.size, load.size))
+        forces = connection_forces_n(laws, eta, np.zeros(eta.size))
+        for law, rows in law_spans(laws):
+            by_eta = law.by_eta_n_per_m(eta[rows])
+            tangent[rows] = np.diag(by_eta) if law.spatial else by_eta
+            if law.spatial:
+                coupling += by_eta[0, 1] * (np.outer(*across[rows]) + np.outer(*across[rows][::-1]))
+        stiffness = np.diag(squares) + (across.T * tangent) @ across
+        return squares * trial + forces @ across - load, stiffness + coupling if coupling.any() else stiffness
 
     for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor = q

@@ -5,11 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from rig.model.beam import Beam
-from rig.model.description import Rig, Sensor, Station, contact_stations
+from rig.model.description import Direction, Rig, Sensor, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinates, hermite, matrices
+from rig.model.space import plane_rigs
 from rig.model.supports import attached_springs
 from rig.simulation.plants.loading import connections, equilibrium
 
@@ -19,28 +20,58 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True)
 class Mesh:
-    """Mesh of a body in Exudyn: node numbers, positions, and transverse coordinates (value, slope) of a node."""
+    """Mesh of a body in Exudyn: node numbers, positions, and directions of motion.
+
+    A node's transverse coordinates are (value, slope) in each direction; a mass has the value alone.
+    """
 
     body: Meshed
     positions_m: Float[np.ndarray, " nodes"]
     nodes: tuple[int, ...]
+    directions: tuple[Direction, ...] = ("y",)
 
     def node_at(self, position_m: float) -> int:
         return self.nodes[int(np.argmin(np.abs(self.positions_m - position_m)))]
 
-    def row(self, position_m: float, order: int = 0) -> Float[np.ndarray, " transverse"]:
-        """Weights of (value, slope) of every node in the transverse motion at a position, or a derivative along it."""
-        return hermite(self.positions_m, position_m, order)
+    def row(self, position_m: float, order: int = 0, direction: Direction = "y") -> Float[np.ndarray, " transverse"]:
+        """Weights of the transverse coordinates in the motion at a position, or a derivative along the body."""
+        weights = np.zeros(self.per_node_transverse * len(self.nodes))
+        weights[self.places_of(direction)] = hermite(self.positions_m, position_m, order)
+        return weights
+
+    def places_of(self, direction: Direction) -> Int[np.ndarray, " some"]:
+        """Places of one direction's coordinates, node by node, among the body's transverse ones."""
+        count = len(self.directions)
+        places = np.arange(self.per_node_transverse * len(self.nodes)).reshape(len(self.nodes), count, -1)
+        return places[:, self.directions.index(direction)].ravel()
+
+    def coordinates_of(self, direction: Direction) -> list[int]:
+        """Indices of value and slope in one direction among a node's coordinates."""
+        axis = 1 + self.directions.index(direction)
+        if self.body.is_mass:
+            return [axis if self.in_space else 0]
+        return [axis, axis + self.per_node // 2]
+
+    @property
+    def in_space(self) -> bool:
+        return len(self.directions) > 1
 
     @property
     def transverse(self) -> list[int]:
-        """Indices of the transverse motion among a node's coordinates (x, y, slope x, slope y)."""
-        return [0] if self.body.is_mass else [1, 3]
+        """Indices of the transverse motion among a node's coordinates (x, y, z, slope x, slope y, slope z)."""
+        return [index for direction in self.directions for index in self.coordinates_of(direction)]
+
+    @property
+    def per_node_transverse(self) -> int:
+        """Number of transverse coordinates of a node."""
+        return len(self.directions) * (1 if self.body.is_mass else 2)
 
     @property
     def per_node(self) -> int:
-        """Number of coordinates of a node."""
-        return 1 if self.body.is_mass else 4
+        """Number of coordinates of a node: in a plane without z."""
+        if self.body.is_mass:
+            return 3 if self.in_space else 1
+        return 6 if self.in_space else 4
 
 
 def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
@@ -58,7 +89,9 @@ def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[n
     """Weights of all transverse coordinates of all bodies in the motion of a station, or a derivative along it."""
     return np.concatenate(
         [
-            mesh.row(station.position_m, order) if mesh.body.name == station.body else 0.0 * mesh.row(0.0)
+            mesh.row(station.position_m, order, station.direction)
+            if mesh.body.name == station.body
+            else 0.0 * mesh.row(0.0)
             for mesh in meshes
         ]
     )
@@ -71,17 +104,21 @@ def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray
 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
-    """Static loads on every transverse coordinate, N and N m."""
+    """Static loads and weights on every transverse coordinate, N and N m."""
     zero = np.zeros(station_row(meshes, rig.forces[0]).size)
+    if rig.gravity_m_per_s2:
+        zero = -rig.gravity_m_per_s2 * inertia(rig, meshes)
     return zero + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
 
 
 def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
-    """Inertia of every transverse coordinate as the base moves: the mass matrix times a translation, kg and kg m."""
+    """Inertia of every transverse coordinate against a base moving in y: mass matrix times translation, kg and kg m."""
     rows = []
     for mesh in meshes:
         mass, _ = matrices(rig, mesh.body, mesh.positions_m)
-        rows.append(mass @ np.tile([1.0, 0.0], len(mesh.nodes))[: len(mass)])
+        row = np.zeros(mesh.per_node_transverse * len(mesh.nodes))
+        row[mesh.places_of("y")] = mass @ np.tile([1.0, 0.0], len(mesh.nodes))[: len(mass)]
+        rows.append(row)
     return np.concatenate(rows)
 
 
@@ -89,7 +126,7 @@ def by_node(meshes: list[Mesh], transverse: Float[np.ndarray, " rows"]) -> list[
     """Vector over all transverse coordinates as one vector per body over all its coordinates; zero axially."""
     vectors, first = [], 0
     for mesh in meshes:
-        size = len(mesh.transverse) * len(mesh.nodes)
+        size = mesh.per_node_transverse * len(mesh.nodes)
         values = np.zeros((len(mesh.nodes), mesh.per_node))
         values[:, mesh.transverse] = transverse[first : first + size].reshape(len(mesh.nodes), -1)
         vectors.append(values.ravel())
@@ -105,21 +142,26 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
     vectors = by_node(meshes, _at_rest(rig, meshes))
     for mesh, values in zip(meshes, vectors, strict=True):
         if not mesh.body.is_mass:
-            shortening = values[3::4] ** 2 / 2
+            by_node_values = values.reshape(len(mesh.nodes), -1)
+            slope_x = mesh.per_node // 2
+            shortening = np.sum(by_node_values[:, slope_x + 1 :] ** 2, axis=1) / 2
             steps = np.diff(mesh.positions_m) * (shortening[1:] + shortening[:-1]) / 2
-            values[2::4] = -shortening
-            values[0::4] = -np.concatenate([[0.0], np.cumsum(steps)])
+            by_node_values[:, slope_x] = -shortening
+            by_node_values[:, 0] = -np.concatenate([[0.0], np.cumsum(steps)])
     return np.concatenate(vectors)
 
 
 def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     load = static_load(rig, meshes)
-    pairs = [matrices(rig, mesh.body, mesh.positions_m) for mesh in meshes]
-    mass, stiffness = (scipy.linalg.block_diag(*blocks) for blocks in zip(*pairs, strict=True))
-    held, first = [], 0
+    mass, stiffness = np.zeros((2, load.size, load.size))
+    held, first, planes = [], 0, plane_rigs(rig)
     for mesh in meshes:
-        held += list(range(first, first + held_coordinates(rig, mesh.body)))
-        first += len(mesh.transverse) * len(mesh.nodes)
+        for direction in mesh.directions:
+            places = first + mesh.places_of(direction)
+            inside = np.ix_(places, places)
+            mass[inside], stiffness[inside] = matrices(planes[direction], mesh.body, mesh.positions_m)
+            held += places[: held_coordinates(rig, mesh.body)].tolist()
+        first += mesh.per_node_transverse * len(mesh.nodes)
     free = np.setdiff1d(np.arange(load.size), held)
     joints = connections(rig)
     across = np.array(

@@ -11,14 +11,17 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Body, Rig, Sensor, Station, contact_stations, stations_of
+from rig.model.description import Body, Direction, Rig, Sensor, Station, contact_rows, contact_stations, stations_of
 from rig.model.modes import Modes, mode_count, modes_of, participation
+from rig.model.space import plane_rigs
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
 from rig.simulation.plants.loading import (
     base_motion,
     check_softening,
+    connection_forces_n,
     connections,
     equilibrium,
+    has_static_load,
     softening_limits_m,
     true_force,
 )
@@ -33,7 +36,8 @@ class Model:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
     sensed are the sensors' measurement operators over the modal coordinates; gains are the modal forces per unit of
-    each known input: exciting forces, static loads, base, tones. holding_n are the contact forces at rest.
+    each known input: exciting forces, static loads with the weight, base, tones. holding_n are the contact forces at
+    rest. In space the modes are those of y, then of z, and an annular contact has a row and its law in each.
     """
 
     omega: Float[np.ndarray, " modes"]
@@ -106,8 +110,8 @@ def simulate(
             forces_n=forces_n[span],
             sensed=sensed,
             displacement_m=Projected(shapes, coordinates, base[0][span] if base else None),
-            eta_m=Projected(model.across[: len(rig.contacts)], coordinates),
-            contact_force_n=contact_n[: len(rig.contacts)],
+            eta_m=Projected(model.across[: len(contact_rows(rig))], coordinates),
+            contact_force_n=contact_n[: len(contact_rows(rig))],
         )
 
 
@@ -150,16 +154,23 @@ def _without_alias(
     return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
 
 
-def body_modes_of(rig: Rig, modes_per_beam: int) -> list[tuple[Body, Modes, int]]:
-    """Bodies with their modes in this rig, and the number of modes taken."""
-    return [(b, modes_of(rig, b), mode_count(b, modes_per_beam)) for b in rig.bodies]
+BodyModes = tuple[Body, Modes, int, Direction]
+
+
+def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
+    """Bodies with their modes in this rig, the number of modes taken, and their direction."""
+    return [
+        (b, modes_of(plane, b), mode_count(b, modes_per_beam), direction)
+        for direction, plane in plane_rigs(rig).items()
+        for b in plane.bodies
+    ]
 
 
 def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
-    omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n in body_modes])
-    zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n in body_modes])
+    omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n, _ in body_modes])
+    zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n, _ in body_modes])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
     stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     stations |= {tone.station for tone in rig.tones}
@@ -168,13 +179,15 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
     across = across.reshape(len(contacts), omega.size)
     static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
+    by_base = _pulled_by_base(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
+    if rig.gravity_m_per_s2:
+        static = static + rig.gravity_m_per_s2 * by_base
     at_rest = equilibrium(omega**2, across, laws, static)
-    rest_forces_n = [float(law.force_n(eta)) for law, eta in zip(laws, across @ at_rest, strict=True)]
     gains = [rows[station] for station in rig.forces]
-    if rig.loads:
+    if has_static_load(rig):
         gains.append(static)
     if moving_base:
-        gains.append(-np.concatenate([participation(rig, body, shapes, n) for body, shapes, n in body_modes]))
+        gains.append(by_base)
     gains += [rows[tone.station] for tone in rig.tones]
     return Model(
         omega=omega,
@@ -185,8 +198,14 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
         laws=laws,
         gains=np.array(gains),
         at_rest=at_rest,
-        holding_n=np.array(rest_forces_n, dtype=float),
+        holding_n=connection_forces_n(laws, across @ at_rest, np.zeros(len(across))),
     )
+
+
+def _pulled_by_base(rig: Rig, body_modes: list[BodyModes]) -> Float[np.ndarray, " modes"]:
+    """Modal forces of an acceleration of the base in y, which are also those of gravity."""
+    parts = [participation(rig, body, shapes, n) * (direction == "y") for body, shapes, n, direction in body_modes]
+    return -np.concatenate(parts)
 
 
 def applied_inputs(
@@ -199,7 +218,7 @@ def applied_inputs(
     window = slice(max(0, span.start - BEND_SUPPORT), min(len(forces_n), span.stop + BEND_SUPPORT))
     rest_samples = int(window.start == 0)
     rows = [np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, window)) for signal in forces_n.signals]
-    if rig.loads:
+    if has_static_load(rig):
         rows.append(np.ones(rows[0].size))
     if base:
         rows.append(np.append(np.zeros(rest_samples), base[2][window]))
@@ -230,6 +249,7 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
         relief,
         law_records(model.laws),
         gauss_points(step_s),
+        True if any(law.spatial for law in model.laws) else None,
     )
 
 
@@ -268,20 +288,20 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
     return bends
 
 
-def shape_row(
-    body_modes: list[tuple[Body, Modes, int]], station: Station, order: int = 0
-) -> Float[np.ndarray, " allmodes"]:
-    """Shapes of all bodies' modes at a station, or a derivative along the body; zero for other bodies' modes."""
+def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> Float[np.ndarray, " allmodes"]:
+    """Shapes of all bodies' modes at a station, or a derivative along the body; zero for all other modes."""
     place = np.array([station.position_m])
     return np.concatenate(
         [
-            modes.shapes(place, n, order)[0] if body.name == station.body else np.zeros(n)
-            for body, modes, n in body_modes
+            modes.shapes(place, n, order)[0]
+            if (body.name, direction) == (station.body, station.direction)
+            else np.zeros(n)
+            for body, modes, n, direction in body_modes
         ]
     )
 
 
-def _sensed_row(rig: Rig, body_modes: list[tuple[Body, Modes, int]], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
+def _sensed_row(rig: Rig, body_modes: list[BodyModes], sensor: Sensor) -> Float[np.ndarray, " allmodes"]:
     derivatives = np.array([shape_row(body_modes, sensor.station, order) for order in range(3)])
     return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
 

@@ -1,5 +1,6 @@
 """Compiled loop of the modal plant: modes advanced exactly, contact forces solved for at every step."""
 
+import math
 from collections.abc import Callable
 from typing import Any, no_type_check
 
@@ -7,9 +8,10 @@ import numba
 import numpy as np
 from jaxtyping import Float
 
-from rig.simulation.plants.compiled_laws import FAST, force_n
+from rig.simulation.plants.compiled_laws import FAST, SECOND, SPATIAL, force_n, vector_force_n
 
 TOLERANCE_N = 1e-9
+MAX_ITERATIONS = 60
 BEND_REFRESH = 1e-4
 """Relative change of the end forces beyond which their bends within the step are recomputed."""
 FORCE, ETA, RATE, BEND = range(4)
@@ -49,6 +51,64 @@ def _touches(law, previous, j, eta1, rate1, time_s, step_s):
 
 @_compiled
 @no_type_check
+def _touches_ring(law, previous, j, eta, rate, time_s, step_s):
+    """Whether an annular contact of rows j and j + 1 may have a force within the step, as `_touches`."""
+    y0, z0 = previous[ETA, j] - law.center_y_m, previous[ETA, j + 1] - law.center_z_m
+    y1, z1 = eta[0] - law.center_y_m, eta[1] - law.center_z_m
+    speed = math.hypot(previous[RATE, j], previous[RATE, j + 1]) + math.hypot(rate[0], rate[1])
+    reach_m = math.sqrt(max(y0 * y0 + z0 * z0, y1 * y1 + z1 * z1)) + 0.15 * step_s * speed
+    return reach_m > law.clearance_m + law.wear_m_per_s * (time_s - step_s)
+
+
+@_compiled
+@no_type_check
+def _bend_on_ring(law, j, previous, current, time_s, step_s, gauss, share):
+    """Move the bends of rows j and j + 1, the components of an annular contact's force, by a share to those due."""
+    start_s, i = time_s - step_s, j + 1
+    mean_y, mean_z = 0.0, 0.0
+    for m in range(gauss.shape[1]):
+        a, b, c, d = gauss[2, m], gauss[3, m], gauss[4, m], gauss[5, m]
+        y = a * previous[ETA, j] + b * previous[RATE, j] + c * current[ETA, j] + d * current[RATE, j]
+        z = a * previous[ETA, i] + b * previous[RATE, i] + c * current[ETA, i] + d * current[RATE, i]
+        a, b, c, d = gauss[6, m], gauss[7, m], gauss[8, m], gauss[9, m]
+        y_rate = a * previous[ETA, j] + b * previous[RATE, j] + c * current[ETA, j] + d * current[RATE, j]
+        z_rate = a * previous[ETA, i] + b * previous[RATE, i] + c * current[ETA, i] + d * current[RATE, i]
+        force_y, force_z = vector_force_n(law, (y, z), (y_rate, z_rate), start_s + gauss[0, m] * step_s)
+        mean_y += gauss[1, m] * force_y
+        mean_z += gauss[1, m] * force_z
+    current[BEND, j] += share * (mean_y - (previous[FORCE, j] + current[FORCE, j]) / 2 - current[BEND, j])
+    current[BEND, i] += share * (mean_z - (previous[FORCE, i] + current[FORCE, i]) / 2 - current[BEND, i])
+
+
+@_compiled
+@no_type_check
+def _ring_increments(law, j, reach, eta, rate, excess):
+    """Changes of an annular contact's force that leave no excess (force of the law less that of before).
+
+    The self-response is solved for, with the slopes k and c of the law along its normal n, to which friction adds
+    mu tanh along t, and of the friction the mean of tangent and secant through zero, so that it does not overshoot.
+    """
+    i, y, z = j + 1, eta[0] - law.center_y_m, eta[1] - law.center_z_m
+    r = math.sqrt(y * y + z * z) + 1e-150
+    y, z = y / r, z / r
+    sliding = (rate[1] * y - rate[0] * z) / law.sliding_speed_m_per_s
+    rubbing = law.friction_coefficient * math.tanh(sliding)
+    slope = law.friction_coefficient
+    if abs(rubbing) > 1e-6 * slope:
+        slope = (rubbing / sliding + slope - rubbing * rubbing / slope) / 2
+    slope *= law.stiffness_n_per_m * max(r - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
+    k, c = law.stiffness_n_per_m, law.damping_n_s_per_m
+    push_y = (reach[0, 0, j, j] * k + reach[0, 1, j, j] * c) * (y - rubbing * z)
+    push_z = (reach[0, 0, i, i] * k + reach[0, 1, i, i] * c) * (z + rubbing * y)
+    rub_y, rub_z = reach[0, 1, j, j] * slope * z, reach[0, 1, i, i] * slope * y
+    yy, yz = 1.0 - push_y * y - rub_y * z, -push_y * z + rub_y * y
+    zy, zz = -push_z * y + rub_z * z, 1.0 - push_z * z - rub_z * y
+    determinant = yy * zz - yz * zy
+    return (zz * excess[0] - yz * excess[1]) / determinant, (yy * excess[1] - zy * excess[0]) / determinant
+
+
+@_compiled
+@no_type_check
 def _bend(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
     eta0, rate0, eta1, rate1 = previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j]
@@ -84,14 +144,32 @@ def _modes_alone(states, n, inputs, bends, propagate, state_by_input, state_by_c
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, reach, relief, laws, time_s):
+def _sweep(current, eta, rate, reach, relief, laws, time_s, space):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     change, largest = 0.0, 0.0
     for j in range(eta.size):
+        if space is not None and laws[j].kind == SECOND:
+            continue
         e, r = eta[j], rate[j]
         for k in range(eta.size):
             e += reach[0, 0, j, k] * current[FORCE, k] + reach[1, 0, j, k] * current[BEND, k]
             r += reach[0, 1, j, k] * current[FORCE, k] + reach[1, 1, j, k] * current[BEND, k]
+        if space is not None and laws[j].kind == SPATIAL:
+            i = j + 1
+            e2, r2 = eta[i], rate[i]
+            for k in range(eta.size):
+                e2 += reach[0, 0, i, k] * current[FORCE, k] + reach[1, 0, i, k] * current[BEND, k]
+                r2 += reach[0, 1, i, k] * current[FORCE, k] + reach[1, 1, i, k] * current[BEND, k]
+            force, force2 = vector_force_n(laws[j], (e, e2), (r, r2), time_s)
+            increment, increment2 = force - current[FORCE, j], force2 - current[FORCE, i]
+            if force != 0.0 or force2 != 0.0:
+                increment, increment2 = _ring_increments(laws[j], j, reach, (e, e2), (r, r2), (increment, increment2))
+            current[FORCE, j] += increment
+            current[FORCE, i] += increment2
+            current[ETA, j], current[RATE, j] = e + reach[0, 0, j, j] * increment, r + reach[0, 1, j, j] * increment
+            current[ETA, i], current[RATE, i] = e2 + reach[0, 0, i, i] * increment2, r2 + reach[0, 1, i, i] * increment2
+            change, largest = max(change, abs(increment), abs(increment2)), max(largest, abs(force), abs(force2))
+            continue
         force = force_n(laws[j], e, r, time_s)
         increment = force - current[FORCE, j]
         if force != 0.0:
@@ -104,15 +182,21 @@ def _sweep(current, eta, rate, reach, relief, laws, time_s):
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss):
+def _solve(previous, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss, space):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
-    for iteration in range(60):
-        change, largest = _sweep(current, eta, rate, reach, relief, laws, time_s)
+    for iteration in range(MAX_ITERATIONS):
+        change, largest = _sweep(current, eta, rate, reach, relief, laws, time_s, space)
         if iteration > 0 and change <= TOLERANCE_N:
             break
+        if space is not None and iteration == MAX_ITERATIONS - 1 and change > 1e-6 * largest:
+            current[FORCE, 0] = np.nan  # not solved: the run ends
         if iteration == 0 or change > BEND_REFRESH * largest:
             for j in range(eta.size):
-                if touches[j]:
+                if space is not None and laws[j].kind < 0:
+                    if touches[j] and laws[j].kind == SPATIAL:
+                        share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
+                        _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
+                elif touches[j]:
                     current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
 
 
@@ -133,6 +217,7 @@ def advance(
     relief,
     laws,
     gauss,
+    space,
     first,
     step_s,
 ):
@@ -143,6 +228,7 @@ def advance(
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
     at the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every
     eta and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
+    space is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
     mode_count, contact_count = across.shape[1], across.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
@@ -156,12 +242,18 @@ def advance(
             for i in range(mode_count):
                 e += across[j, i] * states[n + 1, i]
                 r += across[j, i] * states[n + 1, mode_count + i]
-            touches[j] = _touches(laws[j], contact_state, j, e, r, time_s, step_s)
-            touching |= touches[j]
             eta[j], rate[j] = e, r
+            if space is not None and laws[j].kind < 0:
+                touches[j] = laws[j].kind == SECOND and _touches_ring(
+                    laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
+                )
+                touches[j - 1] |= touches[j]
+            else:
+                touches[j] = _touches(laws[j], contact_state, j, e, r, time_s, step_s)
+            touching |= touches[j]
             current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
         if touching:
-            _solve(contact_state, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss)
+            _solve(contact_state, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss, space)
             for j in range(contact_count):
                 for i in range(2 * mode_count):
                     states[n + 1, i] += (

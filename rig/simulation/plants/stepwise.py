@@ -5,7 +5,8 @@ from jaxtyping import Float
 
 from rig.errors import RigError
 from rig.model.description import Rig
-from rig.simulation.plants.loading import check_softening, softening_limits_m
+from rig.model.space import check_plane
+from rig.simulation.plants.loading import check_softening, has_static_load, softening_limits_m
 from rig.simulation.plants.modal import constants_of, model_of, observed
 
 
@@ -17,6 +18,7 @@ class Stepwise:
     """
 
     def __init__(self, rig: Rig, step_s: float, modes_per_beam: int = 16) -> None:
+        check_plane(rig, "a run step by step, as in an FMU,")
         if len(rig.forces) > 1:
             raise RigError(
                 f"rig {rig.name!r}: {len(rig.forces)} forces act on it, and one is given step by step; leave one in "
@@ -88,6 +90,6 @@ class Stepwise:
 
     def _input_values(self, force_n: float, step_count: int) -> Float[np.ndarray, " inputs"]:
         """Known inputs after a number of steps, in the order of the model's gains."""
-        loads = [1.0] if self.rig.loads else []
+        loads = [1.0] if has_static_load(self.rig) else []
         time_s = np.array([step_count * self.step_s])
         return np.array([force_n, *loads, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from rig.model.description import from_json
+from rig.model.description import from_json, to_json
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
 from rig.simulation.reference import REFERENCES, BarrelCradle, Sdof
 from rig.viewer import viewing
@@ -76,6 +76,32 @@ def test_from_recording_to_viewing(rig, tmp_path):
     status, out, err = rig("view", path)
     assert (status, out, err) == (0, f"{path.with_suffix('.rrd')}: written\n", "")
     assert path.with_suffix(".rrd").stat().st_size > 8 * recording.samples
+
+
+@pytest.mark.parametrize("plant", ["modal", "ancf"])
+def test_a_rig_in_space_is_recorded_told_and_drawn(rig, tmp_path, plant):
+    path = tmp_path / "s.mcap"
+    words = ("--plant", plant, "--duration", 1.25, "--set", "sensors=acceleration")
+    status, out, err = rig("record", "barrel_cradle_annular", *words, "--out", path)
+    assert (status, err) == (0, "")
+    assert "2 forces, each 60 N rms" in out
+    status, out, _ = rig("info", path)
+    assert status == 0
+    assert "2 all around" in out
+    assert "barrel_1000mm_z_acceleration" in out
+    assert "barrel 1 m, z" in out
+    recording, truth = read(path), read_truth(truth_path(path))
+    late = slice(round(1.1 * 4096), None)
+    assert all(row[late].std() > 0.1 for row in recording.signals["acceleration"].values)
+    assert np.abs(recording.signals["acceleration"].values[:, :4000]).max() < 1e-3  # at rest, whatever it weighs
+    assert all(np.ptp(row) > 1 for row in truth.signals["contact_force"].values)
+    assert rig("draw", path)[0] == 0
+    for words in (("fmu", path, "--out", tmp_path / "s.fmu"), ("record", path.with_suffix(".json"), "--out", path)):
+        path.with_suffix(".json").write_bytes(to_json(recording.rig))
+        extra = ("--effect", "added_mass", "--force") if words[0] == "record" else ()
+        status, _, err = rig(*words, *extra)
+        assert status == 1
+        assert "contact 'contact_1' is annular, and" in one_line(err)
 
 
 def test_json_is_all_that_is_printed(rig, tmp_path):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from rig.errors import RigError
-from rig.model.contact_laws import LAWS, DeadZone, walls_m
+from rig.model.contact_laws import PLANE_LAWS, DeadZone, walls_m
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
 from rig.model.contact_laws.hunt_crossley import HuntCrossley
@@ -88,7 +88,7 @@ def test_a_bad_value_is_named(field, value):
         DeadZone(**good | {field: value})
 
 
-@pytest.mark.parametrize("kind", [kind for kind in LAWS.values() if kind.has_stops])
+@pytest.mark.parametrize("kind", [kind for kind in PLANE_LAWS if kind.has_stops])
 @given(displacements, rates, clearances, st.booleans())
 def test_a_stop_that_is_not_there_gives_no_force_and_the_other_one_its_own(kind, eta, rate, clearance, is_lower):
     near, lacking = ("lower_clearance_m", "upper_clearance_m")[:: 1 if is_lower else -1]
@@ -122,7 +122,7 @@ EXAMPLES = (
         reference_depth_m=5e-4,
     ),
     HuntCrossley(**STOPS, wear_m_per_s=1e-5, reference_depth_m=5e-4),
-    *(kind(**STOPS) for kind in LAWS.values() if kind.has_stops),  # a law's own numbers have defaults
+    *(kind(**STOPS) for kind in PLANE_LAWS if kind.has_stops),  # a law's own numbers have defaults
     Spring(stiffness_n_per_m=1e4, damping_n_s_per_m=5.0),
 )
 

@@ -228,7 +228,7 @@ def test_another_law_comes_back_from_json_and_an_unknown_one_is_named():
     rig = small_rig()
     rig = replace(rig, contacts=tuple(replace(c, law=law) for c in rig.contacts))
     assert from_json(to_json(rig), "rig.json of x") == rig
-    with pytest.raises(RigError, match=r"contacts\[0\]\.law\.type is 'rubber'; give 'dead_zone'"):
+    with pytest.raises(RigError, match=r"contacts\[0\]\.law\.type is 'rubber'; give 'annular' or 'dead_zone'"):
         from_json(to_json(rig).replace(b"hunt_crossley", b"rubber"), "rig.json of x")
 
 

@@ -8,7 +8,7 @@ from rig.model.description import Station
 from rig.simulation.excitation import FreeDecay, force_history
 from rig.simulation.motion import joined
 from rig.simulation.plants import modal
-from rig.simulation.reference import BarrelCradle, Sdof, reference
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof, reference
 
 
 def test_the_barrel_bends_first_at_53_hz():
@@ -31,6 +31,17 @@ def test_each_beam_has_its_sensors_with_the_contacts_among_them(stations):
     places = [s.station for s in rig.sensors]
     assert [p.body for p in places] == ["cradle"] * stations + ["barrel"] * stations
     assert {c.at for c in rig.contacts} | {c.against for c in rig.contacts} | {rig.force_at} <= set(places)
+
+
+def test_the_barrel_in_its_rings_has_four_places_a_tube_in_both_directions_with_its_contacts_among_them():
+    rig = BarrelCradleAnnular(sensors="acceleration").rig()
+    places = {(s.station.body, s.station.position_m) for s in rig.sensors}
+    for direction in ("y", "z"):
+        in_direction = [s.station for s in rig.sensors if s.station.direction == direction]
+        assert [s.body for s in in_direction] == ["cradle"] * 4 + ["barrel"] * 4
+        assert {(s.body, s.position_m) for s in in_direction} == places
+    assert {(s.body, s.position_m) for c in rig.contacts for s in (c.at, c.against)} < places
+    assert all(c.against.position_m - c.at.position_m == pytest.approx(0.45) for c in rig.contacts)
 
 
 def test_both_kinds_of_sensors_stand_at_the_same_places():

@@ -18,7 +18,7 @@ from rig.model.description import (
     Tone,
     contact_stations,
 )
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 from rig.viewer.palette import BELIEVED_INK, SENSOR_INK
 from rig.viewer.schematic import draw
 from tests.rig.lab.starting.test_starting import structure_rig
@@ -49,6 +49,20 @@ def attached(body, low_m, high_m):
         "loads": (StaticLoad(station=high, force_n=-3.21),),
         "tones": (Tone(station=low, frequency_hz=54.3, cosine_n=1.0),),
     }
+
+
+def test_a_rig_in_space_is_drawn_from_two_sides_with_the_forces_and_sensors_of_each(tmp_path):
+    rig = BarrelCradleAnnular(sensors="acceleration").rig()
+    said = texts(drawn(rig, tmp_path))
+    side_y, below_y = (next(y for words, _, y in said if words.endswith(end)) for end in ("y up", "z up"))
+    assert side_y < next(y for words, _, y in said if words == "F1") < below_y
+    assert below_y < next(y for words, _, y in said if words == "F2")
+    words = [word for word, _, _ in said]
+    assert words.count("annular") == words.count("friction 0.1") == 4
+    assert words.count("barrel: free-free, 1 m, tube of 60 and 40 mm") == 2
+    assert words.count("gravity 9.81 m/s\u00b2 downwards") == 1
+    y_alone = [word for word, _, _ in texts(drawn(replace(rig, force_at=rig.forces[0]), tmp_path))]
+    assert y_alone.count("force F") == 1
 
 
 SAID = ("0.123 kg", "456 N/m", "7e+08 N/m\u00b3", "8.9 N s/m", "3.21 N", "tone 54.3 Hz")

@@ -17,7 +17,7 @@ from rig.recording import read, read_truth, truth_path
 from rig.simulation.excitation import BandLimitedGaussian
 from rig.simulation.plants import modal
 from rig.simulation.record import record
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 from rig.viewer.axes import WIDTH
 from rig.viewer.deflection import deflection
 from rig.viewer.drawing import entity
@@ -92,6 +92,41 @@ def test_the_series_are_those_of_the_recording_and_its_truth(fixture, request, t
     _, exciting = series(tmp_path / "r.rrd", "exciting_force")
     np.testing.assert_array_equal(exciting[0], recording.force_n)
     assert [p.name for p in tmp_path.iterdir()] == ["r.rrd"]
+
+
+def test_a_rig_in_space_moves_in_both_directions_and_its_contacts_as_orbits_in_rings(tmp_path):
+    """On the stage z is y of the rig, and the depth less z of it."""
+    settings = BarrelCradleAnnular(sensors="acceleration")
+    centred = settings.rig()
+    contacts = tuple(
+        replace_struct(c, law=replace_struct(c.law, center_y_m=2e-4, center_z_m=-3e-4)) for c in centred.contacts
+    )
+    recording, truth = recorded(tmp_path, replace_struct(centred, contacts=contacts), settings.force(), 2.0)
+    centre_m = np.array([[2e-4], [-3e-4]])
+    write_rrd(recording, truth, tmp_path / "r.rrd", magnification=10.0)
+    true_eta_m, true_n = (truth.signals[name].values for name in ("relative_displacement", "contact_force"))
+    _, distance = series(tmp_path / "r.rrd", entity("relative_displacement", "contact_2", "value"))
+    about_m = true_eta_m[2:] - centre_m
+    np.testing.assert_allclose(distance[0], 1e3 * np.hypot(*about_m))
+    _, force_n = series(tmp_path / "r.rrd", entity("contact_force", "contact_2"))
+    np.testing.assert_allclose(force_n[0], np.hypot(*true_n[2:]))
+    times, points = column(tmp_path / "r.rrd", entity("close_up", "contact_2", "point"), "Points2D:positions")
+    frames = np.round(times * recording.rig.sample_rate_hz).astype(int)
+    np.testing.assert_allclose([p[0] for p in points], 1e3 * (about_m[::-1] * [[1], [-1]])[:, frames].T, rtol=1e-5)
+    _, strips = column(tmp_path / "r.rrd", entity("model", "barrel"), "LineStrips3D:strips")
+    tip_y, tip_z = (truth[f"barrel_1000mm{z}"].values[frames] for z in ("", "_z"))
+    tips = np.array([s[0][-1] for s in strips])
+    np.testing.assert_allclose(tips[:, 2], 10 * tip_y, atol=1e-5)
+    np.testing.assert_allclose(tips[:, 1] - tips[0, 1], -10 * (tip_z - tip_z[0]), atol=1e-5)
+    _, rings = column(tmp_path / "r.rrd", entity("model", "contact_2"), "LineStrips3D:strips")
+    ring = np.array(rings[0][0])[:-1]  # the last point is at its carrier
+    middle = (ring.max(axis=0) + ring.min(axis=0)) / 2
+    np.testing.assert_allclose(np.linalg.norm(ring - middle, axis=1), 0.02, rtol=1e-3)
+    carrier = [truth[f"cradle_1000mm{z}"].values[0] for z in ("_z", "")]
+    depth_m = stage(deflection(recording, truth), 4096.0, 10.0).depth_m("barrel")
+    np.testing.assert_allclose(middle[1:], [depth_m - 10 * (carrier[0] - 3e-4), 10 * (carrier[1] + 2e-4)], atol=1e-4)
+    _, events = column(tmp_path / "r.rrd", entity("events", "contact_2"), "TextLog:text")
+    assert "from y towards z" in " ".join(e[0] for e in events)
 
 
 def test_a_close_up_is_in_true_scale_and_says_when_the_contact_is_closed(mass, tmp_path):

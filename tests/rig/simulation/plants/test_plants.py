@@ -9,7 +9,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.integrate import cumulative_trapezoid, solve_ivp
 
 from rig.errors import RigError
-from rig.model.contact_laws import LAWS, DeadZone
+from rig.model.contact_laws import PLANE_LAWS, DeadZone
 from rig.model.contact_laws.spring import Spring
 from rig.model.description import Contact, Rig, Sensor, Station, contact_stations
 from rig.model.oscillator import Oscillator
@@ -99,7 +99,7 @@ STOPS = {"lower_clearance_m": 1e-3, "upper_clearance_m": 2e-3, "damping_n_s_per_
     [
         DeadZone(**STOPS, stiffness_n_per_m=2e4, friction_n=0.3, lower_stiffness_ratio=0.5, wear_m_per_s=3e-4),
         DeadZone(**STOPS, stiffness_n_per_m=2e4, exponent=1.5, cubic_n_per_m3=1e9, open_damping_n_s_per_m=1.0),
-        *(kind(**STOPS, stiffness_n_per_m=2e4) for kind in LAWS.values() if kind.has_stops),
+        *(kind(**STOPS, stiffness_n_per_m=2e4) for kind in PLANE_LAWS if kind.has_stops),
         Spring(stiffness_n_per_m=2e4, damping_n_s_per_m=5.0),
     ],
     ids=lambda law: type(law).__name__,

@@ -1,0 +1,66 @@
+"""A rig in space as two plane rigs, in y and in z, that nothing but annular contacts couples."""
+
+from msgspec.structs import replace
+
+from rig.errors import RigError
+from rig.model.beam import Beam
+from rig.model.contact_laws.annular import Annular
+from rig.model.description import Contact, Direction, Rig, Station
+
+
+def in_plane(rig: Rig, direction: Direction) -> Rig:
+    """Plane rig of one direction, with everything of that direction turned to y.
+
+    An annular contact becomes its dead zone (`Annular.in_plane`), which keeps its places. Masses, supports and clamps
+    hold in both directions, gravity in y alone; a rectangular beam bends in z over its width. Where no force acts in
+    the direction, one stands at the place of the first force: its signal is zero.
+    """
+    if not rig.in_space:
+        return rig
+    forces = tuple(turned(station) for station in rig.forces if station.direction == direction)
+    forces = forces or (turned(rig.forces[0]),)
+    items = {
+        name: tuple(
+            replace(x, station=turned(x.station)) for x in getattr(rig, name) if x.station.direction == direction
+        )
+        for name in ("sensors", "springs", "loads", "dampers", "tones")
+    }
+    return replace(
+        rig,
+        bodies=tuple(b.seen_from_above if direction == "z" and isinstance(b, Beam) else b for b in rig.bodies),
+        contacts=tuple(_plane_contact(c) for c in rig.contacts if c.law.spatial or c.at.direction == direction),
+        force_at=forces if len(forces) > 1 else forces[0],
+        gravity_m_per_s2=rig.gravity_m_per_s2 if direction == "y" else 0.0,
+        **items,
+    )
+
+
+def plane_rigs(rig: Rig) -> dict[Direction, Rig]:
+    """Plane rigs by direction; a plane rig is its own in y."""
+    return {direction: in_plane(rig, direction) for direction in rig.directions}
+
+
+def turned(station: Station) -> Station:
+    """Station in y."""
+    return replace(station, direction="y")
+
+
+def _plane_contact(contact: Contact) -> Contact:
+    law = contact.law.in_plane if isinstance(contact.law, Annular) else contact.law
+    against = None if contact.against is None else turned(contact.against)
+    return replace(contact, at=turned(contact.at), against=against, law=law)
+
+
+def check_plane(rig: Rig, purpose: str) -> None:
+    """Raise RigError if a rig moves in two directions or has weight, which `purpose` ("rig fmu") does not take."""
+    annular = [c.name for c in rig.contacts if c.law.spatial]
+    in_z = [s.name for s in rig.sensors if s.station.direction == "z"]
+    reasons = [f"contact {name!r} is annular" for name in annular[:1]]
+    reasons += [f"sensor {name!r} has the direction z" for name in in_z[:1]]
+    reasons += ["something in it has the direction z"] * rig.in_space
+    reasons += ["it has gravity"] * bool(rig.gravity_m_per_s2)
+    if reasons:
+        raise RigError(
+            f"rig {rig.name!r}: {reasons[0]}, and {purpose} takes rigs that move in one direction, without gravity; "
+            "describe the motion in y alone, with dead zones"
+        )

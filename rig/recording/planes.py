@@ -1,0 +1,31 @@
+"""The part of a recording in space that belongs to one of its two plane rigs."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from rig.model.description import Direction
+from rig.model.space import in_plane
+from rig.recording.file import Recording, Signals, channel_groups
+
+
+def plane_recording(recording: Recording, direction: Direction) -> Recording:
+    """Recording of the plane rig of one direction (`in_plane`): its sensors, and the forces in that direction.
+
+    Where no force acts in the direction, the force's channel is zero. A plane recording is its own.
+    """
+    rig = recording.rig
+    if not rig.in_space:
+        return recording
+    plane = in_plane(rig, direction)
+    groups = {name: channels for name, channels in channel_groups(plane).items() if name in recording.signals}
+    signals = {}
+    for name, channels in groups.items():
+        space = recording.signals[name]
+        if name == "force":
+            rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
+        else:
+            rows = [space.channels.names.index(sensor) for sensor in channels.names]
+        values = space.values[rows] if rows else np.zeros((1, space.values.shape[1]))
+        signals[name] = Signals(channels, space.start_s, values)
+    return replace(recording, rig=plane, signals=signals)
