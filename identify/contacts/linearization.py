@@ -4,6 +4,7 @@ drift's knots and dense in the nuisance parameters and the law's."""
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +27,28 @@ Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
 Guess = tuple[LawParameters, Knots]
 """Start of a fit: the law, and the drift's knots."""
+
+
+@runtime_checkable
+class Weighed(Protocol):
+    """Record of a fit: `sample_ratio` as that of a `ContactRecord`."""
+
+    @property
+    def sample_ratio(self) -> float: ...
+
+
+@runtime_checkable
+class Linearized(Protocol):
+    """Parameters of a fit with the residual there."""
+
+    @property
+    def knots(self) -> Knots: ...
+
+    @property
+    def pulls(self) -> Pulls: ...
+
+    @property
+    def residual(self) -> Float[np.ndarray, " fewer"]: ...
 
 
 @dataclass(frozen=True)
@@ -187,12 +210,13 @@ class BorderedEquations:
 
 
 def normal_equations(
-    record: ContactRecord,
-    state: State,
+    record: Weighed,
+    state: Linearized,
     derivatives: Jacobian,
     curve: Spline,
     to_law: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
+    band: int = BAND,
 ) -> tuple[BorderedEquations, Float[np.ndarray, "knots 1"], Float[np.ndarray, "dense 1"]]:
     """Normal equations and their right-hand side, for the knots and for the nuisance and the law's free parameters.
 
@@ -212,7 +236,7 @@ def normal_equations(
             mixed += by_knots[chunk].T @ rows
     of_knots = by_knots.T @ weighted_residual + curve.curvature.T @ (curve.target - curve.curvature @ state.knots)
     try:
-        cholesky = _banded(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature)
+        cholesky = _banded(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, band)
         eliminated = cho_solve_banded((cholesky, False), mixed) if curve.knots else mixed
         schur_inverse = np.linalg.inv(dense_block - mixed.T @ eliminated)
     except LinAlgError as error:
@@ -220,10 +244,10 @@ def normal_equations(
     return BorderedEquations(cholesky, mixed, eliminated, schur_inverse), of_knots[:, None], gradient[:, None]
 
 
-def _banded(matrix: spmatrix) -> Float[np.ndarray, "band knots"]:
-    """Cholesky factor of a symmetric matrix with `BAND` diagonals on either side."""
+def _banded(matrix: spmatrix, band: int) -> Float[np.ndarray, "band knots"]:
+    """Cholesky factor of a symmetric matrix with `band` diagonals on either side."""
     knot_count = matrix.shape[0]
-    upper = np.zeros((BAND + 1, knot_count))
-    for diagonal in range(min(BAND + 1, knot_count)):
-        upper[BAND - diagonal, diagonal:] = matrix.diagonal(diagonal)
+    upper = np.zeros((band + 1, knot_count))
+    for diagonal in range(min(band + 1, knot_count)):
+        upper[band - diagonal, diagonal:] = matrix.diagonal(diagonal)
     return np.asarray(cholesky_banded(upper)) if knot_count else upper

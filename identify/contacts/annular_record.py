@@ -1,0 +1,204 @@
+"""Record of an annular contact: the contact records of both directions, the parameters that they share, and the initial
+guess of the law by a regression over the closed samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix, diags, hstack, kron, vstack
+from scipy.sparse.linalg import spsolve
+
+from identify.contacts.annular_law import CLEARANCE, FRICTION, LOG_SPEED, REST, RING, STIFFNESS, RingValues
+from identify.contacts.contact_record import CLEAR_SHARE, LEAST_CLOSED_SHARE, NOISE_FACTOR, QUIET_FACTOR, ContactRecord
+from identify.contacts.initial_guess import OUTLIER_SHARES, STAGES, initial_pulls
+from identify.contacts.refusals import RefusalCode, refused
+from identify.linear.nuisance import THE_FORCE, THE_RECORD, Nuisance
+from identify.signals.drift import Spline, spline
+from identify.signals.scores import quiet_deviation
+
+MODE_SHARE = 0.5
+"""Share of the samples within the shortest interval, halved until the mode of an open contact's force is left."""
+MODE_SAMPLES = 100
+DIRECTIONS = 2
+"""Transverse directions y and z."""
+
+
+@dataclass(frozen=True)
+class AnnularRecord:
+    """Contact records of y and z, with the nuisance parameters of both.
+
+    columns are the indices of each direction's nuisance parameters among `parameters`: those of bodies that both
+    directions share are one. quiet_samples are those before the excitation, of a record that begins at rest.
+    """
+
+    planes: tuple[ContactRecord, ContactRecord]
+    parameters: tuple[Nuisance, ...]
+    columns: tuple[Int[np.ndarray, " nuisances"], Int[np.ndarray, " nuisances"]]
+    quiet_samples: int
+
+    @property
+    def force_n(self) -> Float[np.ndarray, "2 fewer"]:
+        """Components of the separated force, N."""
+        return np.stack([plane.force_n for plane in self.planes])
+
+    @property
+    def sample_ratio(self) -> float:
+        return self.planes[0].sample_ratio
+
+    @property
+    def factor(self) -> int:
+        return self.planes[0].factor
+
+    @property
+    def sample_rate_hz(self) -> float:
+        return self.planes[0].sample_rate_hz
+
+    @property
+    def zero_known(self) -> bool:
+        """True if sensors show constant displacements."""
+        return self.planes[0].drift is None
+
+    def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:
+        """Samples of signals at which there are forces."""
+        return rows[:, :: self.factor][:, : self.force_n.shape[1]]
+
+
+def annular_record(
+    planes: tuple[ContactRecord, ContactRecord],
+    parameters: tuple[Sequence[Nuisance], Sequence[Nuisance]],
+    force_names: tuple[Sequence[str], Sequence[str]],
+    quiet_samples: int,
+) -> AnnularRecord:
+    """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
+    initial states are those of their direction."""
+    merged: dict[Nuisance, int] = {}
+    columns = []
+    for direction, names, of_plane in zip("yz", force_names, parameters, strict=True):
+        renamed = [_in_space(p, direction, names) for p in of_plane]
+        columns.append(np.array([merged.setdefault(p, len(merged)) for p in renamed], dtype=int))
+    return AnnularRecord(planes, tuple(merged), (columns[0], columns[1]), quiet_samples)
+
+
+def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
+    """Parameter with the name that it has in a rig with two directions."""
+    if parameter.of == THE_FORCE and len(force_names) == 1:
+        return Nuisance(parameter.kind, force_names[0])
+    if parameter.mode_number is not None or parameter.of == THE_RECORD:
+        return Nuisance(parameter.kind, f"{parameter.of} ({direction})", parameter.mode_number)
+    return parameter
+
+
+def curves_of(record: AnnularRecord) -> tuple[Spline, Spline]:
+    """Splines of the slow motion in y and z."""
+    y, z = (spline(plane.eta_m.size, plane.sample_rate_hz, plane.drift) for plane in record.planes)
+    return y, z
+
+
+def interleaved(matrix: csr_matrix, direction: int) -> csr_matrix:
+    """Columns of one direction among those of both, in turn."""
+    return csr_matrix(kron(matrix, np.eye(DIRECTIONS)[[direction]]))
+
+
+def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
+    """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
+    Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
+    force = record.force_n
+    centre = np.array([_mode(row) for row in force])
+    near_n = np.maximum(5 * CLEAR_SHARE * force.std(axis=1), 1e-9)
+    for _ in range(3):
+        is_near = np.abs(force - centre[:, None]) < near_n[:, None]
+        if is_near.all(axis=0).sum() < MODE_SAMPLES:
+            break
+        centre = np.array([_mode(force[p, is_near[1 - p]]) for p in range(DIRECTIONS)])
+    return centre
+
+
+def _mode(values: Float[np.ndarray, " samples"]) -> float:
+    """Half-sample mode: the shortest interval with half the samples, again and again."""
+    ordered = np.sort(values)
+    while ordered.size > MODE_SAMPLES:
+        count = int(np.ceil(MODE_SHARE * ordered.size))
+        first = int(np.argmin(ordered[count - 1 :] - ordered[: ordered.size - count + 1]))
+        ordered = ordered[first : first + count]
+    return float(np.median(ordered))
+
+
+def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
+    """Mask of the samples at which the contact is clearly closed, by its whole force."""
+    magnitude_n = np.hypot(*force_n)
+    noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
+    quiet_n = max(plane.quiet_n for plane in record.planes)
+    return magnitude_n > max(
+        CLEAR_SHARE * float(np.quantile(magnitude_n, 0.995)), QUIET_FACTOR * quiet_n, NOISE_FACTOR * noise_n
+    )
+
+
+def annular_guess(
+    record: AnnularRecord, curves: tuple[Spline, Spline], sliding_speed_m_per_s: float
+) -> tuple[RingValues, Float[np.ndarray, " knots"]]:
+    """Law and slow motion b by a regression over the closed samples, linear in d, d mu, 1 / k and b:
+
+        eta + b = d g - d mu tanh(v_t / v_0) t + f / k,    g = f / |f|, t across it
+
+    Raises ContactRefusedError if the contact is hardly ever closed or stands still, or no force grows with the motion.
+    """
+    pulled = [plane.force_n - initial_pulls(plane) @ plane.nuisance_n for plane in record.planes]
+    rest_n = -open_force_n(record)
+    force = np.stack(pulled) + rest_n[:, None]
+    if not all(np.ptp(plane.eta_m) for plane in record.planes):
+        raise refused(RefusalCode.STANDS_STILL)
+    closed = closed_samples(record, force)
+    if np.mean(closed) < LEAST_CLOSED_SHARE:
+        raise refused(RefusalCode.HARDLY_CLOSES)
+    eta, rate = (
+        record.at_forces(np.stack([getattr(plane, name) for plane in record.planes]))[:, closed]
+        for name in ("eta_m", "velocity_m_per_s")
+    )
+    force = force[:, closed]
+    along = force / np.hypot(*force)
+    across = np.stack([-along[1], along[0]])
+    sliding = np.tanh(np.sum(rate * across, axis=0) / sliding_speed_m_per_s) * across
+    center = np.repeat(np.eye(DIRECTIONS), closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
+    law_columns = np.column_stack([along.ravel(), -sliding.ravel(), force.ravel(), center])
+    knots, solution = _regressed(record, curves, closed, eta.ravel(), law_columns)
+    clearance, rubbed, softness, *middle = solution.tolist()
+    if not (softness > 0 and clearance > 0):
+        raise refused(RefusalCode.NO_STIFFNESS)
+    values = np.zeros(len(RING))
+    values[[CLEARANCE, STIFFNESS, FRICTION, LOG_SPEED]] = (
+        clearance,
+        1 / softness,
+        max(rubbed / clearance, 0.0),
+        np.log(sliding_speed_m_per_s),
+    )
+    values[5 : 5 + len(middle)] = middle
+    values[REST] = rest_n
+    return values, knots
+
+
+def _regressed(
+    record: AnnularRecord,
+    curves: tuple[Spline, Spline],
+    closed: Bool[np.ndarray, " fewer"],
+    eta: Float[np.ndarray, " samples"],
+    law_columns: Float[np.ndarray, "samples laws"],
+) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
+    """Knots of both directions in turn, and the coefficients of the law, by `initial_guess.STAGES`."""
+    drift = vstack(
+        [interleaved(curve.value[:: record.factor][: closed.size][closed], p) for p, curve in enumerate(curves)]
+    )
+    curvature = vstack([interleaved(curve.curvature, p) for p, curve in enumerate(curves)])
+    target = np.concatenate([curve.target for curve in curves])
+    columns = hstack([-drift, law_columns]).tocsr()
+    curvature_rows = hstack([curvature, csr_matrix((target.size, law_columns.shape[1]))])
+    weights, knot_count = np.ones(eta.size), drift.shape[1]
+    for share, curvature_weight in STAGES:
+        scale_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
+        normal = rows.T @ rows
+        ridge = diags(np.r_[np.full(knot_count, 1e-12 * normal.diagonal().max()), np.zeros(law_columns.shape[1])])
+        right = np.concatenate([weights * eta / scale_m, curvature_weight * target])
+        solution = spsolve((normal + ridge).tocsc(), rows.T @ right)
+        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SHARES * scale_m)) ** 2)
+    return solution[:knot_count], solution[knot_count:]
