@@ -8,7 +8,6 @@ the centre: only where the contact is closed at rest, as under gravity, does the
 position against it.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
@@ -16,7 +15,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter1d
 from scipy.sparse import csr_matrix, diags, vstack
-from scipy.stats import norm, t
 
 from identify.contacts.annular_law import (
     CENTER,
@@ -32,22 +30,13 @@ from identify.contacts.annular_law import (
     ring_derivatives,
     ring_force_n,
 )
-from identify.contacts.annular_record import (
-    DIRECTIONS,
-    AnnularRecord,
-    annular_guess,
-    curves_of,
-    interleaved,
-    open_force_n,
-)
-from identify.contacts.initial_guess import initial_pulls
+from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, annular_guess, curves_of, interleaved
 from identify.contacts.law_fit import COST_TOLERANCE, MOST_STEPS, WEIGHT_ROUNDS
 from identify.contacts.linearization import (
     BAND,
     BorderedEquations,
     Jacobian,
     corrected_motion,
-    drift_signals,
     ground_force_n,
     normal_equations,
 )
@@ -55,7 +44,6 @@ from identify.signals.drift import Spline
 from identify.signals.gauss_newton import Step, gauss_newton
 from identify.signals.law_evaluation import evaluated
 from identify.signals.refit import refit_until_settled
-from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
 from identify.signals.spectra import decimated
 
 ANNULAR_BAND = DIRECTIONS * (BAND + 1) - 1
@@ -71,15 +59,13 @@ OPEN_SAMPLES = 3
 class AnnularState:
     """Parameters of a fit with residual and cost there, those of y before those of z.
 
-    The last of the pulls is the logarithm of the sliding speed over its start; knots of y and z take turns. by_eta is the
-    low-passed stiffness matrix, N/m.
+    The last of the pulls is the logarithm of the sliding speed over its start; knots of y and z take turns.
     """
 
     values: RingValues
     knots: Float[np.ndarray, " knots"]
     pulls: Float[np.ndarray, " nuisances"]
     residual: Float[np.ndarray, " twice"]
-    by_eta: Float[np.ndarray, "2 2 fewer"]
     cost: float = np.inf
 
 
@@ -127,8 +113,7 @@ class AnnularFit:
             unfitted = plane.force_n + values[REST][p] - own @ plane.nuisance_n - fitted[p, : plane.force_n.size]
             ground = ground_force_n(plane, self.curves[p]) @ knots[p::DIRECTIONS]
             residual.append(unfitted / (1 - own @ plane.noise_in_n) - ground)
-        by_eta = _low_passed(record, ring_derivatives(values, eta, rate).by_eta)
-        state = AnnularState(values, knots, pulls, np.concatenate(residual), by_eta)
+        state = AnnularState(values, knots, pulls, np.concatenate(residual))
         prior = self.joined_curve.curvature @ knots - self.joined_curve.target
         squares = np.sum((self.weights * state.residual) ** 2) + np.sum(prior**2)
         return replace(state, cost=float(squares + record.sample_ratio * np.sum(pulls**2)))
@@ -152,16 +137,20 @@ class AnnularFit:
         sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SIZE, 1.0, clearance, clearance, force_n, force_n]
         return np.diag(sizes)[:, list(self.free)]
 
+    @property
+    def slopes(self) -> RingDerivatives:
+        """Derivatives of the law along the motion."""
+        return ring_derivatives(self.state.values, *self.motion(self.state.knots, self.state.pulls))
+
     def jacobian(self) -> Jacobian:
         """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""
         record, state = self.record, self.state
-        eta, rate = self.motion(state.knots, state.pulls)
-        slopes = ring_derivatives(state.values, eta, rate)
-        by_rate = _low_passed(record, slopes.by_rate)
+        slopes = self.slopes
+        by_eta, by_rate = _low_passed(record, slopes.by_eta), _low_passed(record, slopes.by_rate)
         by_law = np.zeros((DIRECTIONS, record.force_n.shape[1], len(RING)))
         by_law[:, :, : len(slopes.by_law)] = np.moveaxis(_low_passed(record, slopes.by_law), 0, -1)
         by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
-        by_knots, by_pulls = [], self._by_pulls(slopes)
+        by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
         for p, plane in enumerate(record.planes):
             force_gain = 1 - state.pulls[record.columns[p]] @ plane.noise_in_n
             by_law[p] /= force_gain
@@ -169,7 +158,7 @@ class AnnularFit:
             for q, curve in enumerate(self.curves):
                 gain = self._motion_gain(q) / force_gain
                 value, speed = (rows[:: record.factor][: plane.force_n.size] for rows in (curve.value, curve.rate))
-                block = gain * (diags(state.by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
+                block = gain * (diags(by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
                 blocks.append(interleaved(block + ground_force_n(plane, curve) if p == q else block, q))
             by_knots.append(blocks[0] + blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
@@ -179,7 +168,9 @@ class AnnularFit:
         plane = self.record.planes[direction]
         return float(1 - self.state.pulls[self.record.columns[direction]][plane.moving] @ plane.noise_in_m)
 
-    def _by_pulls(self, slopes: RingDerivatives) -> Float[np.ndarray, "twice nuisances"]:
+    def _by_pulls(
+        self, slopes: RingDerivatives, by_eta: Float[np.ndarray, "2 2 fewer"]
+    ) -> Float[np.ndarray, "twice nuisances"]:
         """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
         record, state = self.record, self.state
         count = record.force_n.shape[1]
@@ -193,7 +184,7 @@ class AnnularFit:
             drift = record.at_forces((self.curves[p].value @ state.knots[p::DIRECTIONS])[None])[0]
             for i, signal_m, noise in zip(own[plane.moving], plane.nuisance_m, plane.noise_in_m, strict=True):
                 moved = slopes.by_eta[:, p] * signal_m + slopes.by_rate[:, p] * plane.velocity_of(signal_m)
-                rows[i] -= _low_passed(record, moved) + noise * state.by_eta[:, p] * drift
+                rows[i] -= _low_passed(record, moved) + noise * by_eta[:, p] * drift
         for p, plane in enumerate(record.planes):
             rows[:, p] /= np.float32(1 - state.pulls[record.columns[p]] @ plane.noise_in_n)
         return rows.reshape(state.pulls.size, -1).T
@@ -245,13 +236,13 @@ class AnnularFit:
         law explains, and the displacement's noise times the stiffness."""
         state, record = self.state, self.record
         residual, is_open = state.residual.reshape(DIRECTIONS, -1), self.open_samples
-        magnitude = np.hypot(*record.force_n)
+        magnitude, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
         weights = []
         for p, plane in enumerate(record.planes):
             unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
             open_n = np.std(residual[p, is_open] if np.any(residual[p, is_open]) else residual[p])
             unmodelled_n = plane.unmodelled * np.hypot(magnitude, np.std(record.force_n))
-            stiffness = np.hypot(*state.by_eta[p])
+            stiffness = np.hypot(*by_eta[p])
             weights.append(1 / np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2))
         return replace(self, weights=np.concatenate(weights))
 
@@ -265,6 +256,22 @@ class AnnularFit:
         return refit_until_settled(
             self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS
         )
+
+
+def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularFit:
+    """Settled fit of a record, from `annular_guess`: first without nuisance parameters, then with them.
+
+    Raises ContactRefusedError as the guess does, or if the normal equations are singular.
+    """
+    curves, bare = curves_of(record), record.without_nuisances
+    values, knots = annular_guess(bare, curves, sliding_speed_m_per_s)
+    centers = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
+    free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *centers, *range(len(RING))[REST])
+    size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
+    start = AnnularState(values, knots, np.zeros(1), np.zeros(size))
+    rough = AnnularFit(bare, curves, free, values[LOG_SPEED], start, np.full(size, 1 / rough_n)).minimum
+    pulls = np.r_[record.initial_pulls, rough.state.pulls]
+    return replace(rough, record=record, state=replace(rough.state, pulls=pulls)).settled
 
 
 def _low_passed(record: AnnularRecord, rows: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:

@@ -2,7 +2,8 @@
 guess of the law by a regression over the closed samples."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -58,6 +59,33 @@ class AnnularRecord:
     def zero_known(self) -> bool:
         """True if sensors show constant displacements."""
         return self.planes[0].drift is None
+
+    @property
+    def without_nuisances(self) -> "AnnularRecord":
+        """Record without nuisance parameters: without the free motion of a record that begins in motion."""
+        planes = [
+            replace(
+                plane,
+                force_n=plane.force_n - self.initial_pulls[own] @ plane.nuisance_n,
+                nuisance_n=plane.nuisance_n[:0],
+                noise_in_n=plane.noise_in_n[:0],
+                moving=plane.moving[:0],
+                noise_in_m=plane.noise_in_m[:0],
+                nuisance_m=plane.nuisance_m[:0],
+                initial=plane.initial[:0],
+            )
+            for plane, own in zip(self.planes, self.columns, strict=True)
+        ]
+        none = np.zeros(0, dtype=int)
+        return replace(self, planes=(planes[0], planes[1]), parameters=(), columns=(none, none))
+
+    @cached_property
+    def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
+        """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
+        pulls = np.zeros(len(self.parameters))
+        for plane, own in zip(self.planes, self.columns, strict=True):
+            pulls[own] += initial_pulls(plane)
+        return pulls
 
     def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:
         """Samples of signals at which there are forces."""
@@ -143,9 +171,8 @@ def annular_guess(
 
     Raises ContactRefusedError if the contact is hardly ever closed or stands still, or no force grows with the motion.
     """
-    pulled = [plane.force_n - initial_pulls(plane) @ plane.nuisance_n for plane in record.planes]
     rest_n = -open_force_n(record)
-    force = np.stack(pulled) + rest_n[:, None]
+    force = record.force_n + rest_n[:, None]
     if not all(np.ptp(plane.eta_m) for plane in record.planes):
         raise refused(RefusalCode.STANDS_STILL)
     closed = closed_samples(record, force)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 from numba import njit
+from scipy.fft import next_fast_len
 
 from tests.campaigns.worlds.beams import modes_of
 from tests.campaigns.worlds.machine import MODES, TrueBeam
@@ -217,11 +218,12 @@ def _laws(machine: SpaceMachine) -> Float[np.ndarray, "rings 5"]:
 
 def _force(steps: int, rms_n: float, rng: np.random.Generator) -> Float[np.ndarray, " steps"]:
     """Band-limited Gaussian force that rises after the quiet second."""
-    hz = np.fft.rfftfreq(steps, STEP_S)
+    length = next_fast_len(steps, real=True)
+    hz = np.fft.rfftfreq(length, STEP_S)
     inside = (hz >= BAND_HZ[0]) & (hz <= BAND_HZ[1])
     lines = np.zeros(hz.size, dtype=complex)
     lines[inside] = rng.standard_normal((2, int(inside.sum()))).T @ np.array([1, 1j])
-    signal = np.fft.irfft(lines, steps)
+    signal = np.fft.irfft(lines, length)[:steps]
     rise = np.clip((np.arange(steps) * STEP_S - LEAD_S - BEGINS_S) / RISE_S, 0, 1)
     return np.asarray(rms_n / signal.std() * signal * (3 * rise**2 - 2 * rise**3))
 

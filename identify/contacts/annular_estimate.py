@@ -1,0 +1,153 @@
+"""Estimate of an annular contact: values with their covariance, and what motion there was in the ring."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.stats import norm, t
+
+from identify.contacts.annular_fit import AnnularFit, annular_fit
+from identify.contacts.annular_law import CENTER, CLEARANCE, LOG_SPEED, RING, STIFFNESS, RingValues, ring_motion
+from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
+from identify.contacts.joint_fit import DRIFT_PULL_LIMIT, NOISE_LIMIT, PAUSE_SHARE, WANDER_LIMIT
+from identify.contacts.refusals import RefusalCode, refused
+from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
+
+CENTER_SHARE = 0.05
+"""Largest standard error of the centre over the clearance for which the centre is known."""
+
+RingCovariance = Float[np.ndarray, "9 9"]
+
+
+@dataclass(frozen=True)
+class AnnularEstimate:
+    """Estimate of an annular contact: values of the parameters `RING` with their covariance, and its parts as those of a
+    `JointEstimate`.
+
+    center_known: the record determines the centre against the relative displacement at rest (by accelerometers), or
+    against the sensors' zero (zero_known). eta_m and rate_m_per_s are with the slow motion, less the centre; force_n is
+    the separated force with the force at rest, at every `factor`-th sample. pulls are those of `parameters` of the
+    record.
+    """
+
+    values: RingValues
+    covariance: RingCovariance
+    of_tolerances: RingCovariance
+    of_drift: RingCovariance
+    of_misfit: RingCovariance
+    sides_known: bool
+    center_known: bool
+    pulls: Float[np.ndarray, " nuisances"]
+    eta_m: Float[np.ndarray, "2 samples"]
+    rate_m_per_s: Float[np.ndarray, "2 samples"]
+    force_n: Float[np.ndarray, "2 fewer"]
+    unexplained: float
+    halves: tuple[float, float]
+
+    @property
+    def errors(self) -> RingValues:
+        """Standard error of every parameter."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    @property
+    def own_errors(self) -> RingValues:
+        """Standard errors by the record's own scatter and slow motion, which differ in other records."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.covariance - self.of_tolerances - self.of_misfit), 0.0)))
+
+
+def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularEstimate:
+    """Estimate of an annular contact by `annular_fit`, from a sliding speed of rig.json.
+
+    The covariance is that of `joint_fit.fit_joint`: a sandwich over sixteenths of the record, both directions of one
+    together, plus the effect of a unit error in each row of the priors. By accelerometers the centre is minus the
+    mean relative displacement of the quiet seconds.
+
+    Raises ContactRefusedError as the fit does, or if the slow motion is larger than the accelerometers' noise allows or
+    is not bridged from closure to closure.
+    """
+    fit = annular_fit(record, sliding_speed_m_per_s)
+    state, curve = fit.state, fit.joined_curve
+    _check_slow_motion(fit)
+    derivatives, equations, _ = fit.linearized()
+    pull_count, to_law = state.pulls.size, fit.to_law
+    eta, rate = fit.motion(state.knots, state.pulls)
+    of_knots = np.zeros((curve.knots, len(RING)))
+    of_dense = np.zeros((pull_count + to_law.shape[1], len(RING)))
+    of_dense[pull_count:] = to_law.T
+    of_dense[pull_count - 1, LOG_SPEED] = 1.0
+    values, by_quiet = state.values.copy(), not record.zero_known and record.quiet_samples > 0
+    values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
+    for p, spline in enumerate(fit.curves) if by_quiet else ():
+        mean = np.asarray(spline.value[: record.quiet_samples].mean(axis=0)).ravel()
+        of_knots[p::DIRECTIONS, CENTER.start + p] = -mean
+        values[CENTER.start + p] = -np.mean(eta[p, : record.quiet_samples])
+    by_knots, by_dense = equations.solved(of_knots, of_dense)
+    in_law = np.concatenate([by_dense[:pull_count], to_law @ by_dense[pull_count:]])
+    influence = derivatives.times(by_knots, in_law) * fit.weights[:, None] ** 2
+    planes, residuals = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual.reshape(DIRECTIONS, -1)
+    starts = informative_parts(np.hypot(*planes[:, :, STIFFNESS]))
+    by_parts = sum(part_scores(rows, residual, starts) for rows, residual in zip(planes, residuals, strict=True))
+    degrees_of_freedom = PARTS - to_law.shape[1]
+    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
+    rows = (
+        small_sample_factor * by_parts,
+        record.sample_ratio * by_dense[:pull_count],
+        curve.curvature @ by_knots,
+    )
+    of_scatter, of_tolerances, of_drift = (x.T @ x for x in rows)
+    covariance = of_scatter + of_tolerances + of_drift
+    center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
+    return AnnularEstimate(
+        values=values,
+        covariance=covariance,
+        of_tolerances=of_tolerances,
+        of_drift=of_drift,
+        of_misfit=np.zeros_like(covariance),
+        sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
+        center_known=(by_quiet or record.zero_known) and bool(center_error_m < CENTER_SHARE * values[CLEARANCE]),
+        pulls=state.pulls[:-1],
+        eta_m=eta - state.values[CENTER][:, None],
+        rate_m_per_s=rate,
+        force_n=record.force_n + values[-DIRECTIONS:, None],
+        unexplained=_unexplained(fit),
+        halves=_halves(by_parts[:, [CLEARANCE, STIFFNESS]]),
+    )
+
+
+def _check_slow_motion(fit: AnnularFit) -> None:
+    """Raises ContactRefusedError as `estimate_annular` says."""
+    record, curve = fit.record, fit.joined_curve
+    if curve.knots and np.mean((curve.curvature @ fit.state.knots - curve.target) ** 2) > DRIFT_PULL_LIMIT:
+        raise refused(RefusalCode.DRIFT_TOO_LARGE)
+    drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
+    if not drifts:
+        return
+    force = record.force_n + fit.state.values[-DIRECTIONS:, None]
+    closed = closed_samples(record, force)
+    between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * record.factor / record.sample_rate_hz
+    between_s = np.sort(between_s)[: round((1 - PAUSE_SHARE) * between_s.size)]
+    wander_s = np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
+    wander_m = max(drift.noise_density for drift in drifts) * wander_s
+    depth_m = float(np.median(np.hypot(*force[:, closed]))) / fit.state.values[STIFFNESS]
+    if wander_m > WANDER_LIMIT * depth_m:
+        raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
+
+
+def _unexplained(fit: AnnularFit) -> float:
+    """Root mean square of the residual beyond the sensors' noise over the force's, as in `joint_fit`."""
+    residual = fit.state.residual.reshape(DIRECTIONS, -1)
+    left, force = 0.0, 0.0
+    for p, plane in enumerate(fit.record.planes):
+        noise_n = min(float(quiet_deviation(residual[p])), NOISE_LIMIT * plane.noise_n)
+        noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual[p].size))
+        left += max(float(np.var(residual[p])) - noise, 0.0)
+        force += max(float(np.var(plane.force_n)) - noise, 0.0)
+    return float(np.sqrt(left / force)) if force > 0 else 0.0
+
+
+def _halves(by_parts: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
+    """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
+    scatter = np.maximum(np.sqrt(np.sum(by_parts**2, axis=0)), 1e-300)
+    half = len(by_parts) // 2
+    clearance, stiffness = (by_parts[:half].sum(axis=0) - by_parts[half:].sum(axis=0)) / scatter
+    return float(clearance), float(stiffness)
