@@ -8,7 +8,7 @@ from urllib.parse import quote
 from threadpoolctl import threadpool_limits
 
 from identify.checks import Finding, check_recording, unchecked
-from identify.contacts import identify_contact
+from identify.contacts.space_identification import identify_recording
 from identify.contacts.acceptance import without_dead_force
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
@@ -56,13 +56,13 @@ def contact(
     tolerances: Tolerances | str | None = None,
     progress: Progress = lambda _: None,
 ) -> ContactResult:
-    """Clearance, stiffness and damping of every contact (`identify.contacts.identify_contact` says how).
+    """Clearance, stiffness and damping of every contact (`identify.contacts` says how).
 
     tolerances are the uncertainties of the recording's rig: `laboratory`, `exact`, a TOML file, or the rig's own.
     Raises RigError if the recording does not allow it.
     """
     record = _recording(recording)
-    identification = identify_contact(
+    identification = identify_recording(
         record,
         use=use,
         averaging=averaging,

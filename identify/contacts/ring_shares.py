@@ -6,9 +6,11 @@ from jaxtyping import Bool, Float, Int
 
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CLEARANCE, LOG_SPEED
+from identify.pages.wording import percent
 
 BRIDGED_S = 0.005
 """Longest opening within a whirl."""
+SHOWN_WHIRLS = 4
 SECTORS = 36
 """Sectors of the ring whose touching is counted."""
 
@@ -24,6 +26,17 @@ class RingShares(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     whirling: float
     touched_sectors: float
     whirls: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def sentence(self) -> str:
+        """Shares in words, without a full stop."""
+        times = ", ".join(f"{first:.1f} to {last:.1f} s" for first, last in self.whirls[:SHOWN_WHIRLS])
+        more = ", ..." if len(self.whirls) > SHOWN_WHIRLS else ""
+        whirling = f"whirling {percent(self.whirling)} ({times}{more})" if self.whirls else "never whirling"
+        return (
+            f"free {percent(self.free)} of the time, sliding {percent(self.sliding)}, sticking "
+            f"{percent(self.sticking)}; {whirling}; {percent(self.touched_sectors)} of the ring touched"
+        )
 
 
 def ring_shares(estimate: AnnularEstimate, rate_hz: float, first: int, start_s: float) -> RingShares:
