@@ -161,9 +161,7 @@ def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nu
     yield from pull_findings([estimate.pulls for estimate in estimates.values()], parameters)
     for name, estimate in estimates.items():
         halves, unexplained = estimate.halves, estimate.unexplained
-        yield from estimate_findings(
-            name, float(estimate.values[-1]), float(estimate.errors[-1]), halves, unexplained
-        )
+        yield from estimate_findings(name, float(estimate.values[-1]), float(estimate.errors[-1]), halves, unexplained)
 
 
 def pull_findings(

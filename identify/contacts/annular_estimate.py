@@ -3,26 +3,39 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy.stats import norm, t
 
 from identify.contacts.annular_fit import AnnularFit, annular_fit
-from identify.contacts.annular_law import CENTER, CLEARANCE, LOG_SPEED, RING, STIFFNESS, RingValues, ring_motion
+from identify.contacts.annular_law import (
+    CENTER,
+    CLEARANCE,
+    LOG_SPEED,
+    REST,
+    RING,
+    STIFFNESS,
+    RingValues,
+    ring_motion,
+)
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
 from identify.contacts.joint_fit import DRIFT_PULL_LIMIT, NOISE_LIMIT, PAUSE_SHARE, WANDER_LIMIT
+from identify.contacts.law_fit import LEAST_SAMPLES, excess_of
+from identify.contacts.linearization import Jacobian
 from identify.contacts.refusals import RefusalCode, refused
 from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
 
 CENTER_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
+REST_ERRORS = 5.0
+"""Least force at rest over its standard error, for which the contact certainly rests in its ring."""
 
 RingCovariance = Float[np.ndarray, "9 9"]
 
 
 @dataclass(frozen=True)
 class AnnularEstimate:
-    """Estimate of an annular contact: values of the parameters `RING` with their covariance, and its parts as those of a
-    `JointEstimate`.
+    """Estimate of an annular contact: values of the parameters `RING` with their covariance and its parts, which are
+    those of a `JointEstimate`.
 
     center_known: the record determines the centre against the relative displacement at rest (by accelerometers), or
     against the sensors' zero (zero_known). eta_m and rate_m_per_s are with the slow motion, less the centre; force_n is
@@ -59,8 +72,9 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     """Estimate of an annular contact by `annular_fit`, from a sliding speed of rig.json.
 
     The covariance is that of `joint_fit.fit_joint`: a sandwich over sixteenths of the record, both directions of one
-    together, plus the effect of a unit error in each row of the priors. By accelerometers the centre is minus the
-    mean relative displacement of the quiet seconds.
+    together, plus the effect of a unit error in each row of the priors, plus what deep and shallow, and growing and
+    falling depths ask otherwise (`law_fit.misfit_covariance`). By accelerometers the centre
+    against the rest position is -(d + |f_0| / k) f_0 / |f_0| with the force f_0 at rest, which the wall bears alone.
 
     Raises ContactRefusedError as the fit does, or if the slow motion is larger than the accelerometers' noise allows or
     is not bridged from closure to closure.
@@ -75,18 +89,17 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     of_dense = np.zeros((pull_count + to_law.shape[1], len(RING)))
     of_dense[pull_count:] = to_law.T
     of_dense[pull_count - 1, LOG_SPEED] = 1.0
-    values, by_quiet = state.values.copy(), not record.zero_known and record.quiet_samples > 0
+    values, by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
     values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
-    for p, spline in enumerate(fit.curves) if by_quiet else ():
-        mean = np.asarray(spline.value[: record.quiet_samples].mean(axis=0)).ravel()
-        of_knots[p::DIRECTIONS, CENTER.start + p] = -mean
-        values[CENTER.start + p] = -np.mean(eta[p, : record.quiet_samples])
+    if by_rest:
+        values[CENTER], by_values = _center_by_rest(values)
+        of_dense[pull_count:, CENTER] = (by_values @ to_law).T
     by_knots, by_dense = equations.solved(of_knots, of_dense)
     in_law = np.concatenate([by_dense[:pull_count], to_law @ by_dense[pull_count:]])
     influence = derivatives.times(by_knots, in_law) * fit.weights[:, None] ** 2
     planes, residuals = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual.reshape(DIRECTIONS, -1)
     starts = informative_parts(np.hypot(*planes[:, :, STIFFNESS]))
-    by_parts = sum(part_scores(rows, residual, starts) for rows, residual in zip(planes, residuals, strict=True))
+    by_parts = np.sum([part_scores(*rows, starts) for rows in zip(planes, residuals, strict=True)], axis=0)
     degrees_of_freedom = PARTS - to_law.shape[1]
     small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
     rows = (
@@ -95,16 +108,19 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         curve.curvature @ by_knots,
     )
     of_scatter, of_tolerances, of_drift = (x.T @ x for x in rows)
-    covariance = of_scatter + of_tolerances + of_drift
+    of_misfit = _misfit_covariance(fit, derivatives, starts)
+    covariance = of_scatter + of_tolerances + of_drift + of_misfit
     center_error_m = np.sqrt(np.diag(covariance)[CENTER].max())
+    rest_error_n = float(np.sqrt(np.diag(covariance)[REST].max()))
+    closed_at_rest = by_rest and float(np.hypot(*values[REST])) > REST_ERRORS * rest_error_n
     return AnnularEstimate(
         values=values,
         covariance=covariance,
         of_tolerances=of_tolerances,
         of_drift=of_drift,
-        of_misfit=np.zeros_like(covariance),
+        of_misfit=of_misfit,
         sides_known=record.zero_known or record.planes[0].spring_n_per_m > 0,
-        center_known=(by_quiet or record.zero_known) and bool(center_error_m < CENTER_SHARE * values[CLEARANCE]),
+        center_known=bool((closed_at_rest or record.zero_known) and center_error_m < CENTER_SHARE * values[CLEARANCE]),
         pulls=state.pulls[:-1],
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
@@ -112,6 +128,51 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         unexplained=_unexplained(fit),
         halves=_halves(by_parts[:, [CLEARANCE, STIFFNESS]]),
     )
+
+
+def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 9"]]:
+    """Centre against the position at rest, m, and its derivatives by the values."""
+    rest = values[REST]
+    force_n, stiffness = max(float(np.hypot(*rest)), 1e-12), values[STIFFNESS]
+    along = rest / force_n
+    radius_m = values[CLEARANCE] + force_n / stiffness
+    by_values = np.zeros((DIRECTIONS, len(RING)))
+    by_values[:, CLEARANCE] = -along
+    by_values[:, STIFFNESS] = along * force_n / stiffness**2
+    across = np.eye(DIRECTIONS) - np.outer(along, along)
+    by_values[:, REST] = -(np.outer(along, along) / stiffness + radius_m / force_n * across)
+    return -radius_m * along, by_values
+
+
+def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.ndarray, " parts"]) -> RingCovariance:
+    """Covariance of the parameters from the misfit of the law, as `law_fit.misfit_covariance`; the force at rest, which
+    the open contact tells, is held."""
+    record, state = fit.record, fit.state
+    free = [k for k in fit.free if k < REST.start]
+    by_law = derivatives.by_law.reshape(DIRECTIONS, -1, len(RING))[:, :, free]
+    residual = state.residual.reshape(DIRECTIONS, -1)
+    squares = fit.weights.reshape(DIRECTIONS, -1) ** 2
+    eta, rate = fit.motion(state.knots, state.pulls)
+    motion = ring_motion(state.values, record.at_forces(eta), record.at_forces(rate))
+    closed, grows = record.used & (motion.depth_m > 0), motion.along_m_per_s > 0
+    deep = motion.depth_m > np.median(motion.depth_m[closed])
+    scale = np.max(np.abs(by_law), axis=(0, 1))
+    covariance = np.zeros((len(RING), len(RING)))
+
+    def scores(samples: Bool[np.ndarray, " fewer"]) -> Float[np.ndarray, "parts free"]:
+        weighted = np.where(samples, squares, 0.0)[:, :, None] * by_law / scale
+        normal = np.einsum("pij,pik->jk", weighted, by_law / scale)
+        influence = weighted @ np.linalg.pinv(normal, hermitian=True)
+        return np.sum([part_scores(*rows, starts) for rows in zip(influence, residual, strict=True)], axis=0)
+
+    for halves in ((closed & deep, closed & ~deep), (closed & grows, closed & ~grows)):
+        if min(half.sum() for half in halves) < LEAST_SAMPLES:
+            continue
+        difference, excess = excess_of(scores(halves[0]) - scores(halves[1]))
+        error = np.zeros(len(RING))
+        error[free] = difference / scale / 2
+        covariance += excess * np.outer(error, error)
+    return covariance
 
 
 def _check_slow_motion(fit: AnnularFit) -> None:
@@ -135,13 +196,14 @@ def _check_slow_motion(fit: AnnularFit) -> None:
 
 def _unexplained(fit: AnnularFit) -> float:
     """Root mean square of the residual beyond the sensors' noise over the force's, as in `joint_fit`."""
-    residual = fit.state.residual.reshape(DIRECTIONS, -1)
+    used = fit.record.used
+    residual = fit.state.residual.reshape(DIRECTIONS, -1)[:, used]
     left, force = 0.0, 0.0
     for p, plane in enumerate(fit.record.planes):
         noise_n = min(float(quiet_deviation(residual[p])), NOISE_LIMIT * plane.noise_n)
         noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual[p].size))
         left += max(float(np.var(residual[p])) - noise, 0.0)
-        force += max(float(np.var(plane.force_n)) - noise, 0.0)
+        force += max(float(np.var(plane.force_n[used])) - noise, 0.0)
     return float(np.sqrt(left / force)) if force > 0 else 0.0
 
 

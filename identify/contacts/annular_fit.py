@@ -4,8 +4,7 @@ force at rest, and the slow motion and the nuisance parameters of both.
 The residual of each direction is that of `joint_fit`, with the component of one vector law of both relative
 displacements. A common factor on the sliding speed has a prior of one in its logarithm, as without friction it means
 nothing. Accelerometers show neither the force at rest, which follows from the open contact, whose force is zero, nor
-the centre: only where the contact is closed at rest, as under gravity, does the fitted slow motion there tell the rest
-position against it.
+the centre: only where the contact is closed at rest, as under gravity, does that force tell the rest position against it.
 """
 
 from dataclasses import dataclass, replace
@@ -51,6 +50,9 @@ ANNULAR_BAND = DIRECTIONS * (BAND + 1) - 1
 ROUGH_SHARE = 0.02
 """Standard deviation of the residual over that of the force, before any is known."""
 FRICTION_SIZE = 0.1
+SETTLED_SHARE = 0.01
+"""Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
+error."""
 OPEN_SAMPLES = 3
 """Samples before and after an open one that are open too."""
 
@@ -218,7 +220,10 @@ class AnnularFit:
             return Step(state_after, float(np.sum(right_hand_side[0] * knots) + np.sum(right_hand_side[1] * dense)))
 
         start = self.state_at(self.state.values, self.state.knots, self.state.pulls)
-        state, _ = gauss_newton(start, step_from, lambda current: COST_TOLERANCE * current.cost, MOST_STEPS)
+        settled = SETTLED_SHARE * self.record.sample_ratio
+        state, _ = gauss_newton(
+            start, step_from, lambda current: max(settled, COST_TOLERANCE * current.cost), MOST_STEPS
+        )
         return replace(self, state=state)
 
     @property
@@ -228,7 +233,7 @@ class AnnularFit:
         eta = self.motion(state.knots, state.pulls)[0] - state.values[CENTER][:, None]
         is_closed = self.record.at_forces(eta).T
         is_closed = np.hypot(*is_closed.T) > state.values[CLEARANCE]
-        return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_SAMPLES + 1) == 0)
+        return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_SAMPLES + 1) == 0) & self.record.used
 
     @property
     def weighted(self) -> "AnnularFit":
@@ -243,7 +248,8 @@ class AnnularFit:
             open_n = np.std(residual[p, is_open] if np.any(residual[p, is_open]) else residual[p])
             unmodelled_n = plane.unmodelled * np.hypot(magnitude, np.std(record.force_n))
             stiffness = np.hypot(*by_eta[p])
-            weights.append(1 / np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2))
+            deviation_n = np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2)
+            weights.append(record.used / deviation_n)
         return replace(self, weights=np.concatenate(weights))
 
     @property
@@ -253,9 +259,7 @@ class AnnularFit:
         def weights_agree(before: "AnnularFit", after: "AnnularFit") -> bool:
             return np.allclose(after.weights, before.weights, rtol=0.1)
 
-        return refit_until_settled(
-            self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS
-        )
+        return refit_until_settled(self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS)
 
 
 def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularFit:
@@ -269,7 +273,7 @@ def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularF
     free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *centers, *range(len(RING))[REST])
     size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
     start = AnnularState(values, knots, np.zeros(1), np.zeros(size))
-    rough = AnnularFit(bare, curves, free, values[LOG_SPEED], start, np.full(size, 1 / rough_n)).minimum
+    rough = AnnularFit(bare, curves, free, values[LOG_SPEED], start, np.tile(record.used / rough_n, DIRECTIONS)).minimum
     pulls = np.r_[record.initial_pulls, rough.state.pulls]
     return replace(rough, record=record, state=replace(rough.state, pulls=pulls)).settled
 

@@ -37,7 +37,8 @@ Signal = Float[np.ndarray, "*samples"]
 class RingMotion:
     """Polar quantities of a motion within a ring: unit vectors, rates along both, depth, and the forces there.
 
-    pushes: True where the normal force is above zero. unit is e + mu tanh(v_t / v_0) t, damper the force of unit damping.
+    pushes: True where the normal force is above zero. unit is e + mu tanh(v_t / v_0) t, damper the force of a damping
+    of one.
     """
 
     radial: Float[np.ndarray, "2 *samples"]

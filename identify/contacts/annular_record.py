@@ -30,7 +30,8 @@ class AnnularRecord:
     """Contact records of y and z, with the nuisance parameters of both.
 
     columns are the indices of each direction's nuisance parameters among `parameters`: those of bodies that both
-    directions share are one. quiet_samples are those before the excitation, of a record that begins at rest.
+    directions share are one. quiet_samples are those before the excitation, of a record that begins at rest: the fit
+    leaves them out, as a contact that hardly touches at rest lets slow motion go anywhere.
     """
 
     planes: tuple[ContactRecord, ContactRecord]
@@ -59,6 +60,11 @@ class AnnularRecord:
     def zero_known(self) -> bool:
         """True if sensors show constant displacements."""
         return self.planes[0].drift is None
+
+    @property
+    def used(self) -> Bool[np.ndarray, " fewer"]:
+        """Mask of the samples that are fitted."""
+        return np.arange(self.force_n.shape[1]) * self.factor >= self.quiet_samples
 
     @property
     def without_nuisances(self) -> "AnnularRecord":
@@ -131,7 +137,7 @@ def interleaved(matrix: csr_matrix, direction: int) -> csr_matrix:
 def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
     """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
     Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
-    force = record.force_n
+    force = record.force_n[:, record.used]
     centre = np.array([_mode(row) for row in force])
     near_n = np.maximum(5 * CLEAR_SHARE * force.std(axis=1), 1e-9)
     for _ in range(3):
@@ -157,8 +163,9 @@ def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"])
     magnitude_n = np.hypot(*force_n)
     noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
     quiet_n = max(plane.quiet_n for plane in record.planes)
-    return magnitude_n > max(
-        CLEAR_SHARE * float(np.quantile(magnitude_n, 0.995)), QUIET_FACTOR * quiet_n, NOISE_FACTOR * noise_n
+    return record.used & (
+        magnitude_n
+        > max(CLEAR_SHARE * float(np.quantile(magnitude_n, 0.995)), QUIET_FACTOR * quiet_n, NOISE_FACTOR * noise_n)
     )
 
 

@@ -215,7 +215,9 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     return share(0.0) if share(-COVERED) - share(COVERED) < 2 * CLOSED_SHARE_DOUBT else None
 
 
-def contact_estimate(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
+def contact_estimate(
+    name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
+) -> results.ContactEstimate:
     """Entry of contact.json of a contact of one direction."""
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))

@@ -267,14 +267,14 @@ def misfit_covariance(
         if any(scores is None for scores in half_scores):
             continue
         first, second = (scores for scores in half_scores if scores is not None)
-        difference, excess = _excess(first - second)
+        difference, excess = excess_of(first - second)
         law_error = to_law @ difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
-def _excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
-    """Sum D of the parts' scores, and the excess max(0, 1 - T0^2 / T^2)."""
+def excess_of(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+    """Sum D of the parts' scores of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     count, free = scores.shape
     difference = scores.sum(axis=0)
     scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)

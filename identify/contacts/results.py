@@ -85,7 +85,6 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
             return f"{self.name} cannot pull: its stops let go where damping would turn their force; {biased}"
         return ""
 
-
     @property
     def _annular_words(self) -> str:
         """Friction and centre of an annular contact in words."""

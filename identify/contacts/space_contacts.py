@@ -100,6 +100,10 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     """
     rig = recording.rig
     check_described(rig)
+    for contact in rig.contacts if rig.gravity_m_per_s2 else ():
+        if not contact.law.spatial and contact.at.direction == "y":
+            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
     counted = from_rest_position(recording)
     planes = [plane_recording(counted, direction) for direction in rig.directions]
     planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
@@ -131,8 +135,9 @@ def annular_records(rig: Rig, separations: tuple[Separation, Separation]) -> dic
         planes = []
         for separation in separations:
             (index,) = (
-                k for k, place in enumerate(separation.same_place) if separation.rig.contact(contact.name)
-                in [separation.rig.contacts[j] for j in place.members]
+                k
+                for k, place in enumerate(separation.same_place)
+                if separation.rig.contact(contact.name) in [separation.rig.contacts[j] for j in place.members]
             )
             planes.append(separation.records[index])
         records[contact.name] = annular_record(

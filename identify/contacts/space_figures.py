@@ -51,7 +51,7 @@ def _orbit(
     laws_name: str,
 ) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
-    (y, z), force = 1e3 * _at_forces(result, estimate), np.hypot(*estimate.force_n)
+    (y, z), force = 1e3 * _at_forces(result, estimate), np.hypot(*_forces(result, estimate))
     thinned = slice(None, None, max(1, force.size // POINTS))
     points = axes.scatter(z[thinned], y[thinned], c=force[thinned], s=1.5, cmap="viridis", rasterized=True)
     figure.colorbar(points, ax=axes, label="contact force, N", shrink=0.7)
@@ -116,12 +116,13 @@ def _friction(
 ) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     radius, normal, along = _polar(result, estimate)
-    (y, z), (vy, vz) = _at_forces(result, estimate), _thinned(result, estimate.rate_m_per_s, normal.size)
+    (y, z), (vy, vz) = _at_forces(result, estimate), _thinned(result, estimate.rate_m_per_s, estimate)
     speed = (y * vz - z * vy) / radius
     clear = (normal > CLEAR_SHARE * np.quantile(normal, 0.995)) & (radius > estimate.values[CLEARANCE])
     ratio = along[clear] / normal[clear]
     axes.plot(1e3 * speed[clear], ratio, ".", ms=1.5, color=BLUE, alpha=0.4, label="separated, no law")
-    span = np.linspace(*np.quantile(speed[clear], [0.005, 0.995]), 200) if clear.any() else np.zeros(1)
+    ends = np.quantile(speed[clear], [0.005, 0.995]) if clear.any() else np.zeros(2)
+    span = np.linspace(ends[0], ends[1], 200)
     mu, v_0 = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
     axes.plot(1e3 * span, mu * np.tanh(span / v_0), color=RED, lw=1.2, label="law found")
     limit = 3 * abs(mu) + 0.05
@@ -166,22 +167,32 @@ def _kinds(
     axes.set(xlabel="time, s", ylabel="radius |η|, mm")
 
 
+def _first(result: SpaceIdentification) -> int:
+    """First sample of the separated force after the quiet seconds, whose slow motion is not known."""
+    return -(-result.contacts.separations[0].motion.excited_from // result.factor)
+
+
 def _thinned(
-    result: SpaceIdentification, rows: Float[np.ndarray, "2 samples"], count: int
+    result: SpaceIdentification, rows: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
 ) -> Float[np.ndarray, "2 fewer"]:
-    return rows[:, :: result.factor][:, :count]
+    """Signals at the samples of the separated force that are shown."""
+    return rows[:, :: result.factor][:, _first(result) : estimate.force_n.shape[1]]
 
 
 def _at_forces(result: SpaceIdentification, estimate: AnnularEstimate) -> Float[np.ndarray, "2 fewer"]:
     """Relative displacement at the samples of the separated force."""
-    return _thinned(result, estimate.eta_m, estimate.force_n.shape[1])
+    return _thinned(result, estimate.eta_m, estimate)
+
+
+def _forces(result: SpaceIdentification, estimate: AnnularEstimate) -> Float[np.ndarray, "2 fewer"]:
+    return estimate.force_n[:, _first(result) :]
 
 
 def _polar(
     result: SpaceIdentification, estimate: AnnularEstimate
 ) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
     """Radius, and the separated force across and along the wall."""
-    (y, z), (force_y, force_z) = _at_forces(result, estimate), estimate.force_n
+    (y, z), (force_y, force_z) = _at_forces(result, estimate), _forces(result, estimate)
     radius = np.maximum(np.hypot(y, z), 1e-12)
     return radius, (y * force_y + z * force_z) / radius, (y * force_z - z * force_y) / radius
 
@@ -201,8 +212,9 @@ def space_curves(result: SpaceIdentification) -> dict[str, Table]:
     motion = result.contacts.separations[0].motion
     for name, estimate in result.contacts.annular.items():
         eta = _at_forces(result, estimate)
-        table.setdefault("time_s", motion.time_s(eta.shape[1], result.factor))
-        for row, force, direction in zip(eta, estimate.force_n, "yz", strict=True):
+        first = _first(result)
+        table.setdefault("time_s", motion.time_s(first + eta.shape[1], result.factor)[first:])
+        for row, force, direction in zip(eta, _forces(result, estimate), "yz", strict=True):
             table[f"{name} relative displacement {direction} m"] = row
             table[f"{name} contact force {direction} N"] = force
     return {"motion": table}

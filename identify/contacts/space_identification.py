@@ -9,12 +9,13 @@ from identify.contacts import results
 from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.annular_law import CENTER, CLEARANCE, DAMPING, FRICTION, LOG_SPEED, REST, STIFFNESS
 from identify.contacts.identification import Identification, contact_estimate, identify_contact
-from identify.contacts.ring_shares import ring_shares
+from identify.contacts.ring_shares import RingShares, ring_shares
 from identify.contacts.space_contacts import SpaceContacts, checked_space_contacts
 from identify.signals.kinematics import Use
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.model.description import Rig
+from rig.model.space import check_plane
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -52,6 +53,7 @@ def identify_recording(
     """Contacts of a recording: of one direction by `identify_contact`, of two by `identify_in_space`."""
     if recording.rig.in_space:
         return identify_in_space(recording, use=use, tolerances=tolerances, progress=progress)
+    check_plane(recording.rig, "identify contact without annular contacts")
     return identify_contact(
         recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances, progress=progress
     )
@@ -108,7 +110,7 @@ def identify_in_space(
     return SpaceIdentification(report, rig, contacts, tolerances or rig.tolerances or LABORATORY)
 
 
-def _annular(name: str, estimate: AnnularEstimate, shares: results.RingShares) -> results.ContactEstimate:
+def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
     values, errors, own = estimate.values, estimate.errors, estimate.own_errors
 
     def of(index: int) -> results.Estimate:

@@ -76,7 +76,8 @@ def _variance_table(result: SpaceIdentification) -> str:
             ("damping", DAMPING),
             ("friction", FRICTION),
         ):
-            shares = {source: float(part[index, index] / estimate.covariance[index, index]) for source, part in parts.items()}
+            variance = estimate.covariance[index, index]
+            shares = {source: float(part[index, index] / variance) for source, part in parts.items()}
             shares["scatter"] = 1.0 - sum(shares.values())
             rows.append((f"{quantity} of {name}", *(percent(shares[source]) for source in VARIANCE_SOURCES)))
     return "<p>Where the variance of each value comes from.</p>" + page.table(
@@ -107,7 +108,7 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         f"{result.rate_hz / 2 / result.factor:.4g} Hz."
     )
     yield (
-        "What weight does to a rig at rest, accelerometers do not show: the constant part of each contact force is that "
-        "for which the open contact has none. The centre follows where the contact is closed at rest."
+        "Accelerometers do not show what weight does to a rig at rest: the constant part of each contact force is that for "
+        "which the open contact has none. The centre follows where the contact is closed at rest."
     )
     yield f"The accelerations' noise is taken from {result.report.noise_from}."

@@ -12,7 +12,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from jaxtyping import Float
 
 import identify
 from identify.contacts.results import ContactEstimate
@@ -20,7 +19,7 @@ from rig.commands.command_line import run
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.contact_laws.annular import Annular
-from rig.model.description import Contact, Rig, Station
+from rig.model.description import Contact, Direction, Rig, Station
 from rig.model.sensing import named_sensor
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import channel_groups, writing
@@ -40,7 +39,7 @@ RATE_HZ = 4096.0
 OPEN_SHARE = (0.15, 0.75)
 """Shares of the time in which each ring is open, between which the level of the forces is sought."""
 LEVEL_S, LEVELS = 6.0, 8
-DIRECTIONS = ("y", "z")
+DIRECTIONS: tuple[Direction, ...] = ("y", "z")
 QUANTITIES = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
 
 
@@ -74,9 +73,9 @@ def drawn_machine(rng: np.random.Generator) -> SpaceMachine:
 
 
 def as_built(machine: SpaceMachine, rng: np.random.Generator, crossing: float = 0.0) -> SpaceMachine:
-    """The machine as a laboratory builds it: moduli +-0.3 % and each mode by +-0.2 % more, density +-0.3 %, damping by a
-    factor of 0.75 to 1.3 each, stations +-1 mm, gains +-0.2 %, forces' gains +-0.3 %, delays +-10 us, high-pass 0.05 to
-    0.15 Hz, noise by 0.8 to 1.25, the other axis up to `crossing`."""
+    """The machine as a laboratory builds it: frequencies +-0.15 %, of each mode +-0.2 % more, density +-0.3 %, damping
+    of each mode by a factor of 0.75 to 1.3, stations +-1 mm, gains +-0.2 %, forces' gains +-0.3 %, delays +-10 us,
+    high-pass 0.05 to 0.15 Hz, noise by a factor of 0.8 to 1.25, the other axis up to `crossing`."""
 
     def share(most: float) -> float:
         return 1 + float(rng.uniform(-most, most))
@@ -206,7 +205,9 @@ def score(rows: list[dict[str, float | str]]) -> None:
         )
 
 
-def one_rig(number: int, seed: int, out: Path, *, exact: bool, seconds: float, crossing: float) -> list[dict[str, float | str]]:
+def one_rig(
+    number: int, seed: int, out: Path, *, exact: bool, seconds: float, crossing: float
+) -> list[dict[str, float | str]]:
     """Rows of one rig's contacts."""
     rng, of_building = np.random.default_rng([seed, number]).spawn(2)
     nominal = drawn_machine(rng)

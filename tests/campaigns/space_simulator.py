@@ -9,6 +9,7 @@ With eta = (eta_y, eta_z) less the ring's centre, r = |eta|, e = eta / r and the
 """
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
@@ -34,7 +35,7 @@ TAIL_S = 0.05
 
 @dataclass(frozen=True)
 class Tube:
-    """A steel tube, clamped at its left end or free; factors on the frequency and damping of each mode and direction."""
+    """A steel tube, clamped at its left end or free; factors on frequency and damping of each mode and direction."""
 
     name: str
     clamped: bool
@@ -234,9 +235,7 @@ def _between(forces: Float[np.ndarray, "2 steps"]) -> Float[np.ndarray, "2 some"
     return np.array([np.convolve(row, triangle, "same")[::SENSED_STEPS] for row in forces])
 
 
-def _at_rest(
-    machine: SpaceMachine, modes: _Modes
-) -> tuple[Float[np.ndarray, "2 modes"], Float[np.ndarray, "rings 2"]]:
+def _at_rest(machine: SpaceMachine, modes: _Modes) -> tuple[Float[np.ndarray, "2 modes"], Float[np.ndarray, "rings 2"]]:
     """Modal coordinates at rest, and eta there: the barrel lies in two rings, or floats in their middle."""
     start, rest_m = np.zeros_like(modes.omega), np.zeros((len(machine.rings), 2))
     if not machine.gravity:
@@ -275,6 +274,7 @@ def _rotation(modes: _Modes, direction: int) -> Float[np.ndarray, "modes 4"]:
 
 
 @njit(cache=True, fastmath=True)
+@no_type_check
 def _ring_force(law, y, z, vy, vz):
     d, k, c, mu, v0 = law
     r = np.sqrt(y * y + z * z)
@@ -289,7 +289,8 @@ def _ring_force(law, y, z, vy, vz):
 
 
 @njit(cache=True, fastmath=True)
-def _run(rotation, rings, softness, force_shape, weight, sensors, laws, forces, start):
+@no_type_check
+def _run(rotation, rings, softness, force_shape, weight, sensors, laws, forces, start):  # noqa: PLR0912
     steps, count, modes = forces.shape[1], rings.shape[0], rings.shape[1]
     sensed = np.zeros((2, sensors.shape[0], (steps + SENSED_STEPS - 1) // SENSED_STEPS))
     touched = np.zeros((2, 2, count, sensed.shape[2]))
