@@ -4,7 +4,7 @@ force at rest, and the slow motion and the nuisance parameters of both.
 The residual of each direction is that of `joint_fit`, with the component of one vector law of both relative
 displacements. A common factor on the sliding speed has a prior of one in its logarithm, as without friction it means
 nothing. Accelerometers show neither the force at rest, which follows from the open contact, whose force is zero, nor
-the centre: only where the contact is closed at rest, as under gravity, does that force tell the rest position against it.
+the centre: where the contact is closed at rest, as under gravity, that force tells the rest position against it.
 """
 
 from dataclasses import dataclass, replace

@@ -108,7 +108,7 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         f"{result.rate_hz / 2 / result.factor:.4g} Hz."
     )
     yield (
-        "Accelerometers do not show what weight does to a rig at rest: the constant part of each contact force is that for "
-        "which the open contact has none. The centre follows where the contact is closed at rest."
+        "Accelerometers do not show what weight does to a rig at rest: the constant part of each contact force is that "
+        "for which the open contact has none. The centre follows where the contact is closed at rest."
     )
     yield f"The accelerations' noise is taken from {result.report.noise_from}."
