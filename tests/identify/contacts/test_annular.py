@@ -1,6 +1,7 @@
 """Annular contacts: the law and its derivatives, recovery from records that another simulator made, and refusals."""
 
 import dataclasses
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from identify.pages.wording import COVERED
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
-from rig.model.description import Station
 from rig.recording import Recording, Signals, channel_groups, plane_recording
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
@@ -43,10 +43,11 @@ def machine(gravity):
     )
 
 
-def recorded(gravity, seed=1):
+@cache
+def recorded(gravity):
     """Recording of the reference rig, and what is true of it."""
     built = machine(gravity)
-    truth = simulated(built, 60.0, round(SECONDS * RATE_HZ), RATE_HZ, seed)
+    truth = simulated(built, 60.0, round(SECONDS * RATE_HZ), RATE_HZ, 1)
     rig = believed_rig(built)
     rows = {"force": truth.forces_n, "acceleration": truth.accelerations.reshape(len(rig.sensors), -1)}
     signals = {name: Signals(channels, 0.0, rows[name]) for name, channels in channel_groups(rig).items()}
@@ -267,7 +268,7 @@ def in_y_alone(recording):
 
 
 def test_sensors_in_one_direction_are_refused_and_in_both_are_not(found):
-    recording, _ = recorded(gravity=False, seed=2)
+    recording, _ = recorded(False)
     with pytest.raises(ContactRefusedError, match="has no sensor in z") as error:
         identify.contact(in_y_alone(recording))
     assert error.value.refusal.code == RefusalCode.ONE_DIRECTION
@@ -276,7 +277,7 @@ def test_sensors_in_one_direction_are_refused_and_in_both_are_not(found):
 
 
 def test_weight_on_a_contact_of_one_direction_is_refused():
-    recording, _ = recorded(gravity=True, seed=2)
+    recording, _ = recorded(True)
     plane = replace(recording.rig.contacts[0], law=equal_sides(2e-3, 5e5))
     rig = replace(recording.rig, contacts=(plane, *recording.rig.contacts[1:]))
     with pytest.raises(ContactRefusedError, match="contact 'contact_1' in y that is not annular"):
@@ -288,12 +289,11 @@ def test_weight_on_a_contact_of_one_direction_is_refused():
 
 def test_a_contact_of_one_direction_beside_an_annular_one_is_its_plane_rigs():
     """contact_1 as a dead zone in y and one in z in place of the ring: refused or found, but both are answered."""
-    recording, _ = recorded(gravity=False)
+    recording, _ = recorded(False)
     first, second = recording.rig.contacts
     law = equal_sides(2e-3, 5e5)
-    in_z = replace(
-        first, name="sideways", law=law, at=Station("barrel", 0.0, "z"), against=Station("cradle", 0.45, "z")
-    )
+    at, against = (replace(station, direction="z") for station in (first.at, first.against))
+    in_z = replace(first, name="sideways", law=law, at=at, against=against)
     rig = replace(recording.rig, contacts=(replace(first, law=law), in_z, second))
     report = identify.contact(dataclasses.replace(recording, rig=rig), tolerances="exact").report
     names = {contact.name: contact.law for contact in report.contacts} | {u.name: "" for u in report.unanswered}
@@ -302,13 +302,14 @@ def test_a_contact_of_one_direction_beside_an_annular_one_is_its_plane_rigs():
 
 
 def test_check_takes_both_directions():
-    recording, _ = recorded(gravity=True)
+    recording, _ = recorded(True)
     assert identify.check(recording, tolerances="exact").sound
-    swapped = recording.signals["acceleration"].values.copy()
-    swapped[12] *= -1  # barrel, z
+    accelerations = recording.signals["acceleration"]
+    values = accelerations.values.copy()
+    values[12] *= -1  # barrel, z
     wrong = {
         **recording.signals,
-        "acceleration": dataclasses.replace(recording.signals["acceleration"], values=swapped),
+        "acceleration": dataclasses.replace(accelerations, values=values),
     }
     findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
     assert recording.rig.sensors[12].name in {name for finding in findings for name in finding.channels}
