@@ -8,8 +8,9 @@ from urllib.parse import quote
 from threadpoolctl import threadpool_limits
 
 from identify.checks import Finding, check_recording, unchecked
-from identify.contacts import identify_contact
 from identify.contacts.acceptance import without_dead_force
+from identify.contacts.space_contacts import space_findings
+from identify.contacts.space_identification import identify_recording
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.decision.prepare import simulator_named
@@ -41,9 +42,12 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
     Raises RigError if the recording cannot be read.
     """
     record = _recording(recording)
-    check_plane(record.rig, "identify check")
     with threadpool_limits(1):
-        findings = check_recording(record, use, _resolved(tolerances))
+        if record.rig.in_space:
+            findings = space_findings(record, use, _resolved(tolerances))
+        else:
+            check_plane(record.rig, "identify check without annular contacts")
+            findings = check_recording(record, use, _resolved(tolerances))
     return CheckResult(findings, _title([recording], record), unchecked(record.rig))
 
 
@@ -56,13 +60,13 @@ def contact(
     tolerances: Tolerances | str | None = None,
     progress: Progress = lambda _: None,
 ) -> ContactResult:
-    """Clearance, stiffness and damping of every contact (`identify.contacts.identify_contact` says how).
+    """Clearance, stiffness and damping of every contact (`identify.contacts` says how).
 
     tolerances are the uncertainties of the recording's rig: `laboratory`, `exact`, a TOML file, or the rig's own.
     Raises RigError if the recording does not allow it.
     """
     record = _recording(recording)
-    identification = identify_contact(
+    identification = identify_recording(
         record,
         use=use,
         averaging=averaging,

@@ -12,6 +12,7 @@ from identify.checks import Finding
 from identify.contacts import Identification
 from identify.contacts.identified_contact import EstimatedQuantity, IdentifiedContact, identified_contact
 from identify.contacts.results import ContactReport, Estimate, Unanswered, identified_rig
+from identify.contacts.space_identification import SpaceIdentification
 from identify.gaps.results import Gap
 from identify.history import History
 from identify.history import page as history_page
@@ -69,7 +70,7 @@ class CheckResult(Summarized):
 class ContactResult(Summarized):
     """Contacts by a recording: `found["contact_1"].clearance` has `.value`, `.interval`, `.unit`, `.standard_error`."""
 
-    found: Identification = field(repr=False)
+    found: Identification | SpaceIdentification = field(repr=False)
     """Estimates with the signals from which the figures are drawn."""
     title: str
     """Name of the rig, with the file of the recording."""
@@ -111,14 +112,19 @@ class ContactResult(Summarized):
 
     def table(self) -> list[Row]:
         """Row of each contact: values, and half their 95 % intervals; `pandas.DataFrame` takes it."""
-        names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m")
+        names = ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient")
         return [
-            {"contact": c.name, **_interval_fields({n: getattr(c, n) for n in names})} for c in self.report.contacts
+            {"contact": c.name, **_interval_fields({n: e for n in names if (e := getattr(c, n)) is not None})}
+            for c in self.report.contacts
         ]
 
     @cached_property
     def figures(self) -> dict[str, Picture]:
         """All figures by their names."""
+        if isinstance(self.found, SpaceIdentification):
+            from identify.contacts.space_figures import space_figures
+
+            return space_figures(self.found, self.laws, self.laws_name)
         from identify.contacts.figures import contact_figures
 
         marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in self.laws.items()}
@@ -130,6 +136,11 @@ class ContactResult(Summarized):
 
     def save(self, folder: str | Path) -> None:
         """Write contact.html, a self-contained page, the figures, the identified rig.json, and contact.json."""
+        if isinstance(self.found, SpaceIdentification):
+            from identify.contacts.space_report import write_space_results
+
+            write_space_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
+            return
         from identify.contacts.report import write_results
 
         write_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
@@ -313,12 +324,13 @@ class HistoryResult(Summarized):
 
 
 def _contact_cells(contact: IdentifiedContact) -> dict[str, str]:
-    return {
+    cells = {
         "contact": contact.name,
         "clearance, mm": "" if contact.law == "spring" else _scaled(contact.clearance, 1e3),
         "stiffness, N/m": _scaled(contact.stiffness),
         "damping, N s/m": _scaled(contact.damping),
     }
+    return cells | ({} if contact.friction is None else {"friction": _scaled(contact.friction)})
 
 
 def _scaled(quantity: EstimatedQuantity, scale: float = 1.0) -> str:

@@ -11,17 +11,19 @@ import identify
 from identify.contacts.refusals import ContactRefusedError
 from rig.errors import RigError
 from rig.lab.importing import import_file
+from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.contact_laws.spring import Spring
 from rig.model.description import ON_GROUND, BaseMotion, PointSpring, Sensor, to_json
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.fmu import export_fmu
 from rig.simulation.plants import ancf, modal
 from rig.simulation.record import record
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 from tests.campaigns import laboratory_tests, topologies
 from tests.readme_tables import ROOT
 from tests.rig.lab.modal import test_uff as uff
 
+RING = BarrelCradleAnnular(sensors="acceleration").rig()
 HEAD = "| rig or test | refused by | code or sentence |"
 SDOF, BEAMS = Sdof(sensors="acceleration").rig(), BarrelCradle(sensors="acceleration").rig()
 TWO_FORCES = replace(SDOF, force_at=(SDOF.force_at, SDOF.force_at))
@@ -135,6 +137,11 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "no contact": contact(replace(SDOF, contacts=())),
     "dampers, loads, tones, cubic springs in rig.json": contact(
         replace(SDOF, springs=(PointSpring(station=SDOF.force_at, cubic_n_per_m3=1e9),))
+    ),
+    "a ring with sensors in one direction": contact(replace(RING, sensors=RING.sensors[: len(RING.sensors) // 2])),
+    "weight on a stop of one direction": contact(replace(BEAMS, gravity_m_per_s2=9.81)),
+    "weight on a stop of one direction beside a ring": contact(
+        replace(RING, contacts=(replace(RING.contacts[0], law=equal_sides(2e-3, 5e5)), RING.contacts[1]))
     ),
     "three contacts of two masses": contact(
         replace(CHAIN, contacts=(*CHAIN.contacts, replace(CHAIN.contacts[1], name="wall", at=CHAIN.contacts[0].at)))

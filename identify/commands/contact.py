@@ -103,7 +103,8 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
     """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
     print_findings(report.findings, console)
     contact_table = Table(title=f"Contacts of {report.rig}, ± 95 %")
-    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m"):
+    rubs = any(estimate.friction_coefficient for estimate in report.contacts)
+    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else [])):
         contact_table.add_column(heading, justify="left" if heading == "contact" else "right")
     for estimate in report.contacts:
         contact_table.add_row(
@@ -111,6 +112,7 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
             "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
             _interval(estimate.stiffness_n_per_m),
             _interval(estimate.damping_n_s_per_m),
+            *([_interval(estimate.friction_coefficient)] if estimate.friction_coefficient else []),
         )
     console.print(contact_table)
     for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):

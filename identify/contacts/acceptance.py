@@ -6,11 +6,14 @@ damping. A free decay that its contact laws do not explain is refused: a force a
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
+from jaxtyping import Float
 
 from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Cause, Finding
+from identify.contacts.annular_estimate import AnnularEstimate
 from identify.contacts.determination import determine
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT, FormName
@@ -52,6 +55,9 @@ CAUSES: dict[NuisanceKind, Cause] = {
 """Cause by kind of nuisance parameter. A high-pass has none: the slow motion that accelerometers miss looks the
 same."""
 SENSOR_KINDS = (NuisanceKind.GAIN, NuisanceKind.POSITION, NuisanceKind.DELAY)
+
+
+AnyEstimate = TypeVar("AnyEstimate", JointEstimate, AnnularEstimate)
 
 
 @dataclass(frozen=True)
@@ -122,7 +128,7 @@ def without_dead_force(findings: Sequence[Finding], forces: Sequence[str]) -> tu
     return tuple(f for f in findings if f.cause != "dead" or not set(f.channels) <= set(forces))
 
 
-def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> JointEstimate:
+def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass_pull: float) -> AnyEstimate:
     """Estimate with standard errors times the largest pull p of `BODY_AND_FORCE_KINDS`, where p exceeds `USUAL_PULL`.
 
     An error of the clock, a density or a unit pulls these parameters, and its other consequences are in no tolerance.
@@ -147,12 +153,20 @@ def widened_estimate(estimate: JointEstimate, parameters: Sequence[Nuisance], ma
 
 def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
     """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate."""
+    yield from pull_findings([estimate.pulls for estimate in estimates.values()], parameters)
+    for name, estimate in estimates.items():
+        damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
+        yield from estimate_findings(name, damping, error, estimate.half_differences, estimate.unexplained_share)
+
+
+def pull_findings(
+    pulls: Sequence[Float[np.ndarray, " nuisances"]], parameters: Sequence[Nuisance]
+) -> Iterator[Finding]:
+    """Findings on nuisance parameters that a contact's fit pulls beyond `PULL_LIMIT`."""
     for parameter_index, parameter in enumerate(parameters):
-        pull = max((estimate.pulls[parameter_index] for estimate in estimates.values()), key=abs, default=0.0)
+        pull = max((contact_pulls[parameter_index] for contact_pulls in pulls), key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
             yield _pull_finding(parameter, pull)
-    for name, estimate in estimates.items():
-        yield from _estimate_findings(name, estimate)
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
@@ -166,15 +180,17 @@ def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
     )
 
 
-def _estimate_findings(name: str, estimate: JointEstimate) -> Iterator[Finding]:
-    """Findings on one estimate: negative damping, halves that differ, unexplained force."""
-    damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
+def estimate_findings(
+    name: str, damping: float, error: float, half_differences: tuple[float, float], unexplained_share: float
+) -> Iterator[Finding]:
+    """Findings on one estimate: negative damping (N s/m, with its standard error), halves that differ, unexplained
+    force."""
     if damping < -NEGATIVE_DAMPING_ERRORS * error:
         yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-    if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
+    if max(np.abs(half_differences)) > HALF_DIFFERENCE_LIMIT:
         yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
-    if estimate.unexplained_share > UNEXPLAINED_LIMIT:
-        unexplained = f"{100 * estimate.unexplained_share:.2g} %"
+    if unexplained_share > UNEXPLAINED_LIMIT:
+        unexplained = f"{100 * unexplained_share:.2g} %"
         yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 

@@ -12,7 +12,7 @@ from identify.pages.wording import percent
 from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Station
 from rig.model.modes import condensed
-from rig.model.tolerances import EXACT
+from rig.model.tolerances import EXACT, Tolerances
 
 SHORTEST_QUIET_S = 0.3
 """Time before the force that is needed to measure the noise."""
@@ -46,17 +46,8 @@ def assumptions(result: Identification) -> Iterator[str]:
         )
         + "."
     )
-    if tolerances != EXACT:
-        yield (
-            "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
-            f"{100 * tolerances.gain:.2g} %, their positions {1e3 * tolerances.position_m:.2g} mm, delays "
-            f"{1e3 * tolerances.delay_s:.2g} ms and high-pass {tolerances.high_pass_hz:.2g} Hz, each force's gain "
-            f"{100 * tolerances.force_gain:.2g} %, masses {100 * tolerances.mass:.2g} %, natural frequencies "
-            f"{100 * tolerances.frequency:.2g} %, damping {100 * tolerances.damping:.2g} %."
-        )
-    else:
-        yield "rig.json is believed exactly: no tolerances."
-    places = "; ".join(_places(body.name, motion.stations) for body in rig.bodies)
+    yield tolerances_sentence(tolerances)
+    places = "; ".join(places_of(body.name, motion.stations) for body in rig.bodies)
     yield f"Stations used: {places}. Channels: {', '.join(report.channels_used)}."
     if unused_channels := [s.name for s in rig.sensors if s.name not in report.channels_used]:
         yield f"Channels not used: {', '.join(unused_channels)}."
@@ -101,6 +92,19 @@ def assumptions(result: Identification) -> Iterator[str]:
         yield "The zero of the relative displacement is not known: the two stops stand equally far from it."
 
 
+def tolerances_sentence(tolerances: Tolerances) -> str:
+    """Sentence on the tolerances of rig.json."""
+    if tolerances == EXACT:
+        return "rig.json is believed exactly: no tolerances."
+    return (
+        "Tolerances of rig.json, as standard deviations, fitted along: sensor gains "
+        f"{100 * tolerances.gain:.2g} %, their positions {1e3 * tolerances.position_m:.2g} mm, delays "
+        f"{1e3 * tolerances.delay_s:.2g} ms and high-pass {tolerances.high_pass_hz:.2g} Hz, each force's gain "
+        f"{100 * tolerances.force_gain:.2g} %, masses {100 * tolerances.mass:.2g} %, natural frequencies "
+        f"{100 * tolerances.frequency:.2g} %, damping {100 * tolerances.damping:.2g} %."
+    )
+
+
 def recommendations(result: Identification) -> Iterator[str]:
     """Sentences on remedies: of refusals, of the dominant source of error of each estimate, and general ones."""
     for name, refusal in result.outcomes.refusals.items():
@@ -142,7 +146,8 @@ def _sides_known(result: Identification) -> bool:
     return all(estimate.sides_known for estimate in result.outcomes.estimates.values())
 
 
-def _places(body: str, stations: tuple[Station, ...]) -> str:
+def places_of(body: str, stations: tuple[Station, ...]) -> str:
+    """Positions of a body's stations in words."""
     return f"{body} at " + ", ".join(f"{s.position_m:g}" for s in stations if s.body == body) + " m"
 
 

@@ -154,7 +154,7 @@ def contact_report(
     eta_m = {contact.name: row for contact, row in zip(rig.contacts, methods.eta_m, strict=True)}
     return results.ContactReport(
         rig=rig.name,
-        contacts=tuple(_estimates(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
+        contacts=tuple(contact_estimate(name, estimate, eta_m[name]) for name, estimate in outcomes.estimates.items()),
         unanswered=results.unanswered(outcomes.refusals),
         main_equation=methods.main_equation,
         modes=_modes(rig, methods.spectra, outcomes.refusals),
@@ -187,7 +187,10 @@ def closed_share(estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) 
     return share_beyond(0.0) if share_beyond(-COVERED) - share_beyond(COVERED) < 2 * MAX_SHARE_HALF_WIDTH else None
 
 
-def _estimates(name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]) -> results.ContactEstimate:
+def contact_estimate(
+    name: str, estimate: JointEstimate, eta_m: Float[np.ndarray, " samples"]
+) -> results.ContactEstimate:
+    """Entry of contact.json of a contact of one direction."""
     lower, upper, stiffness, damping, clearance = (
         results.Estimate(float(gradient @ estimate.values), estimate.error(gradient), estimate.own_error(gradient))
         for gradient in (*np.eye(len(estimate.values)), estimate.clearance_gradient)

@@ -34,7 +34,7 @@ class IdentifiedContact:
     name: str
     """Name of the contact in rig.json."""
     clearance: EstimatedQuantity
-    """Half the total play, or the clearance of the only touched stop, m."""
+    """Half the total play, or the clearance of the only touched stop; of an annular contact the radial one, m."""
     stiffness: EstimatedQuantity
     """Stiffness of a closed stop, N/m; of a power law, force over depth at the reference depth."""
     damping: EstimatedQuantity
@@ -45,10 +45,19 @@ class IdentifiedContact:
     """Clearance of the upper stop, m; None where only the total play is known."""
     law: str
     """Form of the law that the record supports: "dead zone", "power law" or "cannot pull"; "spring" of a spring,
-    whose clearances are zero."""
+    whose clearances are zero; "annular" of an annular contact."""
+    friction: EstimatedQuantity | None = None
+    """Friction coefficient of an annular contact."""
+    sliding_speed: EstimatedQuantity | None = None
+    """Speed along the wall at which the friction of an annular contact turns round, m/s."""
+    center_y: EstimatedQuantity | None = None
+    """Centre of an annular contact against its rest position, m; None where it is not known."""
+    center_z: EstimatedQuantity | None = None
+    """Centre of an annular contact against its rest position, m; None where it is not known."""
 
     def __str__(self) -> str:
-        return f"{self.name}: clearance {self.clearance}, stiffness {self.stiffness}, damping {self.damping}"
+        friction = "" if self.friction is None else f", friction {self.friction}"
+        return f"{self.name}: clearance {self.clearance}, stiffness {self.stiffness}, damping {self.damping}{friction}"
 
 
 def identified_contact(contact: ContactEstimate) -> IdentifiedContact:
@@ -58,9 +67,13 @@ def identified_contact(contact: ContactEstimate) -> IdentifiedContact:
         clearance=_with_unit(contact.clearance_m, "m"),
         stiffness=_with_unit(contact.stiffness_n_per_m, "N/m"),
         damping=_with_unit(contact.damping_n_s_per_m, "N s/m"),
-        lower_clearance=_side_clearance(contact.lower_clearance_m),
-        upper_clearance=_side_clearance(contact.upper_clearance_m),
+        lower_clearance=_if_known(contact.lower_clearance_m, "m"),
+        upper_clearance=_if_known(contact.upper_clearance_m, "m"),
         law=contact.law,
+        friction=_if_known(contact.friction_coefficient, "1"),
+        sliding_speed=_if_known(contact.sliding_speed_m_per_s, "m/s"),
+        center_y=_if_known(contact.center_y_m, "m"),
+        center_z=_if_known(contact.center_z_m, "m"),
     )
 
 
@@ -68,5 +81,5 @@ def _with_unit(estimate: Estimate, unit: str) -> EstimatedQuantity:
     return EstimatedQuantity(estimate.value, estimate.standard_error, unit)
 
 
-def _side_clearance(clearance_m: Estimate | None) -> EstimatedQuantity | None:
-    return None if clearance_m is None else _with_unit(clearance_m, "m")
+def _if_known(estimate: Estimate | None, unit: str) -> EstimatedQuantity | None:
+    return None if estimate is None else _with_unit(estimate, unit)

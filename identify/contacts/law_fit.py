@@ -266,14 +266,14 @@ def misfit_covariance(
         first, second = (_half_scores(fit, by_free, is_in_half, part_starts) for is_in_half in halves)
         if first is None or second is None:
             continue
-        difference, excess = _misfit_excess(first - second)
+        difference, excess = misfit_excess(first - second)
         law_error = fit.scaled_to_laws @ difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
-def _misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
-    """Sum D of the parts' scores, and the excess max(0, 1 - T0^2 / T^2)."""
+def misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+    """Sum D of the parts' scores of a split, and the excess max(0, 1 - T0^2 / T^2)."""
     parts, free = scores.shape
     difference = scores.sum(axis=0)
     scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)

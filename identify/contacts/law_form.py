@@ -45,7 +45,7 @@ LawParameters = Float[np.ndarray, " laws"]
 NominalLaws = Float[np.ndarray, "contacts 4"]
 """Values of the parameters of `LAW` in rig.json."""
 
-FormName = Literal["dead zone", "power law", "cannot pull", "spring"]
+FormName = Literal["dead zone", "power law", "cannot pull", "spring", "annular"]
 EXPONENT_RANGE = (1.0, 3.0)
 """Range of the exponent of a `DeadZone`."""
 

@@ -4,6 +4,7 @@ drift's knots and dense in the nuisance parameters and the law's."""
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,7 @@ from scipy.sparse import csr_matrix, diags, spmatrix
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.law_form import LawForm, LawParameters
 from identify.contacts.refusals import RefusalCode, refused
+from identify.signals.drift import Spline
 from identify.signals.law_evaluation import evaluated_law
 from identify.signals.spectra import decimated
 
@@ -25,6 +27,31 @@ Knots = Float[np.ndarray, " knots"]
 Pulls = Float[np.ndarray, " nuisances"]
 Guess = tuple[LawParameters, Knots]
 """Start of a fit: the law, and the drift's knots."""
+
+
+@runtime_checkable
+class Weighed(Protocol):
+    """Record of a fit: `samples_per_error` and the prior of the slow motion as those of a `ContactRecord`."""
+
+    @property
+    def samples_per_error(self) -> float: ...
+
+    @property
+    def drift_spline(self) -> Spline: ...
+
+
+@runtime_checkable
+class Linearized(Protocol):
+    """Parameters of a fit with the residual there."""
+
+    @property
+    def knots(self) -> Knots: ...
+
+    @property
+    def pulls(self) -> Pulls: ...
+
+    @property
+    def residual_n(self) -> Float[np.ndarray, " fewer"]: ...
 
 
 @dataclass(frozen=True)
@@ -188,11 +215,12 @@ class BorderedEquations:
 
 
 def normal_equations(
-    record: ContactRecord,
-    state: State,
+    record: Weighed,
+    state: Linearized,
     derivatives: Jacobian,
     scaled_to_laws: Float[np.ndarray, "laws free"],
     weights: Float[np.ndarray, " fewer"],
+    bandwidth: int = KNOT_BANDWIDTH,
 ) -> BorderedEquations:
     """Normal equations for the knots and for the nuisance and the law's free parameters.
 
@@ -213,7 +241,7 @@ def normal_equations(
             border += by_knots[chunk].T @ rows
     knot_gradient = by_knots.T @ weighted_residual + curve.curvature.T @ (curve.target - curve.curvature @ state.knots)
     try:
-        cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature)
+        cholesky = _banded_cholesky(by_knots.T @ by_knots + curve.curvature.T @ curve.curvature, bandwidth)
         eliminated_border = cho_solve_banded((cholesky, False), border) if curve.knots else border
         schur_inverse = np.linalg.inv(dense_block - border.T @ eliminated_border)
     except LinAlgError as error:
@@ -222,10 +250,10 @@ def normal_equations(
     return BorderedEquations(cholesky, border, eliminated_border, schur_inverse, *gradients)
 
 
-def _banded_cholesky(matrix: spmatrix) -> Float[np.ndarray, "band knots"]:
-    """Cholesky factor of a symmetric matrix with `KNOT_BANDWIDTH` diagonals on either side."""
+def _banded_cholesky(matrix: spmatrix, bandwidth: int) -> Float[np.ndarray, "band knots"]:
+    """Cholesky factor of a symmetric matrix with `bandwidth` diagonals on either side."""
     knot_count = matrix.shape[0]
-    upper_diagonals = np.zeros((KNOT_BANDWIDTH + 1, knot_count))
-    for diagonal in range(min(KNOT_BANDWIDTH + 1, knot_count)):
-        upper_diagonals[KNOT_BANDWIDTH - diagonal, diagonal:] = matrix.diagonal(diagonal)
+    upper_diagonals = np.zeros((bandwidth + 1, knot_count))
+    for diagonal in range(min(bandwidth + 1, knot_count)):
+        upper_diagonals[bandwidth - diagonal, diagonal:] = matrix.diagonal(diagonal)
     return np.asarray(cholesky_banded(upper_diagonals)) if knot_count else upper_diagonals

@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from identify.contacts.identification import identify_contact
 from identify.contacts.observation import RINGING_S
 from identify.contacts.results import ContactReport, Estimate, Segment
+from identify.contacts.space_identification import identify_recording
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
@@ -27,6 +27,10 @@ MEMORY_COPIES, LAST_SEGMENT_RATIO = 18, 1.5
 Struct = TypeVar("Struct", bound=msgspec.Struct)
 NAME_FIELDS = ("name", "contact", "equation", "body", "beam", "index")
 """Fields by which structures of several reports are matched."""
+
+
+ADDED_FIELDS = ("averages", "whirls")
+"""Fields whose values are added."""
 
 
 def identify_long(
@@ -51,7 +55,7 @@ def identify_long(
     size = path.stat().st_size if path.exists() else 0
     for recording in segments(path, segment_s + RINGING_S, RINGING_S):
         try:
-            report = identify_contact(
+            report = identify_recording(
                 recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances
             ).report
             identified_segments.append(
@@ -143,7 +147,7 @@ def _merged_structs(structs: Sequence[Struct]) -> Struct:
     merged: dict[str, Any] = {}
     for name in structs[0].__struct_fields__:
         values = [value for struct in structs if (value := getattr(struct, name)) is not None]
-        merged[name] = sum(values) if name == "averages" else _merged_value(values) if values else None
+        merged[name] = sum(values[1:], values[0]) if name in ADDED_FIELDS else _merged_value(values) if values else None
     return type(structs[0])(**merged)
 
 

@@ -16,6 +16,7 @@ class RemedyCode(StrEnum):
     DESCRIBE_CONTACTS = "describe_contacts"
     LEAVE_OUT_ATTACHMENTS = "leave_out_attachments"
     MEASURE_BASE = "measure_base"
+    MEASURE_BOTH_DIRECTIONS = "measure_both_directions"
     ADD_SENSOR = "add_sensor"
     ADD_ACCELEROMETER = "add_accelerometer"
     RECORD_LONGER_OR_FROM_REST = "record_longer_or_from_rest"
@@ -41,6 +42,7 @@ class RefusalCode(StrEnum):
     NO_CONTACTS = "no_contacts"
     NOT_MODELLED = "not_modelled"
     BASE_MOTION = "base_motion"
+    ONE_DIRECTION = "one_direction"
     NO_SENSOR = "no_sensor"
     NO_ACCELEROMETER = "no_accelerometer"
     TOO_SHORT = "too_short"
@@ -67,6 +69,8 @@ REMEDIES: Mapping[RemedyCode, str] = {
     "with point masses, linear springs, supports and clamps; identify gap takes the others",
     RemedyCode.MEASURE_BASE: "measure how the base shakes by a sensor on the ground, or hold it still and "
     "measure an exciting force",
+    RemedyCode.MEASURE_BOTH_DIRECTIONS: "measure both directions at both sides of the contact, by two-axis sensors; or "
+    "describe it as a dead zone, if the bodies move in one direction alone",
     RemedyCode.ADD_SENSOR: "put a sensor there",
     RemedyCode.ADD_ACCELEROMETER: "put an accelerometer there",
     RemedyCode.RECORD_LONGER_OR_FROM_REST: "record longer, or begin with a quarter second at rest without force",
@@ -101,6 +105,11 @@ CAUSES: Mapping[RefusalCode, tuple[str, RemedyCode]] = {
     RefusalCode.BASE_MOTION: (
         "rig.json of {rig!r} has base_motion, and no sensor on the ground measures it",
         RemedyCode.MEASURE_BASE,
+    ),
+    RefusalCode.ONE_DIRECTION: (
+        "contact {contact!r} is annular, and {body!r} has no sensor in {direction}: where in its ring the contact is "
+        "touched cannot be told",
+        RemedyCode.MEASURE_BOTH_DIRECTIONS,
     ),
     RefusalCode.NO_SENSOR: (
         "contact {contact!r} has no sensor at {position_m} m of {body!r}, and the body has more modes than stations "

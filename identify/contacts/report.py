@@ -18,7 +18,7 @@ from identify.pages.style import Picture
 from identify.pages.wording import interval, number, percent
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import to_json
+from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
@@ -77,27 +77,17 @@ def write_page(
 ) -> None:
     """Write contact.html, with figures by the names of `identify.contacts.figures`."""
     report = result.report
-    identified_count, contact_count = len(report.contacts), len(result.rig.contacts)
-    verdict = f"{identified_count} of {contact_count} contacts identified"
-    if identified_count == contact_count:
-        verdict = "identified"
-    if report.findings:
-        verdict = "not to be relied on"
     findings = page.list_html(f.sentence for f in report.findings)
     page.write(
         path,
         title=title,
-        answer=page.Answer(
-            "red" if not identified_count else "green" if verdict == "identified" else "yellow",
-            verdict,
-            [_sentence(result)],
-        ),
+        answer=answer(report, len(result.rig.contacts)),
         top_blocks=[
-            f"{findings if report.findings else ''}{_drawing(result)}{_values(result, laws, laws_name)}",
+            f"{findings if report.findings else ''}{drawing(result.rig, report)}{values(report, laws, laws_name)}",
             "".join(_figures({n: p for n, p in figures.items() if n == DECISIVE_FIGURE}, page.FIRST_PLOT_PX)),
         ],
         sections=[
-            *([("What was refused", _refusals(result))] if report.unanswered else []),
+            *([("What was refused", refusals(report))] if report.unanswered else []),
             ("What would make it surer", page.list_html(recommendations(result))),
         ],
         folded_sections=[
@@ -106,7 +96,7 @@ def write_page(
                 if (other_figures := _figures({n: p for n, p in figures.items() if n != DECISIVE_FIGURE}))
                 else []
             ),
-            *([("How sure is it?", _variance_table(result))] if identified_count else []),
+            *([("How sure is it?", _variance_table(result))] if report.contacts else []),
             ("What was assumed", page.list_html(assumptions(result))),
             ("Beside it: the paper's methods", _methods(result)),
         ],
@@ -115,18 +105,18 @@ def write_page(
     )
 
 
-def _drawing(result: Identification) -> str:
+def drawing(rig: Rig, report: ContactReport) -> str:
     """Drawing of the rig, with what was identified beside each contact."""
     contact_lines: dict[str, tuple[str, ...]] = {
         contact.name: (
             *([] if contact.is_spring else [_interval(contact.clearance_m, "mm", 1e3)]),
             _interval(contact.stiffness_n_per_m, "N/m"),
         )
-        for contact in result.report.contacts
+        for contact in report.contacts
     }
-    contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in result.report.unanswered}
+    contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
     caption = "<figcaption>The rig, to scale along the bodies, and what was identified (95 % intervals).</figcaption>"
-    return f"<figure>{rig_drawing(result.rig, contact_lines)}{caption}</figure>"
+    return f"<figure>{rig_drawing(rig, contact_lines)}{caption}</figure>"
 
 
 def _variance_table(result: Identification) -> str:
@@ -141,8 +131,22 @@ def _variance_table(result: Identification) -> str:
     )
 
 
-def _sentence(result: Identification) -> str:
-    contacts = result.report.contacts
+def answer(report: ContactReport, count: int) -> page.Answer:
+    """Answer that the page of a report on so many contacts begins with."""
+    identified = len(report.contacts)
+    return page.Answer(
+        "red" if not identified else "green" if identified == count and not report.findings else "yellow",
+        "not to be relied on"
+        if report.findings
+        else "identified"
+        if identified == count
+        else f"{identified} of {count} contacts identified",
+        [_sentence(report)],
+    )
+
+
+def _sentence(report: ContactReport) -> str:
+    contacts = report.contacts
     if not contacts:
         return "This record tells nothing of the contacts; below stands why, and what to do."
     return "; ".join(
@@ -158,14 +162,15 @@ def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
     return interval(scale * estimate.value, scale * estimate.standard_error, unit)
 
 
-def _values(result: Identification, laws: Laws, laws_name: str) -> str:
+def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
     """Table of the identified values with 95 % intervals beside the reference values, and sentences on other laws."""
-    contacts = result.report.contacts
+    contacts = report.contacts
     if not contacts:
         return ""
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
-    note = "<p>Value ± 1.96 standard errors: 95 % interval. The clearance is half the total play.</p>"
+    half = "" if all(c.ring for c in contacts) else " The clearance is half the total play."
+    note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half}</p>"
     return (
         page.table(("", "", "identified", laws_name, "differs by"), rows)
         + note
@@ -182,23 +187,24 @@ def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]
         ("upper clearance", contact.upper_clearance_m, law.upper_clearance_m, "mm", 1e3),
         ("stiffness", contact.stiffness_n_per_m, law.stiffness_n_per_m, "N/m", 1.0),
         ("damping", contact.damping_n_s_per_m, law.damping_n_s_per_m, "N s/m", 1.0),
+        ("friction", contact.friction_coefficient, getattr(law, "friction_coefficient", 0.0), "1", 1.0),
+        ("sliding speed", contact.sliding_speed_m_per_s, getattr(law, "sliding_speed_m_per_s", 0.0), "mm/s", 1e3),
     ):
         if estimate is not None and not (contact.is_spring and name == "clearance"):
             is_comparable = reference_value and np.isfinite(reference_value)
             difference = f"{100 * (estimate.value / reference_value - 1):+.3f} %" if is_comparable else ""
             yield (
                 contact.name if name == first_quantity else "",
-                f"{name}, {unit}",
+                name if unit == "1" else f"{name}, {unit}",
                 _interval(estimate, "1", scale),
                 number(scale * reference_value) if np.isfinite(reference_value) else "no stop",
                 difference,
             )
 
 
-def _refusals(result: Identification) -> str:
-    return page.table(
-        ("contact", "not told by this record, because"), [(u.name, u.reason) for u in result.report.unanswered]
-    )
+def refusals(report: ContactReport) -> str:
+    """Table of the contacts that the record does not determine, and why."""
+    return page.table(("contact", "not told by this record, because"), [(u.name, u.reason) for u in report.unanswered])
 
 
 def _figures(figures: Mapping[str, Picture], height_px: int | None = None) -> list[str]:

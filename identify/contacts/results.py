@@ -9,9 +9,11 @@ from msgspec.structs import replace
 from identify.checks.findings import Finding
 from identify.contacts.law_form import EXPONENT_RANGE, FormName
 from identify.contacts.refusals import Refusal, RefusalCode, RemedyCode
+from identify.contacts.ring_shares import RingShares
 from identify.pages.wording import interval, number
 from rig.limits import SCHEMA_VERSION
 from rig.model.contact_laws import AnyLaw, DeadZone
+from rig.model.contact_laws.annular import Annular
 from rig.model.description import Rig
 
 
@@ -32,7 +34,8 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     sides are given where the zero of eta is known. A spring has none: zero.
 
     law is the form that the record supports. A power law k depth |depth / d|^(p - 1) also has its exponent p and its
-    reference depth d, and its stiffness k is the force over the depth at d.
+    reference depth d, and its stiffness k is the force over the depth at d. The clearance of an annular contact is its
+    radial one.
     """
 
     name: str
@@ -46,6 +49,19 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     law: FormName = "dead zone"
     exponent: Estimate | None = None
     reference_depth_m: float | None = None
+    friction_coefficient: Estimate | None = None
+    """Of an annular contact, as are all that follow."""
+    sliding_speed_m_per_s: Estimate | None = None
+    """Speed along the wall at which friction turns round, v_0."""
+    center_y_m: Estimate | None = None
+    """Centre against the relative displacement at rest, or by sensors of displacement against their zero; None where
+    neither is known."""
+    center_z_m: Estimate | None = None
+    rest_force_y_n: Estimate | None = None
+    """Contact force before the record begins."""
+    rest_force_z_n: Estimate | None = None
+    ring: RingShares | None = None
+    """Shares of free, sliding, sticking and whirling motion."""
 
     @property
     def is_spring(self) -> bool:
@@ -55,6 +71,8 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
     @property
     def law_sentence(self) -> str:
         """Sentence on a law that is no dead zone, without a full stop; else empty."""
+        if self.ring is not None:
+            return f"{self.name} is annular: {self._annular_words}; {self.ring.sentence}"
         biased = "clearance, stiffness and damping of a dead zone would be biased"
         if self.exponent is not None and self.reference_depth_m is not None:
             depth_mm = number(1e3 * self.reference_depth_m)
@@ -66,6 +84,21 @@ class ContactEstimate(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=T
         if self.law == "cannot pull":
             return f"{self.name} cannot pull: its stops let go where damping would turn their force; {biased}"
         return ""
+
+    @property
+    def _annular_words(self) -> str:
+        """Friction and centre of an annular contact in words."""
+        words = []
+        if self.friction_coefficient is not None and self.sliding_speed_m_per_s is not None:
+            friction, speed = self.friction_coefficient, self.sliding_speed_m_per_s
+            words.append(
+                f"friction coefficient {interval(friction.value, friction.standard_error, '1')}, sliding speed "
+                f"{interval(1e3 * speed.value, 1e3 * speed.standard_error, 'mm/s')}"
+            )
+        if self.center_y_m is None or self.center_z_m is None:
+            return "; ".join([*words, "its centre is not known, as it does not rest in the ring"])
+        y, z = (interval(1e3 * e.value, 1e3 * e.standard_error, "mm") for e in (self.center_y_m, self.center_z_m))
+        return "; ".join([*words, f"its centre lies at y = {y}, z = {z} from the rest position"])
 
 
 class Unanswered(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -200,6 +233,8 @@ def identified_rig(rig: Rig, report: ContactReport) -> Rig:
 
 
 def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
+    if isinstance(law, Annular):
+        return _annular_law(law, estimate)
     lower, upper = law.lower_clearance_m, law.upper_clearance_m
     if estimate.lower_clearance_m is None and estimate.upper_clearance_m is None:
         growth_m = estimate.clearance_m.value - law.clearance_m  # a stop that is not there stays infinitely far away
@@ -218,6 +253,20 @@ def _law(law: AnyLaw, estimate: ContactEstimate) -> AnyLaw:
         upper_clearance_m=max(0.0, upper),
         stiffness_n_per_m=max(0.0, estimate.stiffness_n_per_m.value),
         damping_n_s_per_m=max(0.0, estimate.damping_n_s_per_m.value),  # an estimate may lie below zero
+    )
+
+
+def _annular_law(law: Annular, estimate: ContactEstimate) -> Annular:
+    """Law with the identified numbers. The centre stays as in rig.json: where a record tells it, it is against the rest
+    position."""
+    friction, speed = estimate.friction_coefficient, estimate.sliding_speed_m_per_s
+    return replace(
+        law,
+        clearance_m=estimate.clearance_m.value,
+        stiffness_n_per_m=estimate.stiffness_n_per_m.value,
+        damping_n_s_per_m=max(0.0, estimate.damping_n_s_per_m.value),
+        friction_coefficient=law.friction_coefficient if friction is None else max(0.0, friction.value),
+        sliding_speed_m_per_s=law.sliding_speed_m_per_s if speed is None else speed.value,
     )
 
 

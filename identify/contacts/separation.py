@@ -1,6 +1,7 @@
 """First stage, separation: motion and contact forces of a recording, without assuming a law, and the contact records
 that are fitted."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.signal import welch
 from identify.checks.masses import mass_pull
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.forces import ContactForces, separated_forces
-from identify.contacts.gauges import gauges_of
+from identify.contacts.gauges import Gauges, gauges_of
 from identify.contacts.observation import RINGING_S, SeparationInput
 from identify.contacts.refusals import RefusalCode, RemedyCode, refused
 from identify.contacts.station_spectra import start_transient_s
@@ -68,9 +69,32 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
     """
+    (separation,) = separate_planes((recording,), use, tolerances)
+    return separation
+
+
+def separate_planes(recordings: Sequence[Recording], use: Use, tolerances: Tolerances) -> tuple[Separation, ...]:
+    """Contact forces of one record in each of its directions, as `separate`, with one start and one band for all.
+
+    The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
+    """
+    measured = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
+    driven = [motion for _, motion in measured if not is_unforced(motion)]
+    highest_excited_hz = (
+        max(map(highest_driven_hz, driven)) if driven else max(highest_vibration_hz(motion) for _, motion in measured)
+    )
+    excited_from = min((motion.excited_from for motion in driven), default=0)
+    return tuple(
+        _separated(recording, gauges, replace(motion, excited_from=excited_from), highest_excited_hz, tolerances)
+        for recording, (gauges, motion) in zip(recordings, measured, strict=True)
+    )
+
+
+def _separated(
+    recording: Recording, gauges: Gauges, motion: Kinematics, highest_excited_hz: float, tolerances: Tolerances
+) -> Separation:
+    """Contact forces of a recording that is excited up to that frequency."""
     rig = recording.rig
-    gauges, motion = gauges_of(recording, use, kinematics(recording, use))
-    highest_excited_hz = highest_vibration_hz(motion) if is_unforced(motion) else highest_driven_hz(motion)
     least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
     decimation = max(1, int(motion.sample_rate_hz / 2 / band_end_hz))

@@ -4,14 +4,13 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
-from identify.contacts import identify_contact
 from identify.contacts.results import ContactReport
+from identify.contacts.space_identification import identify_recording
 from identify.history.changes import Observation
 from identify.signals.kinematics import Use
 from rig.errors import RigError
 from rig.files import contents, sha256_of
 from rig.limits import decoded_result
-from rig.model.space import check_plane
 from rig.model.tolerances import Tolerances
 from rig.recording import read, recorded_at, recordings_in
 
@@ -55,8 +54,7 @@ def _observation_of(source: Path, use: Use, tolerances: Tolerances | None) -> Ob
     """Observation of a recording, or of a contact.json or its folder; raises RigError if there is none."""
     if source.suffix == ".mcap":
         recording = read(source)
-        check_plane(recording.rig, "a comparison of recordings")
-        report = identify_contact(recording, use=use, tolerances=tolerances).report
+        report = identify_recording(recording, use=use, tolerances=tolerances).report
         recorded_time = recorded_at(recording.provenance)
         return Observation(name=source.name, recorded=recorded_time, report=report, sha256=sha256_of(source))
     report_path = source / REPORT_NAME if source.is_dir() else source

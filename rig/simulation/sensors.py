@@ -110,6 +110,8 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
         if not delay_filters:
             delay_filters = _delay_filters(rig, steps_per_sample, reach_steps)
             kept_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
+            if rig.gravity_m_per_s2:  # where its weight bends it
+                kept_steps[force_count:] = block.sensed[:, :1]
         sampled_steps = (slice(None), slice(-steps_done % steps_per_sample, None, steps_per_sample))
         steps_done += block_steps
         new_truth = {name: rows[sampled_steps] for name, rows in _truth_of(block).items()}

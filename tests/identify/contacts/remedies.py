@@ -14,6 +14,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.contact_laws.spring import Spring
 from rig.model.description import BaseMotion, PointDamper, Rig
 from rig.recording import Recording, read
+from rig.simulation.reference import BarrelCradleAnnular
 from tests.campaigns import laboratory_tests
 from tests.campaigns.topologies import NOISE, Topology, frame, one_mass, progressive_stop, recorded
 
@@ -93,6 +94,7 @@ class Case:
 
 
 D, A = one("displacement"), one("acceleration")
+RING = BarrelCradleAnnular(sensors="acceleration", noise_density=1e-3).rig()
 FREE = one("acceleration", frequency_hz=0.0, damping_ratio=0.0)
 ONE_SIDED = replace(FREE.contacts[0].law, lower_clearance_m=np.inf)
 STRUT = Spring(stiffness_n_per_m=8e3, damping_n_s_per_m=5.0)
@@ -127,6 +129,12 @@ CASES = {
         RemedyCode.MEASURE_BASE,
         made(replace(A, base_motion=SHAKEN)),
         {"motion against the base": laboratory(SHAKEN_MASS)},
+    ),
+    "a ring with sensors in one direction": Case(
+        RefusalCode.ONE_DIRECTION,
+        RemedyCode.MEASURE_BOTH_DIRECTIONS,
+        made(replace(RING, sensors=tuple(s for s in RING.sensors if s.station.direction == "y")), 60.0),
+        {"in both": made(RING, 60.0)},
     ),
     "no displacement sensor at a contact": Case(
         RefusalCode.NO_SENSOR,

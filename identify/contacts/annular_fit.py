@@ -1,0 +1,272 @@
+"""Joint fit of an annular contact over both directions: radial clearance, stiffness, damping, friction, sliding speed,
+force at rest, and the slow motion and the nuisance parameters of both.
+
+The residual of each direction is that of `joint_fit`, with the component of one vector law of both relative
+displacements. A common factor on the sliding speed has a prior of one in its logarithm, as without friction it means
+nothing. Accelerometers show neither the force at rest, which follows from the open contact, whose force is zero, nor
+the centre: where the contact is closed at rest, as under gravity, that force tells the rest position against it.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.ndimage import maximum_filter1d
+from scipy.sparse import csr_matrix, diags, vstack
+
+from identify.contacts.annular_law import (
+    CENTER,
+    CLEARANCE,
+    DAMPING,
+    FRICTION,
+    LOG_SPEED,
+    REST,
+    RING,
+    STIFFNESS,
+    RingDerivatives,
+    RingValues,
+    ring_derivatives,
+    ring_force_n,
+)
+from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, annular_guess, interleaved
+from identify.contacts.law_fit import COST_TOLERANCE, MOST_STEPS, WEIGHT_ROUNDS
+from identify.contacts.linearization import (
+    KNOT_BANDWIDTH,
+    BorderedEquations,
+    Jacobian,
+    corrected_motion,
+    ground_force_n,
+    normal_equations,
+)
+from identify.signals.gauss_newton import Step, gauss_newton
+from identify.signals.law_evaluation import evaluated_law
+from identify.signals.refit import refit_until_settled
+from identify.signals.spectra import decimated
+
+ANNULAR_BANDWIDTH = DIRECTIONS * (KNOT_BANDWIDTH + 1) - 1
+"""Knots of both directions in turn that share a sample."""
+ROUGH_SHARE = 0.02
+"""Standard deviation of the residual over that of the force, before any is known."""
+FRICTION_SIZE = 0.1
+SETTLED_SHARE = 0.01
+"""Fall of the cost of one independent residual that ends the fit: it moves a parameter by a tenth of its standard
+error."""
+OPEN_SAMPLES = 3
+"""Samples before and after an open one that are open too."""
+
+
+@dataclass(frozen=True)
+class AnnularState:
+    """Parameters of a fit with residual and cost there, those of y before those of z.
+
+    The last of the pulls is the logarithm of the sliding speed over its start; knots of y and z take turns.
+    """
+
+    values: RingValues
+    knots: Float[np.ndarray, " knots"]
+    pulls: Float[np.ndarray, " nuisances"]
+    residual_n: Float[np.ndarray, " twice"]
+    cost: float = np.inf
+
+
+@dataclass(frozen=True)
+class AnnularFit:
+    """Fit of a record: its state and weights. free are the indices of the fitted parameters beside the pulls."""
+
+    record: AnnularRecord
+    free: tuple[int, ...]
+    log_speed: float
+    state: AnnularState
+    weights: Float[np.ndarray, " twice"]
+
+    def values_at(self, values: RingValues, pulls: Float[np.ndarray, " nuisances"]) -> RingValues:
+        """Values with the sliding speed of the last pull."""
+        changed = values.copy()
+        changed[LOG_SPEED] = self.log_speed + pulls[-1]
+        return changed
+
+    def state_at(
+        self, values: RingValues, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
+    ) -> AnnularState:
+        """State at some parameters, with its cost for the weights."""
+        record, values = self.record, self.values_at(values, pulls)
+        eta, rate = self.motion(knots, pulls)
+        fitted = evaluated_law(
+            partial(ring_force_n, values), np.concatenate([eta, rate]), record.sample_rate_hz, record.decimation
+        )
+        residual = []
+        for p, plane in enumerate(record.planes):
+            own = pulls[record.columns[p]]
+            unfitted = plane.force_n + values[REST][p] - own @ plane.nuisance_n - fitted[p, : plane.force_n.size]
+            ground = ground_force_n(plane) @ knots[p::DIRECTIONS]
+            residual.append(unfitted / (1 - own @ plane.force_noise_multiple) - ground)
+        state = AnnularState(values, knots, pulls, np.concatenate(residual))
+        prior = record.drift_spline.curvature @ knots - record.drift_spline.target
+        squares = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior**2)
+        return replace(state, cost=float(squares + record.samples_per_error * np.sum(pulls**2)))
+
+    def motion(
+        self, knots: Float[np.ndarray, " knots"], pulls: Float[np.ndarray, " nuisances"]
+    ) -> tuple[Float[np.ndarray, "2 samples"], Float[np.ndarray, "2 samples"]]:
+        """Relative displacements with slow motion and nuisance signals, m, and their rates, m/s."""
+        record = self.record
+        pairs = [
+            corrected_motion(plane, knots[p::DIRECTIONS], pulls[record.columns[p]])
+            for p, plane in enumerate(record.planes)
+        ]
+        return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+
+    @property
+    def to_law(self) -> Float[np.ndarray, "9 free"]:
+        """Matrix from the free parameters, scaled to condition the normal equations, to all."""
+        values, force_n = np.abs(self.state.values), float(np.std(self.record.force_n))
+        clearance, stiffness = values[[CLEARANCE, STIFFNESS]].tolist()
+        sizes = [clearance, stiffness, 1e-3 * stiffness, FRICTION_SIZE, 1.0, clearance, clearance, force_n, force_n]
+        return np.diag(sizes)[:, list(self.free)]
+
+    @property
+    def slopes(self) -> RingDerivatives:
+        """Derivatives of the law along the motion."""
+        return ring_derivatives(self.state.values, *self.motion(self.state.knots, self.state.pulls))
+
+    def jacobian(self) -> Jacobian:
+        """Jacobian of the fitted force by knots, pulls and law, rows of y before those of z."""
+        record, state = self.record, self.state
+        slopes = self.slopes
+        by_eta, by_rate = _low_passed(record, slopes.by_eta), _low_passed(record, slopes.by_rate)
+        by_law = np.zeros((DIRECTIONS, record.force_n.shape[1], len(RING)))
+        by_law[:, :, : len(slopes.by_law)] = np.moveaxis(_low_passed(record, slopes.by_law), 0, -1)
+        by_law[:, :, REST] = -np.eye(DIRECTIONS)[:, None]
+        by_knots, by_pulls = [], self._by_pulls(slopes, by_eta)
+        curves = [plane.drift_spline for plane in record.planes]
+        for p, plane in enumerate(record.planes):
+            force_gain = 1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple
+            by_law[p] /= force_gain
+            blocks = []
+            for q, curve in enumerate(curves):
+                gain = self._motion_gain(q) / force_gain
+                value, speed = (rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate))
+                block = gain * (diags(by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
+                blocks.append(interleaved(block + ground_force_n(plane) if p == q else block, q))
+            by_knots.append(blocks[0] + blocks[1])
+        by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
+        return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
+
+    def _motion_gain(self, direction: int) -> float:
+        plane = self.record.planes[direction]
+        return float(1 - self.state.pulls[self.record.columns[direction]][plane.shifts_eta] @ plane.eta_noise_multiple)
+
+    def _by_pulls(
+        self, slopes: RingDerivatives, by_eta: Float[np.ndarray, "2 2 fewer"]
+    ) -> Float[np.ndarray, "twice nuisances"]:
+        """Derivatives by the nuisance parameters: forces of its direction, and through its displacement both."""
+        record, state = self.record, self.state
+        count = record.force_n.shape[1]
+        rows = np.zeros((state.pulls.size, DIRECTIONS, count), np.float32)
+        for p, plane in enumerate(record.planes):
+            own = record.columns[p]
+            ground = ground_force_n(plane) @ state.knots[p::DIRECTIONS]
+            force_residual = state.residual_n.reshape(DIRECTIONS, -1)[p] + ground
+            for i, signal, noise in zip(own, plane.nuisance_n, plane.force_noise_multiple, strict=True):
+                rows[i, p] += signal - noise * force_residual
+            drift = record.at_forces((plane.drift_spline.value @ state.knots[p::DIRECTIONS])[None])[0]
+            for i, signal_m, noise in zip(
+                own[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
+            ):
+                moved = slopes.by_eta[:, p] * signal_m + slopes.by_rate[:, p] * plane.velocity_of(signal_m)
+                rows[i] -= _low_passed(record, moved) + noise * by_eta[:, p] * drift
+        for p, plane in enumerate(record.planes):
+            rows[:, p] /= np.float32(1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple)
+        return rows.reshape(state.pulls.size, -1).T
+
+    def linearized(self) -> tuple[Jacobian, BorderedEquations]:
+        """Jacobian and normal equations at the state."""
+        derivatives = self.jacobian()
+        return derivatives, normal_equations(
+            self.record, self.state, derivatives, self.to_law, self.weights, ANNULAR_BANDWIDTH
+        )
+
+    @property
+    def minimum(self) -> "AnnularFit":
+        """Fit at the state of least cost for these weights, by Gauss-Newton."""
+
+        def step_from(current: AnnularState) -> Step[AnnularState]:
+            fit = replace(self, state=current)
+            _, equations = fit.linearized()
+            knots, dense = equations.solved(equations.knot_gradient, equations.dense_gradient)
+            cost_decrease = np.sum(equations.knot_gradient * knots) + np.sum(equations.dense_gradient * dense)
+            to_law, pull_count = fit.to_law, current.pulls.size
+
+            def state_after(share: float) -> AnnularState | None:
+                values = current.values + share * to_law @ dense[pull_count:, 0]
+                if not (values[CLEARANCE] > 0 and values[STIFFNESS] > 0):
+                    return None
+                return self.state_at(
+                    values, current.knots + share * knots[:, 0], current.pulls + share * dense[:pull_count, 0]
+                )
+
+            return Step(state_after, float(cost_decrease))
+
+        start = self.state_at(self.state.values, self.state.knots, self.state.pulls)
+        settled = SETTLED_SHARE * self.record.samples_per_error
+        state, _ = gauss_newton(
+            start, step_from, lambda current: max(settled, COST_TOLERANCE * current.cost), MOST_STEPS
+        )
+        return replace(self, state=state)
+
+    @property
+    def open_samples(self) -> Bool[np.ndarray, " fewer"]:
+        """Mask of the samples around which the fitted contact is open."""
+        state = self.state
+        eta = self.motion(state.knots, state.pulls)[0] - state.values[CENTER][:, None]
+        is_closed = self.record.at_forces(eta).T
+        is_closed = np.hypot(*is_closed.T) > state.values[CLEARANCE]
+        return np.asarray(maximum_filter1d(is_closed, 2 * OPEN_SAMPLES + 1) == 0) & self.record.used
+
+    @property
+    def weighted(self) -> "AnnularFit":
+        """Fit with weights from its residual: 1 / standard deviation by the force while open, the share of it that no
+        law explains, and the displacement's noise times the stiffness."""
+        state, record = self.state, self.record
+        residual, is_open = state.residual_n.reshape(DIRECTIONS, -1), self.open_samples
+        magnitude, by_eta = np.hypot(*record.force_n), _low_passed(record, self.slopes.by_eta)
+        weights = []
+        for p, plane in enumerate(record.planes):
+            unfollowed_m = np.hypot(plane.noise_m, 0.0 if plane.drift is None else plane.drift.unfollowed_m)
+            open_n = np.std(residual[p, is_open] if np.any(residual[p, is_open]) else residual[p])
+            unmodelled_n = plane.unmodelled_share * np.hypot(magnitude, np.std(record.force_n))
+            stiffness = np.hypot(*by_eta[p])
+            deviation_n = np.sqrt(open_n**2 + (stiffness * unfollowed_m) ** 2 + unmodelled_n**2)
+            weights.append(record.used / deviation_n)
+        return replace(self, weights=np.concatenate(weights))
+
+    @property
+    def settled(self) -> "AnnularFit":
+        """Fit with weights renewed until they settle."""
+
+        def weights_agree(before: "AnnularFit", after: "AnnularFit") -> bool:
+            return np.allclose(after.weights, before.weights, rtol=0.1)
+
+        return refit_until_settled(self.weighted, lambda fit: fit.minimum.weighted, weights_agree, rounds=WEIGHT_ROUNDS)
+
+
+def annular_fit(record: AnnularRecord, sliding_speed_m_per_s: float) -> AnnularFit:
+    """Settled fit of a record, from `annular_guess`: first without nuisance parameters, then with them.
+
+    Raises ContactRefusedError as the guess does, or if the normal equations are singular.
+    """
+    bare = record.without_nuisances
+    values, knots = annular_guess(bare, sliding_speed_m_per_s)
+    centers = tuple(range(len(RING))[CENTER]) if record.zero_known else ()
+    free = (CLEARANCE, STIFFNESS, DAMPING, FRICTION, *centers, *range(len(RING))[REST])
+    size, rough_n = record.force_n.size, ROUGH_SHARE * float(np.std(record.force_n))
+    start = AnnularState(values, knots, np.zeros(1), np.zeros(size))
+    rough = AnnularFit(bare, free, values[LOG_SPEED], start, np.tile(record.used / rough_n, DIRECTIONS)).minimum
+    pulls = np.r_[record.initial_pulls, rough.state.pulls]
+    return replace(rough, record=record, state=replace(rough.state, pulls=pulls)).settled
+
+
+def _low_passed(record: AnnularRecord, rows: Float[np.ndarray, "*rows samples"]) -> Float[np.ndarray, "*rows fewer"]:
+    """Signals low-passed and decimated like the separated forces."""
+    return decimated(rows, record.decimation)[..., : record.force_n.shape[1]]

@@ -1,0 +1,120 @@
+"""Law of an annular contact, with its derivatives by motion and by every parameter.
+
+With eta = (eta_y, eta_z) less the centre, r = |eta|, e = eta / r, t = (-e_z, e_y), the rates v_r and v_t along both,
+
+    f = f_n (e + mu tanh(v_t / v_0) t),    f_n = max(0, k (r - d) + c v_r min(1, (r - d) / 10 um))    for r > d,  else 0
+
+The fitted force is f less the force at rest (f_y0, f_z0), which accelerometers do not show.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from rig.model.contact_laws.dead_zone import DAMPING_DEPTH_M
+
+RING = (
+    "clearance_m",
+    "stiffness_n_per_m",
+    "damping_n_s_per_m",
+    "friction_coefficient",
+    "log_sliding_speed",
+    "center_y_m",
+    "center_z_m",
+    "rest_y_n",
+    "rest_z_n",
+)
+"""Parameters of an annular contact; log_sliding_speed is the natural logarithm of v_0 in m/s."""
+CLEARANCE, STIFFNESS, DAMPING, FRICTION, LOG_SPEED = range(5)
+CENTER, REST = slice(5, 7), slice(7, 9)
+
+RingValues = Float[np.ndarray, "9"]
+Signal = Float[np.ndarray, "*samples"]
+
+
+@dataclass(frozen=True)
+class RingMotion:
+    """Polar quantities of a motion within a ring: unit vectors, rates along both, depth, and the forces there.
+
+    pushes: True where the normal force is above zero. unit is e + mu tanh(v_t / v_0) t, damper the force of a damping
+    of one.
+    """
+
+    radial: Float[np.ndarray, "2 *samples"]
+    tangent: Float[np.ndarray, "2 *samples"]
+    radius_m: Signal
+    depth_m: Signal
+    across_m_per_s: Signal
+    along_m_per_s: Signal
+    pushes: Bool[np.ndarray, "*samples"]
+    damper: Signal
+    normal_n: Signal
+    sliding: Signal
+    unit: Float[np.ndarray, "2 *samples"]
+
+
+def ring_motion(
+    values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
+) -> RingMotion:
+    """Polar quantities at some relative displacements and velocities."""
+    (y, z), (vy, vz) = eta_m, rate_m_per_s
+    y, z = y - values[CENTER][0], z - values[CENTER][1]
+    radius = np.maximum(np.sqrt(y * y + z * z), 1e-12)
+    ey, ez = y / radius, z / radius
+    along, across = ey * vy + ez * vz, ey * vz - ez * vy
+    depth = radius - values[CLEARANCE]
+    damper = along * np.clip(depth / DAMPING_DEPTH_M, 0.0, 1.0)
+    normal = values[STIFFNESS] * depth + values[DAMPING] * damper
+    pushes = (depth > 0) & (normal > 0)
+    normal = normal * pushes
+    sliding = np.tanh(across * np.exp(-values[LOG_SPEED]))
+    rub = values[FRICTION] * sliding
+    radial, tangent = np.stack([ey, ez]), np.stack([-ez, ey])
+    return RingMotion(
+        radial, tangent, radius, depth, across, along, pushes, damper, normal, sliding, radial + rub * tangent
+    )
+
+
+def ring_force_n(
+    values: RingValues, eta_y_m: Signal, eta_z_m: Signal, rate_y_m_per_s: Signal, rate_z_m_per_s: Signal
+) -> Float[np.ndarray, "2 *samples"]:
+    """Components of the contact force, N."""
+    motion = ring_motion(values, np.stack([eta_y_m, eta_z_m]), np.stack([rate_y_m_per_s, rate_z_m_per_s]))
+    return np.asarray(motion.normal_n * motion.unit)
+
+
+@dataclass(frozen=True)
+class RingDerivatives:
+    """Derivatives of both force components: by the relative displacement (N/m), by its rate (N s/m), and by every
+    parameter but the forces at rest."""
+
+    by_eta: Float[np.ndarray, "2 2 *samples"]
+    by_rate: Float[np.ndarray, "2 2 *samples"]
+    by_law: Float[np.ndarray, "7 2 *samples"]
+
+
+def ring_derivatives(
+    values: RingValues, eta_m: Float[np.ndarray, "2 *samples"], rate_m_per_s: Float[np.ndarray, "2 *samples"]
+) -> RingDerivatives:
+    """Derivatives at some motion. The rise of the damping over its first 10 um is taken as constant."""
+    m = ring_motion(values, eta_m, rate_m_per_s)
+    _, stiffness, damping, friction, log_speed, *_ = values.tolist()
+    share = damping * np.clip(m.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * m.pushes
+    grip = friction * m.normal_n * (1 - m.sliding**2) * np.exp(-log_speed)  # of the tangential force by v_t
+    normal_by_eta = stiffness * m.pushes * m.radial + share * m.across_m_per_s / m.radius_m * m.tangent
+    turned = (m.normal_n - grip * m.along_m_per_s) * m.tangent - friction * m.normal_n * m.sliding * m.radial
+    by_eta = m.unit[:, None] * normal_by_eta[None] + turned[:, None] / m.radius_m * m.tangent[None]
+    by_rate = m.unit[:, None] * (share * m.radial)[None] + (grip * m.tangent)[:, None] * m.tangent[None]
+    by_law = np.stack(
+        [
+            -stiffness * m.pushes * m.unit,
+            m.depth_m * m.pushes * m.unit,
+            m.damper * m.pushes * m.unit,
+            m.normal_n * m.sliding * m.tangent,
+            -grip * m.across_m_per_s * m.tangent,
+            -by_eta[:, 0],
+            -by_eta[:, 1],
+        ]
+    )
+    return RingDerivatives(by_eta, by_rate, by_law)

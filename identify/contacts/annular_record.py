@@ -1,0 +1,251 @@
+"""Record of an annular contact: the contact records of both directions, the parameters that they share, and the initial
+guess of the law by a regression over the closed samples."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+from scipy.sparse import csr_matrix, diags, hstack, kron, vstack
+from scipy.sparse.linalg import spsolve
+
+from identify.contacts.annular_law import CLEARANCE, FRICTION, LOG_SPEED, REST, RING, STIFFNESS, RingValues
+from identify.contacts.contact_record import (
+    CLOSED_FORCE_SHARE,
+    LEAST_CLOSED_SHARE,
+    NOISE_DEVIATIONS,
+    QUIET_DEVIATIONS,
+    ContactRecord,
+)
+from identify.contacts.initial_guess import OUTLIER_SCALE, REGRESSION_STAGES, initial_pulls
+from identify.contacts.refusals import RefusalCode, refused
+from identify.linear.nuisance import RECORD_NAME, SINGLE_FORCE_NAME, Nuisance
+from identify.signals.drift import Spline
+from identify.signals.scores import quiet_deviation
+
+MODE_SHARE = 0.5
+"""Share of the samples within the shortest interval, halved until the mode of an open contact's force is left."""
+MODE_SAMPLES = 100
+DIRECTIONS = 2
+"""Transverse directions y and z."""
+
+
+@dataclass(frozen=True)
+class AnnularRecord:
+    """Contact records of y and z, with the nuisance parameters of both.
+
+    columns are the indices of each direction's nuisance parameters among `parameters`: those of bodies that both
+    directions share are one. quiet_samples are those before the excitation, of a record that begins at rest: the fit
+    leaves them out, as a contact that hardly touches at rest lets slow motion go anywhere.
+    """
+
+    planes: tuple[ContactRecord, ContactRecord]
+    parameters: tuple[Nuisance, ...]
+    columns: tuple[Int[np.ndarray, " nuisances"], Int[np.ndarray, " nuisances"]]
+    quiet_samples: int
+
+    @property
+    def force_n(self) -> Float[np.ndarray, "2 fewer"]:
+        """Components of the separated force, N."""
+        return np.stack([plane.force_n for plane in self.planes])
+
+    @property
+    def samples_per_error(self) -> float:
+        return self.planes[0].samples_per_error
+
+    @property
+    def decimation(self) -> int:
+        return self.planes[0].decimation
+
+    @property
+    def sample_rate_hz(self) -> float:
+        return self.planes[0].sample_rate_hz
+
+    @cached_property
+    def drift_spline(self) -> Spline:
+        """Prior of the slow motion of both directions, whose knots take turns, as of one."""
+        curves = [plane.drift_spline for plane in self.planes]
+        no_samples = csr_matrix((0, sum(curve.knots for curve in curves)))
+        curvature = vstack([interleaved(curve.curvature, p) for p, curve in enumerate(curves)]).tocsr()
+        return Spline(no_samples, no_samples, curvature, np.concatenate([curve.target for curve in curves]))
+
+    @property
+    def zero_known(self) -> bool:
+        """True if sensors show constant displacements."""
+        return self.planes[0].drift is None
+
+    @property
+    def used(self) -> Bool[np.ndarray, " fewer"]:
+        """Mask of the samples that are fitted."""
+        return np.arange(self.force_n.shape[1]) * self.decimation >= self.quiet_samples
+
+    @property
+    def without_nuisances(self) -> "AnnularRecord":
+        """Record without nuisance parameters: without the free motion of a record that begins in motion."""
+        planes = [
+            replace(
+                plane,
+                force_n=plane.force_n - self.initial_pulls[own] @ plane.nuisance_n,
+                nuisance_n=plane.nuisance_n[:0],
+                force_noise_multiple=plane.force_noise_multiple[:0],
+                shifts_eta=plane.shifts_eta[:0],
+                eta_noise_multiple=plane.eta_noise_multiple[:0],
+                nuisance_m=plane.nuisance_m[:0],
+                is_initial_state=plane.is_initial_state[:0],
+            )
+            for plane, own in zip(self.planes, self.columns, strict=True)
+        ]
+        none = np.zeros(0, dtype=int)
+        return replace(self, planes=(planes[0], planes[1]), parameters=(), columns=(none, none))
+
+    @cached_property
+    def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
+        """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
+        pulls = np.zeros(len(self.parameters))
+        for plane, own in zip(self.planes, self.columns, strict=True):
+            pulls[own] += initial_pulls(plane)
+        return pulls
+
+    def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:
+        """Samples of signals at which there are forces."""
+        return rows[:, :: self.decimation][:, : self.force_n.shape[1]]
+
+
+def annular_record(
+    planes: tuple[ContactRecord, ContactRecord],
+    parameters: tuple[Sequence[Nuisance], Sequence[Nuisance]],
+    force_names: tuple[Sequence[str], Sequence[str]],
+    quiet_samples: int,
+) -> AnnularRecord:
+    """Record of both directions. What a body's modes have in common is one parameter; sensors, forces, single modes and
+    initial states are those of their direction."""
+    merged: dict[Nuisance, int] = {}
+    columns = []
+    for direction, names, of_plane in zip("yz", force_names, parameters, strict=True):
+        renamed = [_in_space(p, direction, names) for p in of_plane]
+        columns.append(np.array([merged.setdefault(p, len(merged)) for p in renamed], dtype=int))
+    return AnnularRecord(planes, tuple(merged), (columns[0], columns[1]), quiet_samples)
+
+
+def _in_space(parameter: Nuisance, direction: str, force_names: Sequence[str]) -> Nuisance:
+    """Parameter with the name that it has in a rig with two directions."""
+    if parameter.owner == SINGLE_FORCE_NAME and len(force_names) == 1:
+        return Nuisance(parameter.kind, force_names[0])
+    if parameter.mode_number is not None or parameter.owner == RECORD_NAME:
+        return Nuisance(parameter.kind, f"{parameter.owner} ({direction})", parameter.mode_number)
+    return parameter
+
+
+def interleaved(matrix: csr_matrix, direction: int) -> csr_matrix:
+    """Columns of one direction among those of both, in turn."""
+    return csr_matrix(kron(matrix, np.eye(DIRECTIONS)[[direction]]))
+
+
+def open_force_n(record: AnnularRecord) -> Float[np.ndarray, "2"]:
+    """Separated force of the open contact, N: the mode of its components (half-sample mode: Robertson and Cryer, J. Am.
+    Stat. Assoc. 69, 1974), first of each alone, then of the samples that are near in the other component."""
+    force = record.force_n[:, record.used]
+    centre = np.array([_mode(row) for row in force])
+    near_n = np.maximum(5 * CLOSED_FORCE_SHARE * force.std(axis=1), 1e-9)
+    for _ in range(3):
+        is_near = np.abs(force - centre[:, None]) < near_n[:, None]
+        if is_near.all(axis=0).sum() < MODE_SAMPLES:
+            break
+        centre = np.array([_mode(force[p, is_near[1 - p]]) for p in range(DIRECTIONS)])
+    return centre
+
+
+def _mode(values: Float[np.ndarray, " samples"]) -> float:
+    """Half-sample mode: the shortest interval with half the samples, again and again."""
+    ordered = np.sort(values)
+    while ordered.size > MODE_SAMPLES:
+        count = int(np.ceil(MODE_SHARE * ordered.size))
+        first = int(np.argmin(ordered[count - 1 :] - ordered[: ordered.size - count + 1]))
+        ordered = ordered[first : first + count]
+    return float(np.median(ordered))
+
+
+def closed_samples(record: AnnularRecord, force_n: Float[np.ndarray, "2 fewer"]) -> Bool[np.ndarray, " fewer"]:
+    """Mask of the samples at which the contact is clearly closed, by its whole force."""
+    magnitude_n = np.hypot(*force_n)
+    noise_n = max(min(plane.noise_n, float(quiet_deviation(plane.force_n))) for plane in record.planes)
+    quiet_n = max(plane.quiet_deviation_n for plane in record.planes)
+    return record.used & (
+        magnitude_n
+        > max(
+            CLOSED_FORCE_SHARE * float(np.quantile(magnitude_n, 0.995)),
+            QUIET_DEVIATIONS * quiet_n,
+            NOISE_DEVIATIONS * noise_n,
+        )
+    )
+
+
+def annular_guess(
+    record: AnnularRecord, sliding_speed_m_per_s: float
+) -> tuple[RingValues, Float[np.ndarray, " knots"]]:
+    """Law and slow motion b by a regression over the closed samples, linear in d, d mu, 1 / k and b:
+
+        eta + b = d g - d mu tanh(v_t / v_0) t + f / k,    g = f / |f|, t across it
+
+    Raises ContactRefusedError if the contact is hardly ever closed or stands still, or no force grows with the motion.
+    """
+    rest_n = -open_force_n(record)
+    force = record.force_n + rest_n[:, None]
+    if not all(np.ptp(plane.eta_m) for plane in record.planes):
+        raise refused(RefusalCode.STANDS_STILL)
+    closed = closed_samples(record, force)
+    if np.mean(closed) < LEAST_CLOSED_SHARE:
+        raise refused(RefusalCode.HARDLY_CLOSES)
+    eta, rate = (
+        record.at_forces(np.stack([getattr(plane, name) for plane in record.planes]))[:, closed]
+        for name in ("eta_m", "velocity_m_per_s")
+    )
+    force = force[:, closed]
+    along = force / np.hypot(*force)
+    across = np.stack([-along[1], along[0]])
+    sliding = np.tanh(np.sum(rate * across, axis=0) / sliding_speed_m_per_s) * across
+    center = np.repeat(np.eye(DIRECTIONS), closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
+    law_columns = np.column_stack([along.ravel(), -sliding.ravel(), force.ravel(), center])
+    knots, solution = _regressed(record, closed, eta.ravel(), law_columns)
+    clearance, rubbed, softness, *middle = solution.tolist()
+    if not (softness > 0 and clearance > 0):
+        raise refused(RefusalCode.NO_STIFFNESS)
+    values = np.zeros(len(RING))
+    values[[CLEARANCE, STIFFNESS, FRICTION, LOG_SPEED]] = (
+        clearance,
+        1 / softness,
+        max(rubbed / clearance, 0.0),
+        np.log(sliding_speed_m_per_s),
+    )
+    values[5 : 5 + len(middle)] = middle
+    values[REST] = rest_n
+    return values, knots
+
+
+def _regressed(
+    record: AnnularRecord,
+    closed: Bool[np.ndarray, " fewer"],
+    eta: Float[np.ndarray, " samples"],
+    law_columns: Float[np.ndarray, "samples laws"],
+) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
+    """Knots of both directions in turn, and the coefficients of the law, by `initial_guess.REGRESSION_STAGES`."""
+    drift = vstack(
+        [
+            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)
+            for p, plane in enumerate(record.planes)
+        ]
+    )
+    curvature, target = record.drift_spline.curvature, record.drift_spline.target
+    columns = hstack([-drift, law_columns]).tocsr()
+    curvature_rows = hstack([curvature, csr_matrix((target.size, law_columns.shape[1]))])
+    weights, knot_count = np.ones(eta.size), drift.shape[1]
+    for share, curvature_weight in REGRESSION_STAGES:
+        scale_m = share * float(np.std(eta))
+        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
+        normal = rows.T @ rows
+        ridge = diags(np.r_[np.full(knot_count, 1e-12 * normal.diagonal().max()), np.zeros(law_columns.shape[1])])
+        right = np.concatenate([weights * eta / scale_m, curvature_weight * target])
+        solution = spsolve((normal + ridge).tocsc(), rows.T @ right)
+        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
+    return solution[:knot_count], solution[knot_count:]

@@ -1,0 +1,198 @@
+"""Contacts of a rig in space: its two plane rigs are separated by themselves, and each annular contact is fitted over
+both; contacts of one direction are those of its plane rig."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identify.checks import check_recording, naming_first_finding
+from identify.checks.findings import Finding
+from identify.contacts.acceptance import (
+    estimate_findings,
+    fit_findings,
+    pull_findings,
+    widened_estimate,
+    without_dead_force,
+)
+from identify.contacts.annular_estimate import AnnularEstimate, estimate_annular
+from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
+from identify.contacts.annular_record import AnnularRecord, annular_record
+from identify.contacts.determination import determine
+from identify.contacts.outcomes import NO_OUTCOMES, UNCERTAIN_SHARE, Outcomes
+from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
+from identify.contacts.separation import Separation, check_described, separate_planes
+from identify.signals.beginning import excitation_start
+from identify.signals.kinematics import Use
+from rig.model.contact_laws.annular import Annular
+from rig.model.description import Rig, contact_stations
+from rig.model.modes import condensed
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording, plane_recording
+
+
+@dataclass(frozen=True)
+class SpaceContacts:
+    """Contacts of a recording in space: separations of y and z, estimates of annular contacts with their records, the
+    outcomes of contacts of one direction, refusals of annular ones, and findings."""
+
+    separations: tuple[Separation, Separation]
+    annular: Mapping[str, AnnularEstimate]
+    records: Mapping[str, AnnularRecord]
+    plane: Outcomes
+    refusals: Mapping[str, Refusal]
+    findings: tuple[Finding, ...]
+
+
+def checked_space_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> SpaceContacts:
+    """Contacts after a check of the recording in both directions, with the findings of all.
+
+    Raises RigError if the record allows nothing, with the first finding.
+    """
+    check_directions(recording.rig, use)
+    findings = space_findings(recording, use, tolerances)
+    with naming_first_finding(findings):
+        contacts = space_contacts(recording, use, tolerances or recording.rig.tolerances or LABORATORY)
+    return replace(contacts, findings=findings + contacts.findings)
+
+
+def space_findings(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
+    """Findings of the check of each plane rig, without what weight does to displacements at rest."""
+    findings: dict[Finding, None] = {}
+    for direction in recording.rig.directions:
+        plane = plane_recording(from_rest_position(recording), direction)
+        found = check_recording(plane, use, tolerances)
+        findings |= dict.fromkeys(without_dead_force(found, () if np.any(plane.forces_n) else plane.force_names))
+    return tuple(f for f in findings if f.cause != "not at rest")
+
+
+def check_directions(rig: Rig, use: Use) -> None:
+    """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
+    for contact in (c for c in rig.contacts if c.law.spatial):
+        for station in contact_stations(contact):
+            sensors = [s for s in rig.sensors if s.station.body == station.body and use in ("auto", s.quantity)]
+            seen = {s.station.direction for s in sensors if s.measures.translates}
+            if missing := {*rig.directions} - seen:
+                raise refused(
+                    RefusalCode.ONE_DIRECTION, contact=contact.name, body=station.body, direction=min(missing)
+                )
+
+
+def from_rest_position(recording: Recording) -> Recording:
+    """Recording with displacements and strains counted from the rest position of a rig that has weight; by itself if it
+    has none, or does not begin at rest."""
+    rig = recording.rig
+    start = 0
+    if rig.gravity_m_per_s2 and not recording.start_s:
+        channels = (recording.values_of(s) for s in rig.sensors)
+        start = excitation_start(recording.forces_n, channels, rig.sample_rate_hz)
+    signals = dict(recording.signals)
+    for name in {"displacement", "strain"} & signals.keys() if start else ():
+        values = signals[name].values
+        signals[name] = replace(signals[name], values=values - values[:, :start].mean(axis=1, keepdims=True))
+    return replace(recording, signals=signals)
+
+
+def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> SpaceContacts:
+    """Estimate of every contact of a rig in space, or why the record does not determine it.
+
+    Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.
+    """
+    rig = recording.rig
+    check_described(rig)
+    for contact in rig.contacts if rig.gravity_m_per_s2 else ():
+        if not contact.law.spatial and contact.at.direction == "y":
+            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
+    counted = from_rest_position(recording)
+    planes = [plane_recording(counted, direction) for direction in rig.directions]
+    planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
+    y, z = separate_planes(planes, use, tolerances)
+    records, annular, refusals = annular_records(rig, (y, z)), dict[str, AnnularEstimate](), dict[str, Refusal]()
+    for name, record in records.items():
+        law = rig.contact(name).law
+        assert isinstance(law, Annular)
+        try:
+            estimate = estimate_annular(record, law.sliding_speed_m_per_s)
+            _check_certain(estimate)
+        except ContactRefusedError as error:
+            refusals[name] = error.refusal
+        else:
+            annular[name] = widened_estimate(estimate, record.parameters, max(y.mass_pull, z.mass_pull))
+    plane, findings = _plane_outcomes(rig, (y, z))
+    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *_annular_findings(annular, records)))
+
+
+def annular_records(rig: Rig, separations: tuple[Separation, Separation]) -> dict[str, AnnularRecord]:
+    """Record of every annular contact."""
+    names = [
+        [name for name, station in zip(rig.force_names, rig.forces, strict=True) if station.direction == direction]
+        for direction in rig.directions
+    ]
+    parameters = [separation.forces.nuisances.parameters for separation in separations]
+    records = {}
+    for contact in (c for c in rig.contacts if c.law.spatial):
+        planes = []
+        for separation in separations:
+            (index,) = (
+                k
+                for k, place in enumerate(separation.contact_groups)
+                if separation.rig.contact(contact.name) in [separation.rig.contacts[j] for j in place.contact_indices]
+            )
+            planes.append(separation.records[index])
+        records[contact.name] = annular_record(
+            (planes[0], planes[1]),
+            (parameters[0], parameters[1]),
+            (names[0], names[1]),
+            separations[0].motion.quiet_samples,
+        )
+    return records
+
+
+def _check_certain(estimate: AnnularEstimate) -> None:
+    """Raises ContactRefusedError if clearance or stiffness is too uncertain."""
+    for quantity, index in (("clearance", CLEARANCE), ("stiffness", STIFFNESS)):
+        share = float(estimate.errors[index] / estimate.values[index])
+        if not share < UNCERTAIN_SHARE:
+            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=min(100 * share, 100.0))
+
+
+def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tuple[Outcomes, tuple[Finding, ...]]:
+    """Outcomes of the contacts of one direction, and findings on them."""
+    outcomes, findings = NO_OUTCOMES, list[Finding]()
+    annular = {contact.name for contact in rig.contacts if contact.law.spatial}
+    for separation in separations:
+        contacts = separation.rig.contacts
+        kept = [
+            k
+            for k, p in enumerate(separation.contact_groups)
+            if not annular & {contacts[j].name for j in p.contact_indices}
+        ]
+        if not kept:
+            continue
+        alone = replace(
+            separation,
+            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(kept, kept)]),
+            contact_groups=tuple(separation.contact_groups[k] for k in kept),
+            records=tuple(separation.records[k] for k in kept),
+        )
+        found, parameters = determine(alone), separation.forces.nuisances.parameters
+        estimates = {
+            name: widened_estimate(estimate, parameters, separation.mass_pull)
+            for name, estimate in found.estimates.items()
+        }
+        outcomes = outcomes | Outcomes(estimates, found.refusals)
+        findings += fit_findings(estimates, parameters)
+    return outcomes, tuple(findings)
+
+
+def _annular_findings(
+    annular: Mapping[str, AnnularEstimate], records: Mapping[str, AnnularRecord]
+) -> Iterator[Finding]:
+    """Findings on the fits of annular contacts."""
+    if annular:
+        parameters = next(iter(records.values())).parameters
+        yield from pull_findings([estimate.pulls for estimate in annular.values()], parameters)
+    for name, estimate in annular.items():
+        damping, error = float(estimate.values[DAMPING]), float(estimate.errors[DAMPING])
+        yield from estimate_findings(name, damping, error, estimate.halves, estimate.unexplained)

@@ -1,0 +1,136 @@
+"""Identification of the contacts of a recording in space, and its report."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from identify.contacts import results
+from identify.contacts.annular_estimate import AnnularEstimate
+from identify.contacts.annular_law import CENTER, CLEARANCE, DAMPING, FRICTION, LOG_SPEED, REST, STIFFNESS
+from identify.contacts.identification import Identification, contact_estimate, identify_contact
+from identify.contacts.ring_shares import RingShares, ring_shares
+from identify.contacts.space_contacts import SpaceContacts, checked_space_contacts
+from identify.signals.kinematics import Use
+from identify.signals.noise import noise_source
+from identify.signals.spectra import Averaging
+from rig.model.description import Rig
+from rig.model.space import check_plane
+from rig.model.tolerances import LABORATORY, Tolerances
+from rig.recording import Recording
+
+NO_MODAL_EQUATIONS = "NIFO and the restoring force surface are made of rigs that move in one direction"
+
+
+@dataclass(frozen=True)
+class SpaceIdentification:
+    """Result of an identification in space: the report, and the estimates and signals behind it."""
+
+    report: results.ContactReport
+    rig: Rig
+    contacts: SpaceContacts
+    tolerances: Tolerances
+
+    @property
+    def rate_hz(self) -> float:
+        return self.contacts.separations[0].motion.sample_rate_hz
+
+    @property
+    def decimation(self) -> int:
+        """Samples per sample of the separated forces."""
+        return self.contacts.separations[0].forces.decimation
+
+
+def identify_recording(
+    recording: Recording,
+    *,
+    use: Use = "auto",
+    averaging: Averaging | None = None,
+    equation: str | None = None,
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Identification | SpaceIdentification:
+    """Contacts of a recording: of one direction by `identify_contact`, of two by `identify_in_space`."""
+    if recording.rig.in_space:
+        return identify_in_space(recording, use=use, tolerances=tolerances, progress=progress)
+    check_plane(recording.rig, "identify contact without annular contacts")
+    return identify_contact(
+        recording, use=use, averaging=averaging, equation=equation, tolerances=tolerances, progress=progress
+    )
+
+
+def identify_in_space(
+    recording: Recording,
+    *,
+    use: Use = "auto",
+    tolerances: Tolerances | None = None,
+    progress: Callable[[float], None] = lambda _: None,
+) -> SpaceIdentification:
+    """Contacts of a recording in space (`identify.contacts.space_contacts` says how).
+
+    Raises RigError if the record allows nothing, with the first finding.
+    """
+    contacts = checked_space_contacts(recording, use, tolerances)
+    progress(0.95)
+    rig, motions = recording.rig, [separation.motion for separation in contacts.separations]
+    plane_eta_m = {
+        name: record.eta_m + contacts.plane.estimates[name].drift_m
+        for separation in contacts.separations
+        for place, record in zip(separation.contact_groups, separation.records, strict=True)
+        for name in [separation.rig.contacts[j].name for j in place.contact_indices]
+        if name in contacts.plane.estimates
+    }
+    first, start_s = motions[0].excited_from, motions[0].start_s
+    estimates = []
+    for contact in rig.contacts:
+        if contact.name in contacts.annular:
+            estimate = contacts.annular[contact.name]
+            shares = ring_shares(estimate, motions[0].sample_rate_hz, first, start_s)
+            estimates.append(_annular(contact.name, estimate, shares))
+        elif contact.name in contacts.plane.estimates:
+            estimates.append(
+                contact_estimate(contact.name, contacts.plane.estimates[contact.name], plane_eta_m[contact.name])
+            )
+    refusals = {**contacts.refusals, **contacts.plane.refusals}
+    report = results.ContactReport(
+        rig=rig.name,
+        contacts=tuple(estimates),
+        unanswered=results.unanswered({c.name: refusals[c.name] for c in rig.contacts if c.name in refusals}),
+        main_equation="",
+        modes=(),
+        nifo=(),
+        surface=results.Surfaces((), ()),
+        transformation=(),
+        trusted_hz=motions[0].trusted_hz,
+        channels_used=(*rig.force_names, *motions[0].channels, *motions[1].channels),
+        findings=contacts.findings,
+        noise_from=noise_source(motions[0], contacts.separations[0].rig),
+        notes=(NO_MODAL_EQUATIONS,),
+    )
+    return SpaceIdentification(report, rig, contacts, tolerances or rig.tolerances or LABORATORY)
+
+
+def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
+    values, errors, own = estimate.values, estimate.errors, estimate.own_errors
+
+    def of(index: int) -> results.Estimate:
+        return results.Estimate(float(values[index]), float(errors[index]), float(own[index]))
+
+    speed = float(np.exp(values[LOG_SPEED]))
+    center_y, center_z = range(len(values))[CENTER]
+    rest_y, rest_z = range(len(values))[REST]
+    return results.ContactEstimate(
+        name=name,
+        clearance_m=of(CLEARANCE),
+        stiffness_n_per_m=of(STIFFNESS),
+        damping_n_s_per_m=of(DAMPING),
+        closed_share=1.0 - shares.free,
+        law="annular",
+        friction_coefficient=of(FRICTION),
+        sliding_speed_m_per_s=results.Estimate(speed, speed * float(errors[LOG_SPEED]), speed * float(own[LOG_SPEED])),
+        center_y_m=of(center_y) if estimate.center_known else None,
+        center_z_m=of(center_z) if estimate.center_known else None,
+        rest_force_y_n=of(rest_y),
+        rest_force_z_n=of(rest_z),
+        ring=shares,
+    )

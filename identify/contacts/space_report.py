@@ -1,0 +1,112 @@
+"""Results of an identification in space on disk: contact.json, the identified rig.json, the figures, contact.html."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from identify.contacts.annular_law import CLEARANCE, DAMPING, FRICTION, STIFFNESS
+from identify.contacts.assumptions import places_of, tolerances_sentence
+from identify.contacts.report import VARIANCE_SOURCES, Laws, answer, drawing, refusals, values
+from identify.contacts.results import identified_rig
+from identify.contacts.space_figures import space_figures
+from identify.contacts.space_identification import SpaceIdentification
+from identify.pages import page
+from identify.pages.style import Picture
+from identify.pages.wording import percent
+from rig.files import make_folder, write_bytes, write_json
+from rig.model.description import to_json
+
+_CAPTIONS = {
+    "orbit": "The relative displacement in its ring, coloured by the contact force.",
+    "radial": "The force across the wall, separated without assuming a law, over the radius, and the law found.",
+    "ring_surface": "The force across the wall over radius and angle.",
+    "friction": "The force along the wall over that across it, and the law found.",
+    "kinds": "Free, sliding and sticking motion of a second; green: whirling, once around or more in touch.",
+}
+
+
+def write_space_results(
+    result: SpaceIdentification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path] = ()
+) -> None:
+    """Write contact.html, the figures, the identified rig.json and, last of all, contact.json."""
+    make_folder(out)
+    figures = space_figures(result, laws, laws_name)
+    for name, image in figures.items():
+        image.save(out / f"{name}.png")
+    _write_page(result, figures, title, (laws, laws_name), out / "contact.html", sources)
+    write_bytes(to_json(identified_rig(result.rig, result.report)), out / "rig.json")
+    write_json(result.report, out / "contact.json")
+
+
+def _write_page(
+    result: SpaceIdentification,
+    figures: Mapping[str, Picture],
+    title: str,
+    reference: tuple[Laws, str],
+    path: Path,
+    sources: Sequence[Path],
+) -> None:
+    report = result.report
+    findings = page.list_html(f.sentence for f in report.findings) if report.findings else ""
+    html = {name: page.figure(name, image, _CAPTIONS[name]) for name, image in figures.items() if name != "orbit"}
+    orbit = page.figure("orbit", figures["orbit"], _CAPTIONS["orbit"], page.FIRST_PLOT_PX) if figures else ""
+    page.write(
+        path,
+        title=title,
+        answer=answer(report, len(result.rig.contacts)),
+        top_blocks=[f"{findings}{drawing(result.rig, report)}{values(report, *reference)}", orbit],
+        sections=[("What was refused", refusals(report))] if report.unanswered else [],
+        folded_sections=[
+            ("Does it fit?", "".join(html.values())),
+            *([("How sure is it?", _variance_table(result))] if report.contacts else []),
+            ("What was assumed", page.list_html(_assumptions(result))),
+        ],
+        foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
+        sources=sources,
+    )
+
+
+def _variance_table(result: SpaceIdentification) -> str:
+    """Table of the share of each annular estimate's variance by source."""
+    rows = []
+    for name, estimate in result.contacts.annular.items():
+        for quantity, index in (
+            ("clearance", CLEARANCE),
+            ("stiffness", STIFFNESS),
+            ("damping", DAMPING),
+            ("friction", FRICTION),
+        ):
+            variance = estimate.covariance[index, index]
+            shares = {source: float(part[index, index] / variance) for source, part in estimate.covariances.items()}
+            rows.append((f"{quantity} of {name}", *(percent(shares[source]) for source in VARIANCE_SOURCES)))
+    return "<p>Where the variance of each value comes from.</p>" + page.table(
+        ("value", *VARIANCE_SOURCES.values()), rows
+    )
+
+
+def _assumptions(result: SpaceIdentification) -> Iterator[str]:
+    """Sentences on the law, the plane rigs, the tolerances, and the sensors and bands used."""
+    yield (
+        "The contact law of a ring: no force within the clearance; beyond it stiffness times depth plus damping times "
+        "its rate, never pulling, and along the wall friction coefficient times that force times tanh of the sliding "
+        "velocity over the sliding speed. The ring is round and equally stiff all around, and the bodies do not turn "
+        "about their axes."
+    )
+    yield (
+        "The bodies are those of rig.json, linear, and move in y and in z independently of each other but for the "
+        "contacts: the forces of both directions are separated by themselves."
+    )
+    yield tolerances_sentence(result.tolerances)
+    motions = [separation.motion for separation in result.contacts.separations]
+    for direction, motion in zip("yz", motions, strict=True):
+        places = "; ".join(places_of(body.name, motion.stations) for body in result.rig.bodies)
+        yield f"Stations used in {direction}: {places}."
+    low, high = result.report.trusted_hz
+    yield (
+        f"Frequencies: the motion is trusted from {low:g} to {high:.4g} Hz, the contact forces are separated up to "
+        f"{result.rate_hz / 2 / result.decimation:.4g} Hz."
+    )
+    yield (
+        "Accelerometers do not show what weight does to a rig at rest: the constant part of each contact force is that "
+        "for which the open contact has none. The centre follows where the contact is closed at rest."
+    )
+    yield f"The accelerations' noise is taken from {result.report.noise_from}."

@@ -1,0 +1,312 @@
+"""Annular contacts: the law and its derivatives, recovery from records that another simulator made, and refusals."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+import identify
+from identify.contacts.annular_law import ring_derivatives, ring_force_n
+from identify.contacts.annular_record import annular_record, open_force_n
+from identify.contacts.contact_record import ContactRecord
+from identify.contacts.pooled import pooled_report
+from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode
+from identify.contacts.ring_shares import ring_shares
+from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
+from identify.pages.wording import COVERED
+from rig.errors import RigError
+from rig.model.contact_laws.annular import Annular
+from rig.model.contact_laws.dead_zone import equal_sides
+from rig.recording import Recording, Signals, channel_groups, plane_recording
+from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
+from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
+
+SECONDS = 12.0
+VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])
+PLACES = (("cradle", (0.25, 0.45, 0.75, 1.0)), ("barrel", (0.0, 0.25, 0.55, 1.0)))
+
+
+def machine(gravity):
+    """The reference rig barrel_cradle_annular."""
+    return SpaceMachine(
+        barrel=Tube("barrel", False, 1.0, 0.06, 0.04),
+        cradle=Tube("cradle", True, 1.0, 0.08, 0.064),
+        rings=tuple(
+            Ring(f"contact_{k}", barrel_m, cradle_m, 2e-3, 5e5, 200.0, 0.1, 0.01)
+            for k, (barrel_m, cradle_m) in enumerate(((0.0, 0.45), (0.55, 1.0)), 1)
+        ),
+        sensors=tuple(Accelerometer(body, position_m) for body, places in PLACES for position_m in places),
+        force_m=1.0,
+        gravity=gravity,
+    )
+
+
+@cache
+def recorded(gravity):
+    """Recording of the reference rig, and what is true of it."""
+    built = machine(gravity)
+    truth = simulated(built, 60.0, round(SECONDS * RATE_HZ), RATE_HZ, 1)
+    rig = believed_rig(built)
+    rows = {"force": truth.forces_n, "acceleration": truth.accelerations.reshape(len(rig.sensors), -1)}
+    signals = {name: Signals(channels, 0.0, rows[name]) for name, channels in channel_groups(rig).items()}
+    return Recording(rig, signals, {}), truth
+
+
+@pytest.fixture(scope="module", params=[True, False], ids=["weight", "floating"])
+def found(request):
+    recording, truth = recorded(request.param)
+    return identify.contact(recording, tolerances="exact"), truth, request.param
+
+
+def motions():
+    """Motions within the ring and beyond it, some metres a second along and across."""
+    rng = np.random.default_rng(0)
+    angle, radius = rng.uniform(0, 2 * np.pi, 400), 2e-3 + rng.uniform(-1e-4, 3e-4, 400)
+    eta = radius * np.stack([np.cos(angle), np.sin(angle)]) + VALUES[5:7, None]
+    away = np.abs(radius - VALUES[0] - 5e-6) > 6e-6  # of the knees at the wall and where the damping has risen
+    return eta[:, away], rng.normal(0, 0.02, eta.shape)[:, away]
+
+
+def test_the_law_is_that_of_rig():
+    law = Annular(
+        clearance_m=2e-3,
+        stiffness_n_per_m=5e5,
+        damping_n_s_per_m=200.0,
+        friction_coefficient=0.1,
+        center_y_m=1e-4,
+        center_z_m=-2e-4,
+    )
+    eta, rate = motions()
+    np.testing.assert_allclose(ring_force_n(VALUES, *eta, *rate), law.force_n(eta, rate), rtol=1e-9, atol=1e-9)
+
+
+def test_derivatives_are_those_of_the_force():
+    eta, rate = motions()
+    found = ring_derivatives(VALUES, eta, rate)
+
+    def close(derivative, forward, backward, step):
+        difference = (forward - backward) / (2 * step)
+        np.testing.assert_allclose(derivative, difference, atol=1e-6 * np.abs(difference).max())
+
+    for component in range(2):
+        step = np.zeros((2, 1))
+        step[component] = 1e-9
+        forces = (ring_force_n(VALUES, *(eta + sign * step), *rate) for sign in (1, -1))
+        close(found.by_eta[:, component], *forces, 1e-9)
+        forces = (ring_force_n(VALUES, *eta, *(rate + sign * 1e3 * step)) for sign in (1, -1))
+        close(found.by_rate[:, component], *forces, 1e-6)
+    for k in range(7):
+        step = np.zeros(9)
+        step[k] = 1e-6 * max(abs(VALUES[k]), 1e-3)
+        forces = (ring_force_n(VALUES + sign * step, *eta, *rate) for sign in (1, -1))
+        close(found.by_law[k], *forces, step[k])
+
+
+def test_every_quantity_is_recovered_within_its_interval(found):
+    result, _, _ = found
+    assert not result.report.findings
+    assert not result.report.unanswered
+    for estimate, ring in zip(result.report.contacts, machine(True).rings, strict=True):
+        row = errors_of(estimate, ring)
+        for name in ("clearance_m", "stiffness_n_per_m", "damping_n_s_per_m", "friction_coefficient"):
+            half = row[f"{name}_half_percent"]
+            assert abs(row[f"{name}_error_percent"]) < 1.5 * half < 1.0
+        speed = estimate.sliding_speed_m_per_s
+        assert abs(speed.value - 0.01) < 1.5 * COVERED * speed.standard_error < 1e-3
+
+
+def test_the_centre_and_the_force_at_rest_are_known_under_weight_alone(found):
+    result, truth, weight = found
+    for estimate, rest_m, ring in zip(result.report.contacts, truth.rest_m, machine(True).rings, strict=True):
+        assert ("its centre lies" in estimate.law_sentence) == weight
+        if not weight:
+            assert estimate.center_y_m is None
+            continue
+        for center, true_m in zip((estimate.center_y_m, estimate.center_z_m), -rest_m, strict=True):
+            assert abs(center.value - true_m) < 2 * COVERED * center.standard_error < 1e-5
+        rest_n = ring.stiffness_n_per_m * (rest_m[0] + ring.clearance_m)
+        assert abs(estimate.rest_force_y_n.value - rest_n) < 2 * COVERED * estimate.rest_force_y_n.standard_error
+        assert abs(estimate.rest_force_y_n.value - rest_n) < 0.003 * abs(rest_n)
+
+
+def test_shares_are_those_of_the_true_motion(found):
+    result, truth, _ = found
+    begins = result.found.contacts.separations[0].motion.excited_from
+    for k, (name, estimate) in enumerate(result.found.contacts.annular.items()):
+        true_m = np.hypot(*truth.eta_m[:, k, begins : estimate.eta_m.shape[1]])
+        shares = result.report.contacts[k].ring
+        assert result.report.contacts[k].name == name
+        assert shares.free == pytest.approx(np.mean(true_m < 2e-3), abs=2e-3)
+        assert shares.free + shares.sliding + shares.sticking == pytest.approx(1.0)
+
+
+def test_the_identified_rig_has_the_numbers_and_the_files_are_written(found, tmp_path):
+    result, _, _ = found
+    for contact, estimate in zip(result.rig.contacts, result.report.contacts, strict=True):
+        assert contact.law.clearance_m == estimate.clearance_m.value
+        assert contact.law.friction_coefficient == max(0.0, estimate.friction_coefficient.value)
+        assert contact.law.sliding_speed_m_per_s == estimate.sliding_speed_m_per_s.value
+    result.save(tmp_path)
+    page = (tmp_path / "contact.html").read_text(encoding="utf-8")
+    assert all(word in page for word in ("friction", "sliding speed, mm/s", "never pulling", "scatter of the record"))
+    assert {"orbit.png", "radial.png", "ring_surface.png", "friction.png", "kinds.png"} <= {
+        path.name for path in tmp_path.iterdir()
+    }
+    assert "friction" in str(result)
+    assert result["contact_1"].friction.unit == "1"
+
+
+def test_segments_add_their_whirls(found):
+    report = found[0].report
+    pooled = pooled_report([report, report])
+    for one, both in zip(report.contacts, pooled.contacts, strict=True):
+        assert both.ring.whirls == one.ring.whirls * 2
+        assert both.ring.free == pytest.approx(one.ring.free)
+        assert both.friction_coefficient.value == pytest.approx(one.friction_coefficient.value)
+
+
+def test_a_quarter_of_whirling_a_quarter_of_rocking_and_half_free():
+    """Two turns along the wall at 20 mm/s, then so much time at rest on it, then amid the ring."""
+    rate_hz, turn_s = 1000.0, 2 * np.pi * 2.1e-3 / 0.02
+    samples = round(2 * turn_s * rate_hz)
+    turning = 2 * np.pi * np.arange(samples) / (turn_s * rate_hz)
+    angle = np.r_[turning, np.full(samples, turning[-1]), np.zeros(2 * samples)]
+    radius = np.r_[np.full(2 * samples, 2.1e-3), np.full(2 * samples, 1e-4)]
+    eta = radius * np.stack([np.cos(angle), np.sin(angle)])
+    rate = np.where(np.arange(angle.size) < samples, 0.02, 0.0) * np.stack([-np.sin(angle), np.cos(angle)])
+    estimate = dataclasses.replace(identified_once(), values=VALUES, eta_m=eta, rate_m_per_s=rate)
+    shares = ring_shares(estimate, rate_hz, 0, 3.0)
+    assert (shares.free, shares.sliding, shares.sticking) == pytest.approx((0.5, 0.25, 0.25))
+    assert shares.touched_sectors == 1.0
+    ((begins_s, ends_s),) = shares.whirls
+    assert begins_s == pytest.approx(3.0)
+    assert ends_s == pytest.approx(3.0 + (2 * samples - 1) / rate_hz)
+
+
+def identified_once():
+    from identify.contacts.annular_estimate import AnnularEstimate
+
+    none = np.zeros((9, 9))
+    return AnnularEstimate(
+        values=VALUES,
+        covariances=dict.fromkeys(("scatter", "tolerances", "drift", "law"), none),
+        sides_known=False,
+        center_known=False,
+        pulls=np.zeros(0),
+        eta_m=np.zeros((2, 1)),
+        rate_m_per_s=np.zeros((2, 1)),
+        force_n=np.zeros((2, 1)),
+        unexplained=0.0,
+        halves=(0.0, 0.0),
+    )
+
+
+def plane_record(force_n, parameters):
+    """A contact record with no more than a force and so many nuisance parameters."""
+    count = len(parameters)
+    return ContactRecord(
+        eta_m=np.zeros(force_n.size),
+        velocity_m_per_s=np.zeros(force_n.size),
+        sample_rate_hz=100.0,
+        force_n=force_n,
+        decimation=1,
+        quiet_n=0.0,
+        noise_n=0.0,
+        unmodelled=0.0,
+        drift=None,
+        nuisance_n=np.zeros((count, force_n.size), np.float32),
+        force_noise_multiple=np.zeros(count),
+        shifts_eta=np.zeros(count, bool),
+        eta_noise_multiple=np.zeros(0),
+        nuisance_m=np.zeros((0, force_n.size), np.float32),
+        is_initial_state=np.zeros(count, bool),
+    )
+
+
+def test_what_a_body_has_in_common_is_one_parameter_of_both_directions():
+    parameters = [
+        Nuisance(NuisanceKind.FORCE_GAIN, SINGLE_FORCE_NAME),
+        Nuisance(NuisanceKind.MASS, "barrel"),
+        Nuisance(NuisanceKind.FREQUENCY, "barrel"),
+        Nuisance(NuisanceKind.FREQUENCY, "barrel", 3),
+    ]
+    plane = plane_record(np.zeros(10), parameters)
+    record = annular_record((plane, plane), (parameters, parameters), (("force_1",), ("force_2",)), 0)
+    assert [p.name for p in record.parameters] == [
+        "force gain of force_1",
+        "mass of barrel",
+        "frequency of barrel",
+        "frequency of barrel (y) 3",
+        "force gain of force_2",
+        "frequency of barrel (z) 3",
+    ]
+    assert record.columns[1].tolist() == [4, 1, 2, 5]
+
+
+def test_the_force_of_an_open_contact_is_where_forces_are_densest():
+    rng = np.random.default_rng(0)
+    is_open = rng.uniform(size=20000) < 0.2
+    force = np.where(is_open, [[110.0], [-3.0]], rng.normal(0, 300, (2, 20000))) + rng.normal(0, 0.5, (2, 20000))
+    planes = tuple(plane_record(row, []) for row in force)
+    record = annular_record(planes, ([], []), (("force_1",), ("force_2",)), 0)
+    assert np.abs(open_force_n(record) - [110.0, -3.0]).max() < 0.5
+
+
+def in_y_alone(recording):
+    """The recording without its sensors in z."""
+    sensors = tuple(s for s in recording.rig.sensors if s.station.direction == "y")
+    rig = replace(recording.rig, sensors=sensors)
+    rows = [recording.values_of(s) for s in sensors]
+    channels = channel_groups(rig)["acceleration"]
+    signals = {**recording.signals, "acceleration": Signals(channels, 0.0, np.stack(rows))}
+    return dataclasses.replace(recording, rig=rig, signals=signals)
+
+
+def test_sensors_in_one_direction_are_refused_and_in_both_are_not(found):
+    recording, _ = recorded(False)
+    with pytest.raises(ContactRefusedError, match="has no sensor in z") as error:
+        identify.contact(in_y_alone(recording))
+    assert error.value.refusal.code == RefusalCode.ONE_DIRECTION
+    assert error.value.refusal.remedy == RemedyCode.MEASURE_BOTH_DIRECTIONS
+    assert len(found[0].report.contacts) == 2  # the remedy done
+
+
+def test_weight_on_a_contact_of_one_direction_is_refused():
+    recording, _ = recorded(True)
+    plane = replace(recording.rig.contacts[0], law=equal_sides(2e-3, 5e5))
+    rig = replace(recording.rig, contacts=(plane, *recording.rig.contacts[1:]))
+    with pytest.raises(ContactRefusedError, match="contact 'contact_1' in y that is not annular"):
+        identify.contact(dataclasses.replace(recording, rig=rig))
+    flat = plane_recording(recording, "y")
+    with pytest.raises(RigError, match="it has gravity"):
+        identify.contact(flat)
+
+
+def test_a_contact_of_one_direction_beside_an_annular_one_is_its_plane_rigs():
+    """contact_1 as a dead zone in y and one in z in place of the ring: refused or found, but both are answered."""
+    recording, _ = recorded(False)
+    first, second = recording.rig.contacts
+    law = equal_sides(2e-3, 5e5)
+    at, against = (replace(station, direction="z") for station in (first.at, first.against))
+    in_z = replace(first, name="sideways", law=law, at=at, against=against)
+    rig = replace(recording.rig, contacts=(replace(first, law=law), in_z, second))
+    report = identify.contact(dataclasses.replace(recording, rig=rig), tolerances="exact").report
+    names = {contact.name: contact.law for contact in report.contacts} | {u.name: "" for u in report.unanswered}
+    assert set(names) == {"contact_1", "sideways", "contact_2"}
+    assert names["contact_2"] == "annular"
+
+
+def test_check_takes_both_directions():
+    recording, _ = recorded(True)
+    assert identify.check(recording, tolerances="exact").sound
+    accelerations = recording.signals["acceleration"]
+    values = accelerations.values.copy()
+    values[12] *= -1  # barrel, z
+    wrong = {
+        **recording.signals,
+        "acceleration": dataclasses.replace(accelerations, values=values),
+    }
+    findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
+    assert recording.rig.sensors[12].name in {name for finding in findings for name in finding.channels}
