@@ -16,6 +16,7 @@ from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyC
 from identify.contacts.ring_shares import ring_shares
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
+from identify.signals.drift import spline
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
@@ -212,10 +213,11 @@ def plane_record(force_n, parameters):
         sample_rate_hz=100.0,
         force_n=force_n,
         decimation=1,
-        quiet_n=0.0,
+        quiet_deviation_n=0.0,
         noise_n=0.0,
-        unmodelled=0.0,
+        unmodelled_share=0.0,
         drift=None,
+        drift_spline=spline(force_n.size, 100.0, None),
         nuisance_n=np.zeros((count, force_n.size), np.float32),
         force_noise_multiple=np.zeros(count),
         shifts_eta=np.zeros(count, bool),
