@@ -22,6 +22,8 @@ LINES_TO_FORCE_HZ = 2.0
 """Highest frequency of the lines, over the force's."""
 RING_S, RING_CUT_S = 4.0, 2.5
 """Silence after the record; part of its end that is not compared over time, as the ringing is cut off there."""
+LEAST_COMPARED_S = 0.25
+"""Least time that is compared with the linear model."""
 MAX_LINES = 1600
 SMOOTHED_LINES = 41
 """Lines over which levels are averaged."""
@@ -75,7 +77,7 @@ class Spectra:
 def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int | None = MAX_LINES) -> Spectra:
     """Spectra on at most this many lines (None: all) from 2 Hz to twice the force's highest frequency.
 
-    Raises RigError if the force is zero or its band is too low or too narrow.
+    Raises RigError if the force is zero, its band too low or too narrow, or the record too short.
     """
     rate_hz = recording.rig.sample_rate_hz
     forces_n, sample_count = recording.forces_n, recording.samples
@@ -99,6 +101,11 @@ def spectra_of(recording: Recording, sensors: tuple[Sensor, ...], max_lines: int
         noise_rms = np.array([s.noise_density * np.sqrt(rate_hz / 2) for s in sensors])
     noise = np.sqrt(sample_count) * noise_rms[:, None] * np.abs(chain_factors)
     compared_s = (quiet_count / rate_hz, max(sample_count / rate_hz - RING_CUT_S, 0.5 * sample_count / rate_hz))
+    if compared_s[1] - compared_s[0] < LEAST_COMPARED_S:
+        raise RigError(
+            f"the record lasts {sample_count / rate_hz:.3g} s, of which less than {LEAST_COMPARED_S:g} s can be "
+            "compared with the linear model; record longer"
+        )
     forces = rfft(forces_n * end_taper, padded_length)[:, lines]
     return Spectra(sensors, omega, sensor_spectra, forces, noise, lines, padded_length, compared_s, rate_hz)
 
