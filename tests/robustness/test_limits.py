@@ -17,8 +17,10 @@ LIMITS = {
     ("mass_kg", "1e300"),
     *((each, "1e300") for each in ("added_mass:mass_kg", "clearance_wear:growth_per_minute")),
     ("contact_clearance:factor", "1e300"),
+    ("clamp_compliance:compliance", "1e300"),
 }
-"""What has a meaning: no force, no damping, no spring, a mass that does not move, a contact that never closes."""
+"""What has a meaning: no force, no damping, no spring, a mass that does not move, a contact that never closes, a clamp
+that lets the beam turn."""
 
 
 def refused(command, *words, statuses=(1,)):
