@@ -10,7 +10,7 @@ import msgspec
 
 from identify.checks import Finding
 from identify.contacts import Identification
-from identify.contacts.identified_contact import EstimatedQuantity, IdentifiedContact, identified_contact
+from identify.contacts.identified_contact import IdentifiedContact, identified_contact
 from identify.contacts.results import ContactReport, Estimate, Unanswered, identified_rig
 from identify.contacts.space_identification import SpaceIdentification
 from identify.gaps.results import Gap
@@ -20,7 +20,7 @@ from identify.laws import Laws
 from identify.laws.results import LawReport
 from identify.pages.style import Picture
 from identify.pages.summary import Summarized, Summary
-from identify.pages.wording import COVERED, interval, number, percent
+from identify.pages.wording import COVERED, number, percent
 from rig.errors import RigError
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.contact_laws import ContactLaw
@@ -149,7 +149,7 @@ class ContactResult(Summarized):
         """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""
         laws = [f"{sentence}." for c in self.report.contacts if (sentence := c.law_sentence)]
         return Summary(
-            tuple(map(_contact_cells, self.contacts)),
+            tuple(contact.cells for contact in self.contacts),
             above=tuple(f"not to be relied on: {f.sentence}" for f in self.report.findings),
             below=(*laws, *_unanswered_lines(self.report.unanswered)),
         )
@@ -321,20 +321,6 @@ class HistoryResult(Summarized):
         names = ("quantity", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
         rows = tuple(dict(zip(names, row, strict=True)) for row in history_page.quantity_rows(self.report))
         return Summary(rows, above=(self.sentence,))
-
-
-def _contact_cells(contact: IdentifiedContact) -> dict[str, str]:
-    cells = {
-        "contact": contact.name,
-        "clearance, mm": "" if contact.law == "spring" else _scaled(contact.clearance, 1e3),
-        "stiffness, N/m": _scaled(contact.stiffness),
-        "damping, N s/m": _scaled(contact.damping),
-    }
-    return cells | ({} if contact.friction is None else {"friction": _scaled(contact.friction)})
-
-
-def _scaled(quantity: EstimatedQuantity, scale: float = 1.0) -> str:
-    return interval(scale * quantity.value, scale * quantity.standard_error, "1")
 
 
 def _finding_fields(finding: Finding) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 import identify
-from identify.contacts.figures import curves
+from identify.contacts.curves import curves
 from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Segment, Segments, identified_rig
 from identify.contacts.space_figures import space_curves

@@ -26,6 +26,10 @@ class EstimatedQuantity:
     def __str__(self) -> str:
         return interval(self.value, self.standard_error, self.unit)
 
+    def scaled(self, scale: float = 1.0) -> str:
+        """Value ± half its 95 % interval, in units of 1 / scale, without the unit."""
+        return interval(scale * self.value, scale * self.standard_error, "1")
+
 
 @dataclass(frozen=True, kw_only=True)
 class IdentifiedContact:
@@ -54,6 +58,17 @@ class IdentifiedContact:
     """Centre of an annular contact against its rest position, m; None where it is not known."""
     center_z: EstimatedQuantity | None = None
     """Centre of an annular contact against its rest position, m; None where it is not known."""
+
+    @property
+    def cells(self) -> dict[str, str]:
+        """Cells of the contact in a table, by their headings."""
+        friction = {} if self.friction is None else {"friction": self.friction.scaled()}
+        return {
+            "contact": self.name,
+            "clearance, mm": "" if self.law == "spring" else self.clearance.scaled(1e3),
+            "stiffness, N/m": self.stiffness.scaled(),
+            "damping, N s/m": self.damping.scaled(),
+        } | friction
 
     def __str__(self) -> str:
         friction = "" if self.friction is None else f", friction {self.friction}"

@@ -11,16 +11,15 @@ the participation integral of mu phi_m dx in place of phi_m(x_k).
 It also covers slow motion, which accelerations do not show: where springs then act, and how stiffly they hold contacts.
 """
 
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.linear.modal import receptance
 from identify.signals.kinematics import CORNER_HZ, integrated
+from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
 from rig.model.description import Body, Rig, Sensor, Station
 from rig.model.modes import Modes, modes_of, participation
@@ -32,24 +31,6 @@ RANK_TOLERANCE = 1e-9
 
 Place = Station | Sensor | None
 """Station, or sensor at one; None stands for the ground."""
-
-Value = TypeVar("Value")
-
-
-class RecentValues(Generic[Value]):
-    """Cache of the values used last, at most `size` of them."""
-
-    def __init__(self, size: int) -> None:
-        self._size = size
-        self._values: OrderedDict[Hashable, Value] = OrderedDict()
-
-    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
-        """Value of a key, made if it is not there."""
-        value = self._values.pop(key) if key in self._values else make()
-        self._values[key] = value
-        if len(self._values) > self._size:
-            self._values.popitem(last=False)
-        return value
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,7 +41,7 @@ def draw(rig: Rig, path: Path) -> None:
     drawing.write(path)
 
 
-def _draw_view(drawing: Drawing, layout: "_Layout", force_names: Sequence[str]) -> None:
+def _draw_view(drawing: Drawing, layout: "_SchematicLayout", force_names: Sequence[str]) -> None:
     """Draw a plane rig; of a direction without forces no name is given."""
     rig = layout.rig
     for contact in rig.contacts:
@@ -62,7 +62,7 @@ def _draw_view(drawing: Drawing, layout: "_Layout", force_names: Sequence[str]) 
 
 
 @dataclass(frozen=True)
-class _Layout:
+class _SchematicLayout:
     """Positions of the bodies in pixels; a mass has a slot for each item on it."""
 
     rig: Rig
@@ -89,7 +89,7 @@ class _Layout:
         return self.level_px[body] + self.half_px(body)
 
 
-def _layout(rig: Rig, title_px: float) -> _Layout:
+def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
     lefts_m = left_ends(rig)
     extent_m = max(lefts_m[b.name] + b.length_m for b in rig.bodies) - min(lefts_m.values())
     px_per_m = DRAWING_PX / extent_m if extent_m > 0 else 1.0
@@ -97,7 +97,7 @@ def _layout(rig: Rig, title_px: float) -> _Layout:
     level_px = {body.name: -LEVEL_STEP_PX * k - top_px for k, body in enumerate(rig.bodies)}
     slot_items = {body.name: tuple(_items_on(rig, body)) for body in rig.bodies if body.is_mass}
     left_px = {name: px_per_m * (left_m - min(lefts_m.values())) for name, left_m in lefts_m.items()}
-    return _Layout(rig, left_px, px_per_m, level_px, slot_items, title_px)
+    return _SchematicLayout(rig, left_px, px_per_m, level_px, slot_items, title_px)
 
 
 def _items_on(rig: Rig, body: Body) -> Iterator[object]:
@@ -111,7 +111,7 @@ def _items_on(rig: Rig, body: Body) -> Iterator[object]:
         yield from (item for item in attached if item.station.body == body.name)
 
 
-def _draw_body(drawing: Drawing, layout: _Layout, body: Body) -> None:
+def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     level, left_px = layout.level_px[body.name], layout.left_px[body.name]
     items = layout.slot_items.get(body.name)
     width = layout.px_per_m * body.length_m if items is None else SLOT_PX * len(items)
@@ -145,7 +145,7 @@ def _draw_body(drawing: Drawing, layout: _Layout, body: Body) -> None:
     _draw_ruler(drawing, layout, body)
 
 
-def _draw_ruler(drawing: Drawing, layout: _Layout, body: Body) -> None:
+def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
     rig, left_px, y = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
     stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
@@ -165,7 +165,7 @@ def _draw_ruler(drawing: Drawing, layout: _Layout, body: Body) -> None:
         labelled_x = -1e9 if is_low else x
 
 
-def _draw_stops(drawing: Drawing, layout: _Layout, contact: Contact) -> None:
+def _draw_stops(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     """Draw the two stops of a contact and their carrier, another body or the ground; or a spring between them."""
     x, name = layout.x_px(contact.at, contact), contact.at.body
     upper, lower = layout.top_px(name) - GAP_PX, layout.bottom_px(name) + GAP_PX
@@ -192,7 +192,7 @@ def _draw_stops(drawing: Drawing, layout: _Layout, contact: Contact) -> None:
         )
 
 
-def _strut(drawing: Drawing, layout: _Layout, contact: Contact) -> None:
+def _strut(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     """Draw a spring from a body to the one above or below it, or to the ground below."""
     x, name, against = layout.x_px(contact.at, contact), contact.at.body, contact.against
     if against is None:
@@ -206,7 +206,7 @@ def _strut(drawing: Drawing, layout: _Layout, contact: Contact) -> None:
     drawing.line((x, end_y), (far_x, end_y), colour=BELIEVED_INK)
 
 
-def _draw_clearances(drawing: Drawing, layout: _Layout, contact: Contact) -> None:
+def _draw_clearances(drawing: Drawing, layout: _SchematicLayout, contact: Contact) -> None:
     x, name, law = layout.x_px(contact.at, contact), contact.at.body, contact.law
     upper, lower = layout.top_px(name) - GAP_PX, layout.bottom_px(name) + GAP_PX
     for wall_m, side in walls_m(law) if law.has_stops else ():
@@ -230,7 +230,7 @@ def _contact_notes(contact: Contact) -> Iterator[str]:
         yield f"friction {contact.law.friction_coefficient:g}"
 
 
-def _draw_forces(drawing: Drawing, layout: _Layout, force_names: Sequence[str]) -> None:
+def _draw_forces(drawing: Drawing, layout: _SchematicLayout, force_names: Sequence[str]) -> None:
     names = dict[Station, list[str]]()
     for station, name in zip(layout.rig.forces, force_names, strict=False):
         names.setdefault(station, []).append(name)
@@ -240,7 +240,7 @@ def _draw_forces(drawing: Drawing, layout: _Layout, force_names: Sequence[str]) 
         drawing.text(x + 10, top - 70, ", ".join(names[station]), FORCE_INK)
 
 
-def _draw_sensors(drawing: Drawing, layout: _Layout) -> None:
+def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
     """Draw a mark at every station, with the letters of its quantities and its position."""
     quantities: dict[Station, list[str]] = {}
     for sensor in layout.rig.sensors:
@@ -266,7 +266,7 @@ def _draw_sensors(drawing: Drawing, layout: _Layout) -> None:
         drawing.text(0.0, layout.title_px + 20, f"sensors: {key}", SENSOR_INK)
 
 
-def _draw_attachments(drawing: Drawing, layout: _Layout) -> None:
+def _draw_attachments(drawing: Drawing, layout: _SchematicLayout) -> None:
     rig = layout.rig
     for mass in rig.masses:
         x, top = layout.x_px(mass.station, mass), layout.top_px(mass.station.body)
@@ -299,7 +299,7 @@ def _draw_attachments(drawing: Drawing, layout: _Layout) -> None:
 
 def _grounded(
     drawing: Drawing,
-    layout: _Layout,
+    layout: _SchematicLayout,
     station: Station,
     item: object,
     shape: Callable[[float, float, float], None],

@@ -95,7 +95,7 @@ def multisine(rms_n, seed):
 
 def test_a_low_level_gives_the_rig(soft):
     found, _, _ = soft
-    assert found.misfit.max() < 0.01
+    assert found.misfits.max() < 0.01
     assert found.period_s == pytest.approx(PERIOD / RATE_HZ)
 
 

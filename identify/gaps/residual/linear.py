@@ -6,8 +6,8 @@ The accelerations of all sensors at every line are
 
 with the accelerances G of measured forces F, tones T, cubic springs and dampers to the ground (by the measured motion
 w, v at their places), contact forces f and an unmeasured base motion. Static loads cause no acceleration, as the
-contacts hold them. f is a least-squares estimate, and so is a_base under the prior of its spectrum. The remainder, in
-standard deviations of the error, is the linear residual; it has sensors less contacts degrees of freedom per line.
+contacts hold them. f is a least-squares estimate, and so is a_base under the prior of its spectrum. The rest, in
+standard deviations of the error, is the linear residual (sensors less contacts degrees of freedom a line).
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,10 +53,9 @@ class Linear:
 
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
     signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion,
-    then the noise of each measured force. residual is in standard deviations, with the estimates of the base motion and
-    of the force noise as last rows, in those of their spectra; log_determinant is the cost of that freedom.
-    acceleration_by_force are the accelerations at the sensors by each measured force, known_forces all known forces
-    with their stations, free_modes the free motion of modes.
+    then the noise of each measured force. residual is in standard deviations, its last rows the estimates of the base's
+    motion and the force noise; log_determinant is the cost of that freedom. acceleration_by_force are those at the
+    sensors by each measured force, known_forces all with their stations, free_modes free motion of modes.
     """
 
     record: Record

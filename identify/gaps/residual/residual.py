@@ -32,8 +32,9 @@ from identify.gaps.residual.scales import Scales, estimated_scales, prior_scales
 from identify.gaps.residual.tuning import TunedModes, tuned_modes
 from identify.gaps.residual.windowed import has_ground_forces
 from identify.linear.joined import contact_groups, group_laws
-from identify.linear.model import RecentValues, ResponseCache
+from identify.linear.model import ResponseCache
 from identify.linear.nuisance import Nuisance
+from identify.signals.recent_values import RecentValues
 from rig.model.description import Rig
 
 Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]

@@ -35,9 +35,9 @@ class MeasuredResponse:
 class FittedRecord:
     """Fitted body, the misfit of its free run and the noise of the sensors.
 
-    misfit is the rms error over the rms of each response, by modes on the FRFs alone and after the refinement.
-    unmodelled is the rms of that beyond the noise, over all sensors. noise_density is one-sided, in the response's unit
-    per sqrt(Hz), by the median over the lines that the force does not excite.
+    frf_fit_misfits and misfits are the rms error over the rms of each response, by modes on the FRFs alone and after
+    the refinement. unmodelled_share is the rms of that beyond the noise, over all sensors. noise_density is one-sided,
+    in the response's unit per sqrt(Hz), by the median over the lines that the force does not excite.
     """
 
     body: Structure

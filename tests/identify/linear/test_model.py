@@ -5,7 +5,8 @@ import weakref
 import numpy as np
 import pytest
 
-from identify.linear.model import RecentValues, ResponseCache, accelerances, response_of
+from identify.linear.model import ResponseCache, accelerances, response_of
+from identify.signals.recent_values import RecentValues
 from rig.model.description import Station
 from rig.simulation.reference import BarrelCradle, Sdof
 
