@@ -4,10 +4,9 @@ The accelerations of all sensors at every line are
 
     A = G_F F + G_T T - G_K (k3 w^3 + c v + F_c tanh(v / v0)) - G_C f + G_B a_base + error
 
-with the accelerances G of measured forces F, tones T, cubic springs and dampers to the ground (by the measured motion
-w, v at their places), contact forces f and an unmeasured base motion. Static loads cause no acceleration, as the
-contacts hold them. f is a least-squares estimate, and so is a_base under the prior of its spectrum. The rest, in
-standard deviations of the error, is the linear residual (sensors less contacts degrees of freedom a line).
+with the accelerances G of measured forces F, tones T, cubic springs and dampers to the ground (by the measured w and
+v there), contact forces f and an unmeasured base motion; static loads cause none. f is a least-squares estimate, and
+so is a_base under the prior of its spectrum. The rest, in standard deviations of the error, is the linear residual.
 """
 
 from collections.abc import Mapping, Sequence
