@@ -16,7 +16,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.plants import plant_named
 from rig.simulation.record import record
-from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Comparison:
         )
 
 
-def recorded(settings: Sdof | BarrelCradle, plant: str, path: Path) -> Path:
+def recorded(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant: str, path: Path) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(f"recording {path.name} ({plant})") as progress:
         record(

@@ -275,7 +275,8 @@ def _rotation(modes: _Modes, direction: int) -> Float[np.ndarray, "modes 4"]:
 
 @njit(cache=True, fastmath=True)
 @no_type_check
-def _ring_force(law, y, z, vy, vz):
+def _ring_force(law, y, z, vy, vz, softness):
+    """Force of a ring that itself changes the velocity by -softness times it: implicit, as friction is steep."""
     d, k, c, mu, v0 = law
     r = np.sqrt(y * y + z * z)
     depth = r - d
@@ -283,8 +284,23 @@ def _ring_force(law, y, z, vy, vz):
         return 0.0, 0.0
     ey, ez = y / r, z / r
     along, across = ey * vy + ez * vz, ey * vz - ez * vy
-    normal = max(0.0, k * depth + c * along * min(1.0, depth / DAMPING_DEPTH_M))
-    rub = mu * normal * np.tanh(across / v0)
+    damping = c * min(1.0, depth / DAMPING_DEPTH_M)
+    normal = max(0.0, (k * depth + damping * along) / (1.0 + softness * damping))
+    low, high = min(across, 0.0), max(across, 0.0)
+    slid = across
+    for _ in range(40):  # slid + softness mu f_n tanh(slid / v0) = across, by Newton within its bracket
+        turned = np.tanh(slid / v0)
+        left = slid + softness * mu * normal * turned - across
+        if left > 0.0:
+            high = slid
+        else:
+            low = slid
+        if abs(left) < 1e-12:
+            break
+        slid -= left / (1.0 + softness * mu * normal * (1.0 - turned * turned) / v0)
+        if not low < slid < high:
+            slid = 0.5 * (low + high)
+    rub = mu * normal * np.tanh(slid / v0)
     return normal * ey - rub * ez, normal * ez + rub * ey
 
 
@@ -296,7 +312,7 @@ def _run(rotation, rings, softness, force_shape, weight, sensors, laws, forces, 
     touched = np.zeros((2, 2, count, sensed.shape[2]))
     open_steps, angles = np.zeros(count), np.zeros((count, 36))
     q, v = start.copy(), np.zeros_like(start)
-    eta, rate, push, tried = np.zeros((2, count)), np.zeros((2, count)), np.zeros((2, count)), np.zeros((2, count))
+    eta, rate, push = np.zeros((2, count)), np.zeros((2, count)), np.zeros((2, count))
     half = STEP_S / 2
     by_force = rings @ force_shape
     by_weight = rings @ weight
@@ -314,10 +330,11 @@ def _run(rotation, rings, softness, force_shape, weight, sensors, laws, forces, 
             for j in range(count):
                 vy, vz = rate[0, j], rate[1, j]
                 for i in range(count):
+                    if i == j:
+                        continue
                     vy -= half * softness[j, i] * push[0, i]
                     vz -= half * softness[j, i] * push[1, i]
-                tried[0, j], tried[1, j] = _ring_force(laws[j], eta[0, j], eta[1, j], vy, vz)
-            push[:] = tried
+                push[0, j], push[1, j] = _ring_force(laws[j], eta[0, j], eta[1, j], vy, vz, half * softness[j, j])
         if step % SENSED_STEPS == 0:
             taken = step // SENSED_STEPS
             for direction in range(2):
