@@ -121,14 +121,9 @@ class ContactResult(Summarized):
     @cached_property
     def figures(self) -> dict[str, Picture]:
         """All figures by their names."""
-        if isinstance(self.found, SpaceIdentification):
-            from identify.contacts.space_figures import space_figures
+        from identify.contacts.drawn_results import figures_of
 
-            return space_figures(self.found, self.laws, self.laws_name)
-        from identify.contacts.figures import contact_figures
-
-        marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in self.laws.items()}
-        return contact_figures(self.found, marks, self.laws_name)
+        return figures_of(self.found, self.laws, self.laws_name)
 
     def figure(self, name: str) -> Picture:
         """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
@@ -136,14 +131,9 @@ class ContactResult(Summarized):
 
     def save(self, folder: str | Path) -> None:
         """Write contact.html, a self-contained page, the figures, the identified rig.json, and contact.json."""
-        if isinstance(self.found, SpaceIdentification):
-            from identify.contacts.space_report import write_space_results
+        from identify.contacts.drawn_results import write_files
 
-            write_space_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
-            return
-        from identify.contacts.report import write_results
-
-        write_results(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
+        write_files(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
 
     def summary(self) -> Summary:
         """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""

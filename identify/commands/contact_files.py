@@ -8,11 +8,9 @@ from pathlib import Path
 import msgspec
 
 import identify
-from identify.contacts.curves import curves
+from identify.contacts.drawn_results import curves_of
 from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
 from identify.contacts.results import ContactReport, Segment, Segments, identified_rig
-from identify.contacts.space_figures import space_curves
-from identify.contacts.space_identification import SpaceIdentification
 from identify.pages.tables import save_tables
 from identify.results import ContactResult
 from identify.signals.kinematics import Use
@@ -80,9 +78,7 @@ def identify_file(
 def _save(contact_result: ContactResult, out: Path, export: str | None) -> None:
     contact_result.save(out)
     if export is not None:
-        found = contact_result.found
-        tables = space_curves(found) if isinstance(found, SpaceIdentification) else curves(found)
-        save_tables(tables, out, export)
+        save_tables(curves_of(contact_result.found), out, export)
 
 
 def _save_pooled(
