@@ -42,8 +42,7 @@ Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
 
 
 class SearchCache:
-    """Cache shared by the models of one search on one record: responses of bodies, and the last two sets of columns,
-    which are large. It lives as long as the linearisations that hold it."""
+    """Cache of the models of a search on one record: responses, and the last two sets of columns, which are large."""
 
     def __init__(self, record: Record) -> None:
         self.responses = ResponseCache(record.omega)
