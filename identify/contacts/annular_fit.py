@@ -36,7 +36,7 @@ from identify.contacts.linearization import (
     BorderedEquations,
     Jacobian,
     corrected_motion,
-    ground_force_n,
+    ground_n_per_m,
     normal_equations,
 )
 from identify.signals.gauss_newton import Step, gauss_newton
@@ -99,7 +99,7 @@ class AnnularFit:
         for p, plane in enumerate(record.planes):
             own = pulls[record.columns[p]]
             unfitted = plane.force_n + values[REST][p] - own @ plane.nuisance_n - fitted[p, : plane.force_n.size]
-            ground = ground_force_n(plane) @ knots[p::DIRECTIONS]
+            ground = ground_n_per_m(plane) @ knots[p::DIRECTIONS]
             residual.append(unfitted / (1 - own @ plane.force_noise_multiple) - ground)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
         prior = record.drift_spline.curvature @ knots - record.drift_spline.target
@@ -148,7 +148,7 @@ class AnnularFit:
                 gain = self._motion_gain(q) / force_gain
                 value, speed = (rows[:: record.decimation][: plane.force_n.size] for rows in (curve.value, curve.rate))
                 block = gain * (diags(by_eta[p, q]) @ value + diags(by_rate[p, q]) @ speed)
-                blocks.append(interleaved(block + ground_force_n(plane) if p == q else block, q))
+                blocks.append(interleaved(block + ground_n_per_m(plane) if p == q else block, q))
             by_knots.append(blocks[0] + blocks[1])
         by_pulls[:, -1] = np.concatenate(by_law[:, :, LOG_SPEED])
         return Jacobian(csr_matrix(vstack(by_knots)), by_pulls, np.concatenate(by_law))
@@ -166,7 +166,7 @@ class AnnularFit:
         rows = np.zeros((state.pulls.size, DIRECTIONS, count), np.float32)
         for p, plane in enumerate(record.planes):
             own = record.columns[p]
-            ground = ground_force_n(plane) @ state.knots[p::DIRECTIONS]
+            ground = ground_n_per_m(plane) @ state.knots[p::DIRECTIONS]
             force_residual = state.residual_n.reshape(DIRECTIONS, -1)[p] + ground
             for i, signal, noise in zip(own, plane.nuisance_n, plane.force_noise_multiple, strict=True):
                 rows[i, p] += signal - noise * force_residual

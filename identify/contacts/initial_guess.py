@@ -24,7 +24,7 @@ from identify.contacts.law_form import (
     linear_form,
     unit_forces,
 )
-from identify.contacts.linearization import Guess, ground_force_n
+from identify.contacts.linearization import Guess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
 from identify.signals.refit import refit_until_settled
 
@@ -210,7 +210,7 @@ def _refined_guess(
     eta = record.at_force_samples(record.eta_m + curve.value @ knots)
     rate = record.at_force_samples(record.velocity_m_per_s + curve.rate @ knots)
     columns = np.stack(unit_forces(form, laws.ravel(), eta, rate), axis=1)
-    force_n = record.force_n - ground_force_n(record) @ knots
+    force_n = record.force_n - ground_n_per_m(record) @ knots
     coefficients, _, rank, _ = np.linalg.lstsq(columns, force_n, rcond=None)
     laws[:, 2:] = coefficients.reshape(-1, 2)
     is_determined = rank == columns.shape[1] and np.all(laws[:, 2] > 0)

@@ -116,7 +116,7 @@ def state_at(record: ContactRecord, form: LawForm, law_parameters: LawParameters
     )
     unexplained_n = record.force_n - _weighted_sum(pulls, record.nuisance_n) - law_force_n[: record.force_n.size]
     force_residual_n = unexplained_n / (1 - pulls @ record.force_noise_multiple)
-    residual_n = force_residual_n - ground_force_n(record) @ knots
+    residual_n = force_residual_n - ground_n_per_m(record) @ knots
     tangent_n_per_m = _low_passed(record, form.slopes(law_parameters, eta, velocity)[0])
     return State(law_parameters, knots, pulls, residual_n, tangent_n_per_m, form)
 
@@ -156,8 +156,8 @@ def jacobian(record: ContactRecord, state: State) -> Jacobian:
     by_stiffness, by_damping = state.form.slopes(state.law_parameters, eta, velocity)
     by_law = state.form.derivatives(state.law_parameters, eta, velocity)
     by_drift = diags(state.tangent_n_per_m) @ record.at_force_samples(record.drift_spline.value)
-    ground_n, drift_force_n = ground_force_n(record), by_drift @ state.knots
-    force_residual_n = state.residual_n + ground_n @ state.knots
+    ground_matrix, drift_force_n = ground_n_per_m(record), by_drift @ state.knots
+    force_residual_n = state.residual_n + ground_matrix @ state.knots
     by_pulls = record.nuisance_n.astype(np.float32)  # a copy
     for index, noise in enumerate(record.force_noise_multiple):
         by_pulls[index] -= noise * force_residual_n
@@ -170,13 +170,13 @@ def jacobian(record: ContactRecord, state: State) -> Jacobian:
     by_pulls /= np.float32(force_gain)
     motion_gain = 1 - state.pulls[record.shifts_eta] @ record.eta_noise_multiple
     return Jacobian(
-        by_knots=motion_gain / force_gain * by_drift + ground_n,
+        by_knots=motion_gain / force_gain * by_drift + ground_matrix,
         by_pulls=by_pulls.T,
         by_law=np.stack([_low_passed(record, row) for row in by_law], axis=1) / force_gain,
     )
 
 
-def ground_force_n(record: ContactRecord) -> csr_matrix:
+def ground_n_per_m(record: ContactRecord) -> csr_matrix:
     """Force of the spring and the damper to the ground by the drift's knots, samples x knots."""
     curve = record.drift_spline
     if not (record.spring_n_per_m or record.damper_n_s_per_m):
