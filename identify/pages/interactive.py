@@ -36,13 +36,16 @@ _plot_numbers = count(1)
 
 
 def interactive_html(figure: Any, height_px: int | None = None) -> str:
-    """HTML of a figure, which needs `library` on its page; empty if it has what `identify.pages.artists` cannot draw.
+    """HTML of a figure, which needs `library` on its page; empty if it has what `identify.pages.artists` cannot draw or
+    the same scale along both axes, which a plot as wide as its column does not keep.
 
     With a height, its panels have that height together, one below the other, and only the first has a legend.
     """
     panels = [axes for axes in figure.axes if axes.get_label() != COLOUR_BAR]
     title = figure.get_suptitle()
-    if {text.get_text() for text in figure.texts} - {title} or not panels or not all(map(is_drawable, panels)):
+    is_to_scale = any(axes.get_aspect() == 1.0 for axes in panels)
+    has_texts = bool({text.get_text() for text in figure.texts} - {title})
+    if is_to_scale or has_texts or not panels or not all(map(is_drawable, panels)):
         return ""
     from bokeh.embed import json_item
     from bokeh.models import Column, Row
