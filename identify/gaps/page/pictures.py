@@ -49,7 +49,7 @@ def _drawings(gap: Gap) -> Iterator[tuple[str, tuple[float, float], Draw]]:
     if gap.causes:
         row_count = 1.5 * min(len(gap.causes), MAX_CAUSES) + 2
         yield "why_probability", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_probabilities, gap=gap)
-        yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_closed_shares, gap=gap)
+        yield "why_closes", (_WIDTH_IN, _FRAME_IN + _ROW_IN * row_count), partial(_draw_removed_shares, gap=gap)
     if gap.unknown:
         for picture_name, height_in, draw_function in drawings(gap.unknown):
             yield f"unknown_{picture_name}", (_WIDTH_IN, height_in), draw_function
@@ -120,18 +120,18 @@ def _draw_probabilities(figure: Any, gap: Gap) -> None:
     figure.suptitle("How likely each cause is", fontsize=10)
 
 
-def _draw_closed_shares(figure: Any, gap: Gap) -> None:
+def _draw_removed_shares(figure: Any, gap: Gap) -> None:
     """Share of the mismatch that each of the likeliest causes removes, with its 95 % interval."""
     top_causes = gap.causes[:MAX_CAUSES]
-    closed_percent = [100 * min(max(top_cause.explained, 0.0), 1.0) for top_cause in top_causes]
+    removed_percent = [100 * min(max(top_cause.explained, 0.0), 1.0) for top_cause in top_causes]
     intervals_percent = 100 * np.clip([top_cause.interval_95 for top_cause in top_causes], 0, 1)
     cause_names = [_cause_lines(cause_name(top_cause)) for top_cause in top_causes]
-    axes = _bar_axes(figure, cause_names, closed_percent, [""] * len(top_causes), BLUE)
+    axes = _bar_axes(figure, cause_names, removed_percent, [""] * len(top_causes), BLUE)
     for bar_index, (cause, (lower, upper)) in enumerate(zip(top_causes, intervals_percent, strict=True)):
         axes.plot([lower, upper], [bar_index, bar_index], color=INK, lw=2.0, marker="|", ms=8)
         axes.annotate(
             removed_share_words(cause),
-            (max(upper, closed_percent[bar_index]), bar_index),
+            (max(upper, removed_percent[bar_index]), bar_index),
             (6, 0),
             textcoords="offset points",
             va="center",
