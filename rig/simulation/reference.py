@@ -219,7 +219,7 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 4096.0
     """Rate of every channel, Hz."""
-    step_s: float = 2.0**-14
+    step_s: float = 2.0**-15
     """Time step of the simulation, s."""
     duration_s: float = 60.0
     """Length of the recording, s."""
