@@ -38,18 +38,20 @@ def barrel_cradle_annular(
     settings = BarrelCradleAnnular(sensors="acceleration", noise_density=1e-3, duration_s=duration_s, step_s=step_s)
     path = recorded(settings, plant, out / "barrel_cradle_annular.mcap")
     with progress_bar(f"identifying {path.name}") as progress:
-        found = identify_in_space(read(path), tolerances=tolerances_named(tolerances), progress=progress)
+        identification = identify_in_space(read(path), tolerances=tolerances_named(tolerances), progress=progress)
     true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
-    write_space_results(found, out / "contact", f"{found.rig.name}: {path.name}", true, "true", (path,))
-    shown(found, {name: law for name, law in true.items() if isinstance(law, Annular)}, tolerances)
+    write_space_results(
+        identification, out / "contact", f"{identification.rig.name}: {path.name}", true, "true", (path,)
+    )
+    print_comparison(identification, {name: law for name, law in true.items() if isinstance(law, Annular)}, tolerances)
 
 
-def shown(found: SpaceIdentification, true: dict[str, Annular], tolerances: str) -> None:
-    """The table of identified against true, and what else the record tells."""
+def print_comparison(identification: SpaceIdentification, true: dict[str, Annular], tolerances: str) -> None:
+    """Print identified against true values, and what else the record tells."""
     table = Table(title=f"Accelerometers alone (± 95 %, tolerances: {tolerances})")
     for heading in ("contact", "quantity", "true", "identified", "± 95 %", "off by, %"):
         table.add_column(heading, justify="left" if heading in ("contact", "quantity") else "right")
-    for contact in found.report.contacts:
+    for contact in identification.report.contacts:
         law = true[contact.name]
         quantities: tuple[tuple[str, Estimate | None, float, float], ...] = (
             ("radial clearance, mm", contact.clearance_m, law.clearance_m, 1e3),
@@ -65,9 +67,9 @@ def shown(found: SpaceIdentification, true: dict[str, Annular], tolerances: str)
                 table.add_row(contact.name, name, *cells)
     console = Console()
     console.print(table)
-    for contact in found.report.contacts:
+    for contact in identification.report.contacts:
         console.print(f"{contact.law_sentence}.", soft_wrap=True)
-    for refused in found.report.unanswered:
+    for refused in identification.report.unanswered:
         console.print(f"{refused.name}: not told by this record: {refused.reason}", soft_wrap=True)
 
 

@@ -18,24 +18,24 @@ Laws = Mapping[str, ContactLaw]
 AnyIdentification = Identification | SpaceIdentification
 
 
-def figures_of(found: AnyIdentification, laws: Laws, laws_name: str) -> dict[str, Picture]:
+def figures_of(identification: AnyIdentification, laws: Laws, laws_name: str) -> dict[str, Picture]:
     """All figures by their names, with the reference laws in them."""
-    if isinstance(found, SpaceIdentification):
-        return space_figures(found, laws, laws_name)
+    if isinstance(identification, SpaceIdentification):
+        return space_figures(identification, laws, laws_name)
     marks = {name: (law.clearance_m, law.stiffness_n_per_m) for name, law in laws.items()}
-    return contact_figures(found, marks, laws_name)
+    return contact_figures(identification, marks, laws_name)
 
 
-def curves_of(found: AnyIdentification) -> dict[str, Table]:
+def curves_of(identification: AnyIdentification) -> dict[str, Table]:
     """Curves of the figures as tables, by family."""
-    return space_curves(found) if isinstance(found, SpaceIdentification) else curves(found)
+    return space_curves(identification) if isinstance(identification, SpaceIdentification) else curves(identification)
 
 
 def write_files(
-    found: AnyIdentification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path]
+    identification: AnyIdentification, out: Path, title: str, laws: Laws, laws_name: str, sources: Sequence[Path]
 ) -> None:
     """Write contact.html, the figures, the identified rig.json, and contact.json."""
-    if isinstance(found, SpaceIdentification):
-        write_space_results(found, out, title, laws, laws_name, sources)
+    if isinstance(identification, SpaceIdentification):
+        write_space_results(identification, out, title, laws, laws_name, sources)
     else:
-        write_results(found, out, title, laws, laws_name, sources)
+        write_results(identification, out, title, laws, laws_name, sources)

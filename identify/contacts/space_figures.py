@@ -1,6 +1,7 @@
 """Figures of an identification in space: orbits, forces over radius and angle, friction, and kinds of motion."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,18 +23,47 @@ CLOSED_FORCE_SHARE = 0.2
 """Share of the 99.5 % quantile of the normal force from which its ratio to friction is drawn."""
 
 
+@dataclass(frozen=True)
+class _Panel:
+    """Axes of a figure for one annular contact: its estimate, and the reference law by the name of the references."""
+
+    figure: Any
+    axes: Any
+    result: SpaceIdentification
+    estimate: AnnularEstimate
+    law: ContactLaw | None
+    laws_name: str
+
+    @property
+    def eta_m(self) -> Float[np.ndarray, "2 fewer"]:
+        """Relative displacement at the samples of the separated force, m."""
+        return _at_forces(self.result, self.estimate.eta_m, self.estimate)
+
+    @property
+    def force_n(self) -> Float[np.ndarray, "2 fewer"]:
+        """Separated force after the quiet seconds, N."""
+        return self.estimate.force_n[:, _first(self.result) :]
+
+    @property
+    def polar(self) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
+        """Radius (m), and the separated force across and along the wall (N)."""
+        (y, z), (force_y, force_z) = self.eta_m, self.force_n
+        radius = np.maximum(np.hypot(y, z), 1e-12)
+        return radius, (y * force_y + z * force_z) / radius, (y * force_z - z * force_y) / radius
+
+
 def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> dict[str, Picture]:
     """Figures by name, of the annular contacts that are identified; `laws_name` names the reference laws."""
     estimates = result.contacts.annular
     if not estimates:
         return {}
 
-    def drawn(draw: Callable[..., None]) -> Picture:
+    def drawn(draw: Callable[[_Panel], None]) -> Picture:
         def of_all(figure: Any) -> None:
             row = figure.subplots(1, len(estimates), squeeze=False)[0]
             for axes, (name, estimate) in zip(row, estimates.items(), strict=True):
                 axes.set_title(name)
-                draw(figure, axes, result, estimate, laws.get(name), laws_name)
+                draw(_Panel(figure, axes, result, estimate, laws.get(name), laws_name))
             handles, labels = row[0].get_legend_handles_labels()
             figure.legend(handles, labels, loc="outside upper center", ncols=4, markerscale=4)
 
@@ -42,81 +72,56 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
     return {name: drawn(draw) for name, draw in _SPACE_FIGURES.items()}
 
 
-def _orbit(
-    figure: Any,
-    axes: Any,
-    result: SpaceIdentification,
-    estimate: AnnularEstimate,
-    law: ContactLaw | None,
-    laws_name: str,
-) -> None:
+def _orbit(panel: _Panel) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
-    (y, z), force = 1e3 * _at_forces(result, estimate), np.hypot(*_forces(result, estimate))
+    axes, estimate = panel.axes, panel.estimate
+    (y, z), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
     thinned = slice(None, None, max(1, force.size // POINTS))
     points = axes.scatter(z[thinned], y[thinned], c=force[thinned], s=1.5, cmap="viridis", rasterized=True)
-    figure.colorbar(points, ax=axes, label="contact force, N", shrink=0.7)
+    panel.figure.colorbar(points, ax=axes, label="contact force, N", shrink=0.7)
     angle = np.linspace(0, 2 * np.pi, 181)
-    clearance_mm = 1e3 * estimate.values[CLEARANCE]
-    found = clearance_mm * np.sin(angle), clearance_mm * np.cos(angle)
-    axes.plot(*found, color=GREEN, lw=1.2, label="clearance found", zorder=3)
-    if law is not None:
-        reference_mm = 1e3 * law.clearance_m
-        circle = reference_mm * np.sin(angle), reference_mm * np.cos(angle)
-        axes.plot(*circle, color="k", ls=":", lw=1.2, label=f"clearance, {laws_name}", zorder=3)
+    circle = np.stack([np.sin(angle), np.cos(angle)])
+    axes.plot(*(1e3 * estimate.values[CLEARANCE] * circle), color=GREEN, lw=1.2, label="clearance found", zorder=3)
+    if panel.law is not None:
+        reference_label = f"clearance, {panel.laws_name}"
+        axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", lw=1.2, label=reference_label, zorder=3)
     axes.set(xlabel="η_z, mm", ylabel="η_y, mm", aspect="equal")
 
 
-def _radial(
-    _figure: Any,
-    axes: Any,
-    result: SpaceIdentification,
-    estimate: AnnularEstimate,
-    law: ContactLaw | None,
-    laws_name: str,
-) -> None:
+def _radial(panel: _Panel) -> None:
     """Normal force, separated without a law, over the radius, with the law found."""
-    radius, normal, _ = _polar(result, estimate)
+    axes, estimate = panel.axes, panel.estimate
+    radius, normal, _ = panel.polar
     thinned = slice(None, None, max(1, radius.size // POINTS))
     axes.plot(1e3 * radius[thinned], normal[thinned], ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law")
     span = np.linspace(0, radius.max(), 200)
     force = estimate.values[STIFFNESS] * np.maximum(span - estimate.values[CLEARANCE], 0)
     axes.plot(1e3 * span, force, color=RED, lw=1.2, label="law found (without damping)")
     axes.axvline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
-    if law is not None:
-        axes.axvline(1e3 * law.clearance_m, color="k", ls=":", lw=1.2, label=f"clearance, {laws_name}")
+    if panel.law is not None:
+        reference_label = f"clearance, {panel.laws_name}"
+        axes.axvline(1e3 * panel.law.clearance_m, color="k", ls=":", lw=1.2, label=reference_label)
     axes.set(xlabel="radius |η|, mm", ylabel="normal force, N")
 
 
-def _surface(
-    figure: Any,
-    axes: Any,
-    result: SpaceIdentification,
-    estimate: AnnularEstimate,
-    _law: ContactLaw | None,
-    _laws_name: str,
-) -> None:
+def _surface(panel: _Panel) -> None:
     """Normal force over radius and angle, averaged in cells."""
-    radius, normal, _ = _polar(result, estimate)
-    y, z = _at_forces(result, estimate)
+    axes, estimate = panel.axes, panel.estimate
+    radius, normal, _ = panel.polar
+    y, z = panel.eta_m
     cells = axes.hexbin(
         np.degrees(np.arctan2(z, y)), 1e3 * radius, C=normal, gridsize=(36, 36), cmap="viridis", mincnt=2
     )
-    figure.colorbar(cells, ax=axes, label="normal force, N", shrink=0.7)
+    panel.figure.colorbar(cells, ax=axes, label="normal force, N", shrink=0.7)
     axes.axhline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
     axes.set(xlabel="angle from y (up) towards z, degrees", ylabel="radius |η|, mm", xlim=(-180, 180))
 
 
-def _friction(
-    _figure: Any,
-    axes: Any,
-    result: SpaceIdentification,
-    estimate: AnnularEstimate,
-    law: ContactLaw | None,
-    laws_name: str,
-) -> None:
+def _friction(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
-    radius, normal, along = _polar(result, estimate)
-    (y, z), (vy, vz) = _at_forces(result, estimate), _thinned(result, estimate.rate_m_per_s, estimate)
+    axes, estimate, law = panel.axes, panel.estimate, panel.law
+    radius, normal, along = panel.polar
+    (y, z), (vy, vz) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
     speed = (y * vz - z * vy) / radius
     clear = (normal > CLOSED_FORCE_SHARE * np.quantile(normal, 0.995)) & (radius > estimate.values[CLEARANCE])
     ratio = along[clear] / normal[clear]
@@ -128,19 +133,13 @@ def _friction(
     limit = 3 * abs(mu) + 0.05
     if isinstance(law, Annular):
         reference = law.friction_coefficient * np.tanh(span / law.sliding_speed_m_per_s)
-        axes.plot(1e3 * span, reference, color="k", ls=":", lw=1.2, label=laws_name)
+        axes.plot(1e3 * span, reference, color="k", ls=":", lw=1.2, label=panel.laws_name)
     axes.set(xlabel="sliding velocity, mm/s", ylabel="force along the wall / normal force", ylim=(-limit, limit))
 
 
-def _kinds(
-    _figure: Any,
-    axes: Any,
-    result: SpaceIdentification,
-    estimate: AnnularEstimate,
-    _law: ContactLaw | None,
-    _laws_name: str,
-) -> None:
+def _kinds(panel: _Panel) -> None:
     """Radius over time: open, sliding and sticking, of the first whirl or else of a part amid the record."""
+    axes, result, estimate = panel.axes, panel.result, panel.estimate
     motion = result.contacts.separations[0].motion
     samples = estimate.eta_m.shape[1]
     whirls = next(c for c in result.report.contacts if c.name == axes.get_title()).ring
@@ -172,29 +171,11 @@ def _first(result: SpaceIdentification) -> int:
     return -(-result.contacts.separations[0].motion.excited_from // result.decimation)
 
 
-def _thinned(
+def _at_forces(
     result: SpaceIdentification, rows: Float[np.ndarray, "2 samples"], estimate: AnnularEstimate
 ) -> Float[np.ndarray, "2 fewer"]:
     """Signals at the samples of the separated force that are shown."""
     return rows[:, :: result.decimation][:, _first(result) : estimate.force_n.shape[1]]
-
-
-def _at_forces(result: SpaceIdentification, estimate: AnnularEstimate) -> Float[np.ndarray, "2 fewer"]:
-    """Relative displacement at the samples of the separated force."""
-    return _thinned(result, estimate.eta_m, estimate)
-
-
-def _forces(result: SpaceIdentification, estimate: AnnularEstimate) -> Float[np.ndarray, "2 fewer"]:
-    return estimate.force_n[:, _first(result) :]
-
-
-def _polar(
-    result: SpaceIdentification, estimate: AnnularEstimate
-) -> tuple[Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"], Float[np.ndarray, " fewer"]]:
-    """Radius, and the separated force across and along the wall."""
-    (y, z), (force_y, force_z) = _at_forces(result, estimate), _forces(result, estimate)
-    radius = np.maximum(np.hypot(y, z), 1e-12)
-    return radius, (y * force_y + z * force_z) / radius, (y * force_z - z * force_y) / radius
 
 
 _SPACE_FIGURES = {
@@ -211,10 +192,9 @@ def space_curves(result: SpaceIdentification) -> dict[str, Table]:
     table: Table = {}
     motion = result.contacts.separations[0].motion
     for name, estimate in result.contacts.annular.items():
-        eta = _at_forces(result, estimate)
-        first = _first(result)
+        eta, first = _at_forces(result, estimate.eta_m, estimate), _first(result)
         table.setdefault("time_s", motion.time_s(first + eta.shape[1], result.decimation)[first:])
-        for row, force, direction in zip(eta, _forces(result, estimate), "yz", strict=True):
+        for row, force, direction in zip(eta, estimate.force_n[:, first:], "yz", strict=True):
             table[f"{name} relative displacement {direction} m"] = row
             table[f"{name} contact force {direction} N"] = force
     return {"motion": table}
