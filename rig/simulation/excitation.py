@@ -67,8 +67,9 @@ class BurstRandom(_Band, frozen=True, tag="burst"):
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
         noise = _unscaled_noise(sample_count, step_s, self)
-        phase = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
-        edge_share = np.clip(np.minimum(phase, 1 - phase) * 20, 0, 1)  # smooth edges over a twentieth of the burst
+        on_share = np.mod(np.arange(sample_count) * step_s, self.period_s) / (self.period_s * self.on_fraction)
+        # smooth edges over a twentieth of the burst
+        edge_share = np.clip(np.minimum(on_share, 1 - on_share) * 20, 0, 1)
         return _scale_to_rms(noise * np.sin(np.pi / 2 * edge_share) ** 2, self.rms_n)
 
 
@@ -93,10 +94,10 @@ class Multisine(_Band, frozen=True, tag="multisine"):
         """Force at the steps after the quiet second, N."""
         line_numbers = np.arange(np.ceil(self.low_hz * self.period_s), np.floor(self.high_hz * self.period_s) + 1)
         line_numbers = line_numbers[line_numbers > 0]
-        phases = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(line_numbers))
+        phases_rad = np.random.default_rng(self.seed).uniform(0, 2 * np.pi, len(line_numbers))
         time_s = np.arange(sample_count) * step_s
         sine_sum = np.zeros(sample_count)
-        for line_number, phase in zip(line_numbers, phases, strict=True):
+        for line_number, phase in zip(line_numbers, phases_rad, strict=True):
             sine_sum += np.cos(2 * np.pi * line_number / self.period_s * time_s + phase)
         return sine_sum * _rise_window(sample_count, step_s) * self.rms_n * np.sqrt(2 / max(len(line_numbers), 1))
 
@@ -143,14 +144,14 @@ class SteppedSine(_Band, frozen=True, tag="stepped_sine"):
 
     def excited_force_n(self, sample_count: int, step_s: float) -> Float[np.ndarray, " samples"]:
         """Force at the steps after the quiet second, N."""
-        held_s, time_s = sample_count * step_s / self.steps, np.arange(sample_count) * step_s
-        step_of_sample = np.minimum((time_s / held_s).astype(int), self.steps - 1)
+        dwell_s, time_s = sample_count * step_s / self.steps, np.arange(sample_count) * step_s
+        step_of_sample = np.minimum((time_s / dwell_s).astype(int), self.steps - 1)
         frequency_hz = np.linspace(self.low_hz, self.high_hz, self.steps)
-        turns_at_step = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * held_s)])
+        turns_at_step = np.concatenate([[0.0], np.cumsum(frequency_hz[:-1] * dwell_s)])
         phase = (
             2
             * np.pi
-            * (turns_at_step[step_of_sample] + frequency_hz[step_of_sample] * (time_s - step_of_sample * held_s))
+            * (turns_at_step[step_of_sample] + frequency_hz[step_of_sample] * (time_s - step_of_sample * dwell_s))
         )
         return _scale_to_rms(np.sin(phase) * _rise_window(sample_count, step_s), self.rms_n)
 
@@ -198,15 +199,15 @@ class LongForce:
 
     def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
         first_sample, end_sample, _ = span.indices(self.samples)
-        quiet_count, half_segment = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
+        quiet_count, hop_samples = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
         force_n = np.zeros(max(0, end_sample - first_sample))
         for segment_number in range(
-            (max(first_sample, quiet_count) - quiet_count) // half_segment,
-            (end_sample - 1 - quiet_count) // half_segment + 2,
+            (max(first_sample, quiet_count) - quiet_count) // hop_samples,
+            (end_sample - 1 - quiet_count) // hop_samples + 2,
         ):
-            segment_start = quiet_count + (segment_number - 1) * half_segment
+            segment_start = quiet_count + (segment_number - 1) * hop_samples
             overlap = slice(
-                max(first_sample, segment_start, quiet_count), min(end_sample, segment_start + 2 * half_segment)
+                max(first_sample, segment_start, quiet_count), min(end_sample, segment_start + 2 * hop_samples)
             )
             force_n[overlap.start - first_sample : overlap.stop - first_sample] += self._segment(segment_number)[
                 overlap.start - segment_start : overlap.stop - segment_start
@@ -238,9 +239,9 @@ def noise_spectrum(
     first_line, last_line = max(int(np.ceil(low_hz * period_s)), 1), int(np.floor(high_hz * period_s))
     if last_line < first_line:
         raise RigError(f"excitation: no line of {low_hz} to {high_hz} Hz fits {period_s:.3g} s; record longer")
-    line_parts = np.random.default_rng(seed).standard_normal((last_line - first_line + 1, 2))
+    normal_draws = np.random.default_rng(seed).standard_normal((last_line - first_line + 1, 2))
     spectrum = np.zeros(sample_count // 2 + 1, dtype=complex)
-    spectrum[first_line : last_line + 1] = line_parts[:, 0] + 1j * line_parts[:, 1]
+    spectrum[first_line : last_line + 1] = normal_draws[:, 0] + 1j * normal_draws[:, 1]
     return spectrum
 
 

@@ -57,9 +57,9 @@ class OwnRig:
         return self.drive.high_hz or BAND_TO_SAMPLE_RATE * self.machine.sample_rate_hz
 
     def force(self) -> Excitation:
-        drive = self.drive
+        settings = self.drive
         unscaled_excitation = excitation_of(
-            drive.excitation, rms_n=0.0, low_hz=drive.low_hz, high_hz=self.high_hz, seed=drive.seed
+            settings.excitation, rms_n=0.0, low_hz=settings.low_hz, high_hz=self.high_hz, seed=settings.seed
         )
         return msgspec.structs.replace(unscaled_excitation, rms_n=self.level.rms_n)
 

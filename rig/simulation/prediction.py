@@ -23,7 +23,7 @@ def modal(
     first_samples: Int[np.ndarray, " windows"],
     sample_count: int,
     stations: tuple[Station, ...],
-    states: Float[np.ndarray, "windows 2 stations"],
+    station_states: Float[np.ndarray, "windows 2 stations"],
 ) -> Float[np.ndarray, "windows 2 stations times"]:
     """Displacement (m) and velocity (m/s) at stations over each window, from their states at its first sample.
 
@@ -42,24 +42,28 @@ def modal(
     model, body_modes = model_of(rig_without_base, False, MODE_COUNT), body_modes_of(rig_without_base, MODE_COUNT)
     constants = constants_of(model, step_s)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
-    modes_by_stations = modal_inverse(shapes, [(body.name, count) for body, _, count, _ in body_modes], stations)
+    modes_by_stations = modal_inverse(
+        shapes, [(body.name, mode_count) for body, _, mode_count, _ in body_modes], stations
+    )
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory, contact_n = (
         np.empty((step_count + 1, 2 * model.omega.size)),
-        np.empty((2, len(model.across), step_count)),
+        np.empty((2, len(model.eta_rows), step_count)),
     )
     with threadpool_limits(1):  # the matrices are small
-        for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
-            first_step = first_sample * steps_per_sample
-            applied, bends = applied_inputs(
-                rig_without_base, step_forces, (), step_s, slice(first_step + 1, first_step + 1 + step_count)
+        for window_states, first_sample, state in zip(
+            predicted_states, first_samples.tolist(), station_states, strict=True
+        ):
+            start_step = first_sample * steps_per_sample
+            inputs, input_bends = applied_inputs(
+                rig_without_base, step_forces, (), step_s, slice(start_step + 1, start_step + 1 + step_count)
             )
             trajectory[0] = (state @ modes_by_stations.T).ravel()
-            contact_state = contact_state_at(model, trajectory[0], first_step * step_s)
-            advance(trajectory, contact_state, *contact_n, applied, bends, *constants, first_step + 1, step_s)
-            sampled_modes = trajectory[::steps_per_sample].T.reshape(2, model.omega.size, sample_count)
-            np.matmul(shapes, sampled_modes, out=window_states)
+            contact_state = contact_state_at(model, trajectory[0], start_step * step_s)
+            advance(trajectory, contact_state, *contact_n, inputs, input_bends, *constants, start_step + 1, step_s)
+            sampled_coordinates = trajectory[::steps_per_sample].T.reshape(2, model.omega.size, sample_count)
+            np.matmul(shapes, sampled_coordinates, out=window_states)
     return predicted_states
 
 
@@ -84,6 +88,6 @@ def modal_inverse(
 
 def contact_state_at(model: Model, state: Float[np.ndarray, " both"], time_s: float) -> Float[np.ndarray, "4 contacts"]:
     """Contact state of `stepping.advance` at a modal state: force, eta, eta', and zero bend."""
-    eta_m, rate_m_per_s = (model.across @ half for half in state.reshape(2, -1))
+    eta_m, rate_m_per_s = (model.eta_rows @ modal_values for modal_values in state.reshape(2, -1))
     force_n = connection_forces_n(model.laws, eta_m, rate_m_per_s, time_s)
     return np.stack([force_n, eta_m, rate_m_per_s, np.zeros(force_n.size)])

@@ -60,15 +60,15 @@ def replayed_recording(
     Several forces are rows. Each is interpolated by a cubic to the plant's step and stays at its last value while the
     sensors' filters need it. Raises RigError where the rig cannot be simulated so.
     """
-    rate_hz, sample_count, force_rows_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
+    rate_hz, sample_count, forces_n = believed_rig.sample_rate_hz, force_n.shape[-1], np.atleast_2d(force_n)
     step_forces = forces_at_steps(
-        force_rows_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
+        forces_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
     )
     with threadpool_limits(1):  # the matrices are small
-        motion = sensed_alone(plant(actual_rig, step_forces, step_s, progress))
-        sample_blocks = list(digitise(actual_rig, motion, np.random.default_rng([seed, 1])))
+        motion_blocks = sensed_alone(plant(actual_rig, step_forces, step_s, progress))
+        sample_blocks = list(digitise(actual_rig, motion_blocks, np.random.default_rng([seed, 1])))
     channels_by_group = channel_groups(believed_rig)
-    signals = {"force": Signals(channels_by_group["force"], 0.0, force_rows_n)}
+    signals = {"force": Signals(channels_by_group["force"], 0.0, forces_n)}
     for quantity in quantities_of(believed_rig):
         sensor_values = np.concatenate([b.sensed[quantity] for b in sample_blocks], axis=1)[:, :sample_count]
         signals[quantity] = Signals(channels_by_group[quantity], 0.0, sensor_values)
@@ -91,6 +91,6 @@ def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces
     return replayed_recording(believed_rig, actual_rig, force_n, plant, step_s_of(believed_rig, 2.0**13), seed)
 
 
-def step_s_of(rig: Rig, least_hz: float) -> float:
+def step_s_of(rig: Rig, min_rate_hz: float) -> float:
     """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below least_hz."""
-    return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(least_hz / rig.sample_rate_hz))))
+    return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(min_rate_hz / rig.sample_rate_hz))))

@@ -101,7 +101,7 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
     """
     noise_streams, force_count = rng.spawn(len(rig.sensors)), len(rig.forces)
     delay_filters: list[tuple[list[int], Decimator]] = []
-    kept_steps, steps_done = np.zeros((0, 0)), 0
+    waiting_steps, steps_before = np.zeros((0, 0)), 0
     truth_values: dict[str, Float[np.ndarray, "rows samples"]] = {}
     high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
     for block in blocks:
@@ -109,28 +109,28 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
         reach_steps = (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
         if not delay_filters:
             delay_filters = _delay_filters(rig, steps_per_sample, reach_steps)
-            kept_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
+            waiting_steps = np.zeros((force_count + len(rig.sensors), reach_steps))  # at rest before the record
             if rig.gravity_m_per_s2:  # where its weight bends it
-                kept_steps[force_count:] = block.sensed[:, :1]
-        sampled_steps = (slice(None), slice(-steps_done % steps_per_sample, None, steps_per_sample))
-        steps_done += block_steps
-        new_truth = {name: rows[sampled_steps] for name, rows in _truth_of(block).items()}
+                waiting_steps[force_count:] = block.sensed[:, :1]
+        sample_columns = (slice(None), slice(-steps_before % steps_per_sample, None, steps_per_sample))
+        steps_before += block_steps
+        new_truth = {name: rows[sample_columns] for name, rows in _truth_of(block).items()}
         truth_values = {
             name: np.concatenate([truth_values[name], rows], axis=1) if truth_values else rows
             for name, rows in new_truth.items()
         }
-        queue_length = kept_steps.shape[1] + block_steps
-        ready_count = max(0, (queue_length - 2 * reach_steps - 1) // steps_per_sample + 1)
-        step_queue = np.empty(
-            (len(kept_steps), max(queue_length, *(filter_.reach(ready_count) for _, filter_ in delay_filters)))
+        queued_steps = waiting_steps.shape[1] + block_steps
+        new_samples = max(0, (queued_steps - 2 * reach_steps - 1) // steps_per_sample + 1)
+        queue = np.empty(
+            (len(waiting_steps), max(queued_steps, *(filter_.reach(new_samples) for _, filter_ in delay_filters)))
         )
-        step_queue[:, : kept_steps.shape[1]] = kept_steps
-        step_queue[:force_count, kept_steps.shape[1] : queue_length] = block.forces_n
-        step_queue[force_count:, kept_steps.shape[1] : queue_length] = block.sensed
-        step_queue[:, queue_length:] = 0.0
-        kept_steps = step_queue[:, ready_count * steps_per_sample : queue_length]
-        if ready_count:
-            filtered_rows = _apply_filters(delay_filters, step_queue, ready_count)
+        queue[:, : waiting_steps.shape[1]] = waiting_steps
+        queue[:force_count, waiting_steps.shape[1] : queued_steps] = block.forces_n
+        queue[force_count:, waiting_steps.shape[1] : queued_steps] = block.sensed
+        queue[:, queued_steps:] = 0.0
+        waiting_steps = queue[:, new_samples * steps_per_sample : queued_steps]
+        if new_samples:
+            filtered_rows = _apply_filters(delay_filters, queue, new_samples)
             for samples, high_pass in zip(filtered_rows[force_count:], high_passes, strict=True):
                 if high_pass:
                     samples[:] = high_pass.high_passed(samples)
@@ -140,9 +140,9 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
             yield Samples(
                 filtered_rows[:force_count],
                 sensor_values,
-                {name: rows[:, :ready_count] for name, rows in truth_values.items()},
+                {name: rows[:, :new_samples] for name, rows in truth_values.items()},
             )
-            truth_values = {name: rows[:, ready_count:] for name, rows in truth_values.items()}
+            truth_values = {name: rows[:, new_samples:] for name, rows in truth_values.items()}
 
 
 @dataclass
@@ -172,7 +172,7 @@ def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tu
     delays_s = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
     delay_filters = []
     for delay_s in dict.fromkeys(delays_s):
-        row_indices = [k for k, row_delay in enumerate(delays_s) if row_delay == delay_s]
+        row_indices = [k for k, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
         delay_filters.append(
             (
                 row_indices,
@@ -224,12 +224,12 @@ def _sensor_output(
 def _sinc_taps(steps_per_sample: int, reach_steps: int, delay_samples: float) -> Float[np.ndarray, " taps"]:
     """Windowed sinc at the plant's rate, cut off at half the sampling rate, centred `delay_samples` late."""
     time_samples = np.arange(-reach_steps, reach_steps + 1) / steps_per_sample - delay_samples
-    half_width = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
-    is_inside = np.abs(time_samples) < half_width
+    half_width_samples = HALF_WIDTH_SAMPLES + 0.5 / steps_per_sample
+    is_inside = np.abs(time_samples) < half_width_samples
     window = np.zeros(time_samples.size)
-    window_grid = np.linspace(-half_width, half_width, 4096)
+    window_times = np.linspace(-half_width_samples, half_width_samples, 4096)
     window[is_inside] = np.interp(
-        time_samples[is_inside], window_grid, scipy.signal.windows.kaiser(window_grid.size, 10.0)
+        time_samples[is_inside], window_times, scipy.signal.windows.kaiser(window_times.size, 10.0)
     )
     taps = window * np.sinc(time_samples)
     if steps_per_sample == 1 and delay_samples == 0:

@@ -62,12 +62,12 @@ def simulate(
         mbs.Assemble()
         if has_static_load(rig):
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
-        settings, steps = _settings(exu, step_s), len(force_n) - 1
-        for first in range(0, steps, BLOCK_STEPS):
-            last = min(first + BLOCK_STEPS, steps)
-            _advance(exu, mbs, settings, first, last, step_s)
-            yield _motion(rig, mbs, instruments, excitation, first, last, step_s)
-            progress(last / steps)
+        settings, step_count = _settings(exu, step_s), len(force_n) - 1
+        for first_step in range(0, step_count, BLOCK_STEPS):
+            end_step = min(first_step + BLOCK_STEPS, step_count)
+            _advance(exu, mbs, settings, first_step, end_step, step_s)
+            yield _motion(rig, mbs, instruments, excitation, first_step, end_step, step_s)
+            progress(end_step / step_count)
     finally:
         container.Reset()
 
@@ -117,16 +117,16 @@ def _excite(
 ) -> None:
     """Register the function that sets loads, base acceleration and changing moduli before every step."""
     set_base = add_loads(mbs, rig, meshes) if has_static_load(rig) or excitation.base else None
-    changes = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
+    modulus_updates = [modulus_change(mbs, meshes, e) for e in extra if isinstance(e, ChangingModulus)]
 
     def apply(system: Any, time_s: float) -> bool:
-        sample = round(time_s / step_s)
+        step = round(time_s / step_s)
         for load, history_n in zip(loads, excitation.loads_n, strict=True):
-            system.SetLoadParameter(load, "load", float(history_n[sample]))
+            system.SetLoadParameter(load, "load", float(history_n[step]))
         if excitation.base and set_base:
-            set_base(float(excitation.base[2][sample]))
-        for change in changes:
-            change(sample, time_s)
+            set_base(float(excitation.base[2][step]))
+        for update_modulus in modulus_updates:
+            update_modulus(step, time_s)
         return True
 
     mbs.SetPreStepUserFunction(apply)
@@ -166,48 +166,59 @@ def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: l
 
 
 def _motion(
-    rig: Rig, mbs: Any, instruments: _Instruments, excitation: _Excitation, first: int, last: int, step_s: float
+    rig: Rig,
+    mbs: Any,
+    instruments: _Instruments,
+    excitation: _Excitation,
+    first_step: int,
+    end_step: int,
+    step_s: float,
 ) -> Motion:
     """Motion of the segment just solved; raises RigError if it diverged or a softening spring let go."""
-    repeated = int(first > 0)  # the first sample of a segment is the last of the one before
-    coordinates = {order: read()[:, repeated:] for order, read in instruments.coordinates.items()}
+    repeated_samples = int(first_step > 0)  # the first sample of a segment is the last of the one before
+    coordinates = {order: read()[:, repeated_samples:] for order, read in instruments.coordinates.items()}
     if not all(np.isfinite(derivative).all() for derivative in coordinates.values()):
-        raise RigError(f"the ancf plant diverged before {last * step_s:.3f} s at step {step_s} s; use a smaller step")
-    count = coordinates[0].shape[1]
-    span = slice(last + 1 - count, last + 1)
+        raise RigError(
+            f"the ancf plant diverged before {end_step * step_s:.3f} s at step {step_s} s; use a smaller step"
+        )
+    sample_count = coordinates[0].shape[1]
+    span = slice(end_step + 1 - sample_count, end_step + 1)
     displacement_m = {s: row @ coordinates[0] for s, row in instruments.stations.items()}
     relative_m = [displacement_m[c.at] - (displacement_m[c.against] if c.against else 0) for c in connections(rig)]
-    check_softening(instruments.limits_m, _stack(relative_m, count))
+    check_softening(instruments.limits_m, _stack(relative_m, sample_count))
     base = excitation.base_over(span)
     sensed = [
         row @ coordinates[derivative.order] + base[derivative.order] * derivative.translates
         for derivative, row in instruments.sensors
     ]
     return Motion(
-        start_s=(first + repeated) * step_s,
+        start_s=(first_step + repeated_samples) * step_s,
         step_s=step_s,
         forces_n=excitation.measured_n[span],
-        sensed=_stack(sensed, count),
-        displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], count),
-        eta_m=_stack(relative_m[: len(instruments.contact_forces)], count),
+        sensed=_stack(sensed, sample_count),
+        displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], sample_count),
+        eta_m=_stack(relative_m[: len(instruments.contact_forces)], sample_count),
         contact_force_n=_stack(
-            [mbs.GetSensorStoredData(s)[repeated:, column] for s, column in instruments.contact_forces], count
+            [mbs.GetSensorStoredData(s)[repeated_samples:, column] for s, column in instruments.contact_forces],
+            sample_count,
         ),
     )
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
     """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
-    output = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
-    sensors = [
-        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)
+    output_type = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
+    node_sensors = [
+        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)), mesh)
         for mesh in meshes
         for node in mesh.nodes
     ]
 
     def read() -> Float[np.ndarray, "rows samples"]:
-        stored = [np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in sensors]
-        return np.concatenate(stored)
+        rows = [
+            np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in node_sensors
+        ]
+        return np.concatenate(rows)
 
     return read
 
@@ -227,25 +238,25 @@ def _settings(exu: Any, step_s: float) -> Any:
     return settings
 
 
-def _advance(exu: Any, mbs: Any, settings: Any, first: int, last: int, step_s: float) -> None:
+def _advance(exu: Any, mbs: Any, settings: Any, first_step: int, end_step: int, step_s: float) -> None:
     integration = settings.timeIntegration
-    integration.startTime = first * step_s
-    integration.endTime = last * step_s
-    integration.numberOfSteps = last - first
-    integration.generalizedAlpha.computeInitialAccelerations = first == 0
-    integration.generalizedAlpha.resetAccelerations = first == 0
+    integration.startTime = first_step * step_s
+    integration.endTime = end_step * step_s
+    integration.numberOfSteps = end_step - first_step
+    integration.generalizedAlpha.computeInitialAccelerations = first_step == 0
+    integration.generalizedAlpha.resetAccelerations = first_step == 0
     try:
-        solved = mbs.SolveDynamic(settings, updateInitialValues=True)
+        is_solved = mbs.SolveDynamic(settings, updateInitialValues=True)
     except exu.SolverError as error:
-        solved, reason = False, str(error).strip().splitlines()[-1]
+        is_solved, reason = False, str(error).strip().splitlines()[-1]
     else:
         reason = "no reason given"
-    if not solved:
+    if not is_solved:
         raise RigError(
-            f"the ancf plant failed between {first * step_s:.3f} and {last * step_s:.3f} s at step {step_s} s "
+            f"the ancf plant failed between {first_step * step_s:.3f} and {end_step * step_s:.3f} s at step {step_s} s "
             f"({reason}); use a smaller step or a softer contact"
         )
 
 
-def _stack(rows: list[Float[np.ndarray, " samples"]], samples: int) -> Float[np.ndarray, "rows samples"]:
-    return np.stack(rows) if rows else np.zeros((0, samples))
+def _stack(rows: list[Float[np.ndarray, " samples"]], sample_count: int) -> Float[np.ndarray, "rows samples"]:
+    return np.stack(rows) if rows else np.zeros((0, sample_count))

@@ -28,15 +28,15 @@ def modal_basis(
     Elastic modes have the beam's damping ratio. The rigid-body modes of a free beam, which its finite elements give in
     any mixture, become a translation and a rotation about the centre of mass.
     """
-    mesh, squares, vectors = _bending_modes(beam, sections, element_count)
-    rigid = beam.rigid_modes
-    frequencies_hz = np.sqrt(np.maximum(squares[:mode_count], 0)) / (2 * np.pi)
-    frequencies_hz[:rigid] = 0
+    mesh, omega_squared, vectors = _bending_modes(beam, sections, element_count)
+    rigid_count = beam.rigid_modes
+    frequencies_hz = np.sqrt(np.maximum(omega_squared[:mode_count], 0)) / (2 * np.pi)
+    frequencies_hz[:rigid_count] = 0
     shapes = np.array([hermite(mesh.positions_m, float(x)) for x in positions_m]) @ vectors[:, :mode_count]
-    shapes[:, :rigid] = shapes[:, :rigid] @ _separating_rotation(vectors[0::2, :rigid])
-    upwards = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
+    shapes[:, :rigid_count] = shapes[:, :rigid_count] @ _separating_rotation(vectors[0::2, :rigid_count])
+    signs = np.where(shapes[-1] < 0, -1.0, 1.0)  # at the right end
     return structure_of(
-        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(mode_count), positions_m, shapes * upwards
+        beam.name, beam.length_m, frequencies_hz, beam.damping_ratios(mode_count), positions_m, shapes * signs
     )
 
 
@@ -59,15 +59,15 @@ def _bending_modes(
     finally:
         container.Reset()
     free = free_coordinates(rig, mesh)
-    squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
-    held = np.zeros((held_coordinates(rig, beam), squares.size))
-    return mesh, squares, np.concatenate([held, shapes])
+    omega_squared, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    clamped_rows = np.zeros((held_coordinates(rig, beam), omega_squared.size))
+    return mesh, omega_squared, np.concatenate([clamped_rows, shapes])
 
 
-def _separating_rotation(rigid: Float[np.ndarray, "nodes rigid"]) -> Float[np.ndarray, "rigid rigid"]:
+def _separating_rotation(rigid_shapes: Float[np.ndarray, "nodes rigid"]) -> Float[np.ndarray, "rigid rigid"]:
     """Orthogonal matrix that turns two rigid modes into a translation and a rotation; identity without rigid modes."""
-    if not rigid.size:
-        return np.eye(rigid.shape[1])
-    translation = np.linalg.lstsq(rigid, np.ones(len(rigid)), rcond=None)[0]
-    first = translation / np.linalg.norm(translation)
-    return np.stack([first, [-first[1], first[0]]], axis=1)
+    if not rigid_shapes.size:
+        return np.eye(rigid_shapes.shape[1])
+    translation = np.linalg.lstsq(rigid_shapes, np.ones(len(rigid_shapes)), rcond=None)[0]
+    translation_direction = translation / np.linalg.norm(translation)
+    return np.stack([translation_direction, [-translation_direction[1], translation_direction[0]]], axis=1)

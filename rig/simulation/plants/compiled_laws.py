@@ -52,8 +52,8 @@ def law_records(laws: Sequence[ContactLaw]) -> Any:
             row[name] = value
         row["kind"] = SPATIAL if law.spatial else PLANE_LAWS.index(type(law))
         row["acts_in_the_gap"] = law.acts_in_the_gap
-    for _, rows in law_spans(laws):
-        table["kind"][rows.start + 1 : rows.stop] = SECOND
+    for _, law_rows in law_spans(laws):
+        table["kind"][law_rows.start + 1 : law_rows.stop] = SECOND
     return table.view(np.recarray)
 
 
@@ -98,21 +98,21 @@ for _general, _compiled in _NUMBERS.items():
     overload(_general, strict=False)(lambda *_, own=_compiled: own)
 
 
-def _chained(formulas: Sequence[Callable[..., Any]], first: int = 0) -> Any:
+def _chained(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
     """Compiled formula that dispatches on a row's kind among the formulas from number `first` on."""
-    formula = inlined(unwrap(formulas[first]))
-    if first + 1 == len(formulas):
+    formula = inlined(unwrap(formulas[first_kind]))
+    if first_kind + 1 == len(formulas):
         return formula
-    remaining = _chained(formulas, first + 1)
+    later_formulas = _chained(formulas, first_kind + 1)
 
     @inlined
     @no_type_check
-    def chosen(law, eta, rate, time_s):
-        if law.kind == first:
+    def formula_of_kind(law, eta, rate, time_s):
+        if law.kind == first_kind:
             return formula(law, eta, rate, time_s)
-        return remaining(law, eta, rate, time_s)
+        return later_formulas(law, eta, rate, time_s)
 
-    return chosen
+    return formula_of_kind
 
 
 force_n = _chained([law.formula for law in PLANE_LAWS])

@@ -95,14 +95,14 @@ def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Call
     mesh = next(m for m in meshes if m.body.name == extra.beam)
     objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     elements = [n for n, o in objects if o["objectType"] == "ANCFCable2D" and int(o["nodeNumbers"][0]) in mesh.nodes]
-    nominal = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in elements}
+    nominal_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in elements}
 
-    def change(sample: int, time_s: float) -> None:
+    def update(sample: int, time_s: float) -> None:
         if sample % MODULUS_EVERY_STEPS == 0:
             for number in elements:
-                mbs.SetObjectParameter(number, "bendingStiffness", nominal[number] * extra.factor(time_s))
+                mbs.SetObjectParameter(number, "bendingStiffness", nominal_n_m2[number] * extra.factor(time_s))
 
-    return change
+    return update
 
 
 def _connected(

@@ -152,15 +152,15 @@ _ADD_BODY: dict[type, Callable[..., Mesh]] = {Beam: _add_beam, Oscillator: _add_
 def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the beams' point masses, linear springs, supports and clamps as nodal mass and stiffness matrices."""
 
-    def add(matrix: str, station: Station, value: float, slope: float = 0.0) -> None:
+    def add(matrix_name: str, station: Station, diagonal_value: float, slope_value: float = 0.0) -> None:
         mesh = next(m for m in meshes if m.body.name == station.body)
         if not mesh.body.is_mass:
             diagonal = np.zeros(mesh.per_node)
-            diagonal[mesh.coordinates_of(station.direction)] = value, slope
-            if matrix == "massMatrix" and station.direction == "y":
-                diagonal[0] = value
+            diagonal[mesh.coordinates_of(station.direction)] = diagonal_value, slope_value
+            if matrix_name == "massMatrix" and station.direction == "y":
+                diagonal[0] = diagonal_value
             node = mesh.node_at(station.position_m)
-            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[node], **{matrix: np.diag(diagonal)}))
+            mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=[node], **{matrix_name: np.diag(diagonal)}))
 
     for direction, plane in plane_rigs(rig).items():
         for point in plane.masses:
@@ -176,43 +176,43 @@ def _add_damping(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the damping matrix M Phi diag(2 zeta omega) Phi' M of every beam: one damping ratio for all elastic modes."""
     mbs.Assemble()
     mass, stiffness, _ = mbs.ComputeLinearizedSystem()
-    first = 0
+    first_coordinate = 0
     for mesh in meshes:
-        size = mesh.per_node * len(mesh.nodes)
+        coordinate_count = mesh.per_node * len(mesh.nodes)
         for direction in () if mesh.body.is_mass else mesh.directions:
             free = free_coordinates(rig, mesh, direction)
-            inside = np.ix_(first + free, first + free)
-            squares, shapes = scipy.linalg.eigh(stiffness[inside], mass[inside])
-            rate = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(squares, 0))
-            rate[: mesh.body.rigid_modes] = 0
-            momentum = mass[inside] @ shapes
-            damping = np.zeros((size, size))
-            damping[np.ix_(free, free)] = (momentum * rate) @ momentum.T
+            block = np.ix_(first_coordinate + free, first_coordinate + free)
+            omega_squared, shapes = scipy.linalg.eigh(stiffness[block], mass[block])
+            damping_rates = 2 * mesh.body.damping_ratio * np.sqrt(np.maximum(omega_squared, 0))
+            damping_rates[: mesh.body.rigid_modes] = 0
+            momentum = mass[block] @ shapes
+            damping = np.zeros((coordinate_count, coordinate_count))
+            damping[np.ix_(free, free)] = (momentum * damping_rates) @ momentum.T
             mbs.AddObject(item("ObjectGenericODE2")(nodeNumbers=list(mesh.nodes), dampingMatrix=damping))
-        first += size
+        first_coordinate += coordinate_count
 
 
 def free_coordinates(rig: Rig, mesh: Mesh, direction: Direction = "y") -> Int[np.ndarray, " free"]:
     """Indices of the transverse coordinates of a beam's nodes in one direction that no clamp fixes."""
-    of_node = mesh.coordinates_of(direction)
-    transverse = np.array([mesh.per_node * i + c for i in range(len(mesh.nodes)) for c in of_node])
+    node_coordinates = mesh.coordinates_of(direction)
+    transverse = np.array([mesh.per_node * i + c for i in range(len(mesh.nodes)) for c in node_coordinates])
     return transverse[held_coordinates(rig, mesh.body) :]
 
 
 def add_loads(mbs: Any, rig: Rig, meshes: list[Mesh]) -> Callable[[float], None]:
     """Add static loads and the base's inertial load; return a function that sets the base's acceleration."""
-    constant, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
-    body = item("ObjectGenericODE2")
+    static_load_n, base_inertia = static_load(rig, meshes), inertia(rig, meshes)
+    load_type = item("ObjectGenericODE2")
     load_objects = [
-        mbs.AddObject(body(nodeNumbers=list(mesh.nodes), forceVector=vector))
-        for mesh, vector in zip(meshes, by_node(meshes, constant), strict=True)
+        mbs.AddObject(load_type(nodeNumbers=list(mesh.nodes), forceVector=load_vector))
+        for mesh, load_vector in zip(meshes, by_node(meshes, static_load_n), strict=True)
     ]
 
     def set_base(acceleration_m_per_s2: float) -> None:
-        for number, vector in zip(
-            load_objects, by_node(meshes, constant - base_inertia * acceleration_m_per_s2), strict=True
+        for object_number, load_vector in zip(
+            load_objects, by_node(meshes, static_load_n - base_inertia * acceleration_m_per_s2), strict=True
         ):
-            mbs.SetObjectParameter(number, "forceVector", vector)
+            mbs.SetObjectParameter(object_number, "forceVector", load_vector)
 
     return set_base
 

@@ -28,15 +28,15 @@ def true_force(
     sensor = rig.force_sensor
     if not sensor.lag_s:
         return measured_n[span] / sensor.gain
-    first, stop, _ = span.indices(len(measured_n))
-    shifted = np.arange(first, stop) - sensor.lag_s / step_s
-    steps = np.clip(shifted, 0, len(measured_n) - 1)
+    first_step, end_step, _ = span.indices(len(measured_n))
+    shifted_steps = np.arange(first_step, end_step) - sensor.lag_s / step_s
+    steps = np.clip(shifted_steps, 0, len(measured_n) - 1)
     knots = np.arange(max(0, int(steps[0]) - SPLINE_SUPPORT), min(len(measured_n), int(steps[-1]) + SPLINE_SUPPORT))
-    between = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
-    return np.where(shifted < 0, measured_n[:1], between) / sensor.gain
+    interpolated_n = scipy.interpolate.CubicSpline(knots, measured_n[knots[0] : knots[-1] + 1])(steps)
+    return np.where(shifted_steps < 0, measured_n[:1], interpolated_n) / sensor.gain
 
 
-def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
+def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
     """Consistent displacement, velocity and acceleration of the base at multiples of the step.
 
     Empty without base motion. The motion rises from rest over RISE_S from its start on. Raises RigError if the band
@@ -47,17 +47,17 @@ def base_motion(rig: Rig, samples: int, step_s: float) -> tuple[Float[np.ndarray
         return ()
     if base.high_hz * step_s > 0.25:
         raise RigError(f"step is {step_s} s; a base motion up to {base.high_hz} Hz needs at most 1/(4 high_hz)")
-    spectrum = noise_spectrum(samples, step_s, base.low_hz, base.high_hz, base.seed)
-    omega = 2 * np.pi * np.fft.rfftfreq(samples, step_s)
+    spectrum = noise_spectrum(sample_count, step_s, base.low_hz, base.high_hz, base.seed)
+    omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
     velocity = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     displacement = np.divide(velocity, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    d, v, a = (_in_time(transform, samples) for transform in (displacement, velocity, spectrum))
-    scale = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
-    s = np.clip((np.arange(samples) * step_s - base.start_s) / RISE_S, 0, 1)
-    rise, slope, bend = s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s)
-    slope, bend = slope / RISE_S, bend / RISE_S**2
-    motion = (rise * d, slope * d + rise * v, bend * d + 2 * slope * v + rise * a)
-    return tuple(scale * row for row in motion)
+    d, v, a = (_in_time(transform, sample_count) for transform in (displacement, velocity, spectrum))
+    rms_factor = base.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
+    s = np.clip((np.arange(sample_count) * step_s - base.start_s) / RISE_S, 0, 1)
+    rise, slope, curvature = (s**3 * (10 - 15 * s + 6 * s**2), 30 * s**2 * (1 - s) ** 2, 60 * s * (1 - s) * (1 - 2 * s))
+    slope, curvature = slope / RISE_S, curvature / RISE_S**2
+    motion = (rise * d, slope * d + rise * v, curvature * d + 2 * slope * v + rise * a)
+    return tuple(rms_factor * row for row in motion)
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:
@@ -76,11 +76,11 @@ def softening_limits_m(rig: Rig) -> Float[np.ndarray, " connections"]:
     sqrt(k / -k3): beyond, nothing pulls back. Infinite for all else, and for a body that contacts hold too.
     """
     limits = []
-    touched = {station.body for contact in rig.contacts for station in contact_stations(contact)}
+    touched_bodies = {station.body for contact in rig.contacts for station in contact_stations(contact)}
     for connection in connections(rig):
-        cubic, station = getattr(connection.law, "cubic_n_per_m3", 0.0), connection.at
-        free = cubic < 0 and station.body not in touched
-        limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic) if free else np.inf)
+        cubic_n_per_m3, station = getattr(connection.law, "cubic_n_per_m3", 0.0), connection.at
+        is_free = cubic_n_per_m3 < 0 and station.body not in touched_bodies
+        limits.append(np.sqrt(_static_stiffness(rig, station) / -cubic_n_per_m3) if is_free else np.inf)
     return np.array(limits)
 
 
@@ -88,11 +88,11 @@ def check_softening(
     limits_m: Float[np.ndarray, " connections"], eta_m: Float[np.ndarray, "connections samples"]
 ) -> None:
     """Raise RigError if a softening spring has moved beyond its limit."""
-    for limit, row_m in zip(limits_m, eta_m, strict=True):
-        if np.isfinite(limit) and np.abs(row_m).max() > limit:
+    for limit, motion_m in zip(limits_m, eta_m, strict=True):
+        if np.isfinite(limit) and np.abs(motion_m).max() > limit:
             raise RigError(
-                f"a softening spring has let go: the body moved by {np.abs(row_m).max():.3g} m, and beyond {limit:.3g} "
-                "m nothing pulls it back; let it soften less, or excite less"
+                f"a softening spring has let go: the body moved by {np.abs(motion_m).max():.3g} m, and beyond "
+                f"{limit:.3g} m nothing pulls it back; let it soften less, or excite less"
             )
 
 
@@ -126,13 +126,13 @@ def connection_forces_n(
     time_s: float = 0.0,
 ) -> Float[np.ndarray, " connections"]:
     """Force of every connection at its relative displacement and rate, N."""
-    forces = [law.force_n(eta_m[rows], rate_m_per_s[rows], time_s) for law, rows in law_spans(laws)]
-    return np.concatenate([np.zeros(0), *forces])
+    forces_n = [law.force_n(eta_m[rows], rate_m_per_s[rows], time_s) for law, rows in law_spans(laws)]
+    return np.concatenate([np.zeros(0), *forces_n])
 
 
 def equilibrium(
-    squares: Float[np.ndarray, " modes"],
-    across: Float[np.ndarray, "connections modes"],
+    omega_squared: Float[np.ndarray, " modes"],
+    eta_rows: Float[np.ndarray, "connections modes"],
     laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> Float[np.ndarray, " modes"]:
@@ -144,25 +144,25 @@ def equilibrium(
     tolerance = 1e-6 * float(np.linalg.norm(load))
     if not tolerance:
         return np.zeros(load.size)
-    q, residual, stiffness = _least_energy(squares, across, laws, load)
+    q, residual, stiffness = _least_energy(omega_squared, eta_rows, laws, load)
     if np.linalg.norm(residual) < tolerance:
         return q
-    motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
-    resisting = across[[law.acts_in_the_gap for law in laws]] @ motions
-    pushing = residual @ motions
-    if np.linalg.norm(pushing - pushing @ np.linalg.pinv(resisting) @ resisting) > tolerance:
+    unresisted_motions = scipy.linalg.null_space(stiffness, rcond=1e-12)
+    gap_law_rows = eta_rows[[law.acts_in_the_gap for law in laws]] @ unresisted_motions
+    unresisted_load = residual @ unresisted_motions
+    if np.linalg.norm(unresisted_load - unresisted_load @ np.linalg.pinv(gap_law_rows) @ gap_law_rows) > tolerance:
         raise RigError("nothing holds a body against its static load; add a spring or a contact, or take the load off")
     held_load = load - residual
     return (
-        _least_energy(squares, across, laws, held_load)[0]
+        _least_energy(omega_squared, eta_rows, laws, held_load)[0]
         if np.linalg.norm(held_load) > tolerance
         else np.zeros(load.size)
     )
 
 
 def _least_energy(
-    squares: Float[np.ndarray, " modes"],
-    across: Float[np.ndarray, "connections modes"],
+    omega_squared: Float[np.ndarray, " modes"],
+    eta_rows: Float[np.ndarray, "connections modes"],
     laws: tuple[ContactLaw, ...],
     load: Float[np.ndarray, " modes"],
 ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
@@ -174,43 +174,43 @@ def _least_energy(
     q = np.zeros(load.size)
 
     def energy(trial: Float[np.ndarray, " modes"]) -> float:
-        eta = across @ trial
+        eta = eta_rows @ trial
         stored = sum(float(np.sum(law.energy_j(eta[rows]))) for law, rows in law_spans(laws))
-        return float(squares @ trial**2 / 2 + stored - load @ trial)
+        return float(omega_squared @ trial**2 / 2 + stored - load @ trial)
 
-    def slopes(
+    def derivatives(
         trial: Float[np.ndarray, " modes"],
     ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        eta, tangent, coupling = across @ trial, np.zeros(len(across)), np.zeros((load.size, load.size))
+        eta, tangent, coupling = eta_rows @ trial, np.zeros(len(eta_rows)), np.zeros((load.size, load.size))
         forces = connection_forces_n(laws, eta, np.zeros(eta.size))
         for law, rows in law_spans(laws):
             by_eta = law.by_eta_n_per_m(eta[rows])
             tangent[rows] = np.diag(by_eta) if law.spatial else by_eta
             if law.spatial:
-                coupling += by_eta[0, 1] * (np.outer(*across[rows]) + np.outer(*across[rows][::-1]))
-        stiffness = np.diag(squares) + (across.T * tangent) @ across
-        return squares * trial + forces @ across - load, stiffness + coupling if coupling.any() else stiffness
+                coupling += by_eta[0, 1] * (np.outer(*eta_rows[rows]) + np.outer(*eta_rows[rows][::-1]))
+        stiffness = np.diag(omega_squared) + (eta_rows.T * tangent) @ eta_rows
+        return omega_squared * trial + forces @ eta_rows - load, stiffness + coupling if coupling.any() else stiffness
 
-    for hold in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
+    for tie in 100.0 * 0.7 ** np.arange(60):  # stiffness that ties every mode to where it was before
         anchor = q
         for _ in range(30):
-            force, stiffness = slopes(q)
-            force = force + hold * (q - anchor)
+            force, stiffness = derivatives(q)
+            force = force + tie * (q - anchor)
             if np.linalg.norm(force) < 1e-9 * np.linalg.norm(load):
                 break
-            step = np.linalg.solve(stiffness + hold * np.eye(q.size), force)
-            before = energy(q) + hold * np.sum((q - anchor) ** 2) / 2
-            while energy(q - step) + hold * np.sum((q - step - anchor) ** 2) / 2 > before + 1e-12 * abs(before):
+            step = np.linalg.solve(stiffness + tie * np.eye(q.size), force)
+            before = energy(q) + tie * np.sum((q - anchor) ** 2) / 2
+            while energy(q - step) + tie * np.sum((q - step - anchor) ** 2) / 2 > before + 1e-12 * abs(before):
                 step = step / 2
             q = q - step
         if np.linalg.norm(q - anchor) < 1e-12 * np.linalg.norm(q):
             break
     for _ in range(3):
-        force, stiffness = slopes(q)
+        force, stiffness = derivatives(q)
         q = q - np.linalg.lstsq(stiffness, force, rcond=1e-12)[0]
-    force, stiffness = slopes(q)
+    force, stiffness = derivatives(q)
     return q, -force, stiffness
 
 
-def _in_time(spectrum: Complex[np.ndarray, " lines"], samples: int) -> Float[np.ndarray, " samples"]:
-    return np.fft.irfft(spectrum, samples)
+def _in_time(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
+    return np.fft.irfft(spectrum, sample_count)

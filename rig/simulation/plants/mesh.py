@@ -41,8 +41,8 @@ class Mesh:
 
     def places_of(self, direction: Direction) -> Int[np.ndarray, " some"]:
         """Places of one direction's coordinates, node by node, among the body's transverse ones."""
-        count = len(self.directions)
-        places = np.arange(self.per_node_transverse * len(self.nodes)).reshape(len(self.nodes), count, -1)
+        direction_count = len(self.directions)
+        places = np.arange(self.per_node_transverse * len(self.nodes)).reshape(len(self.nodes), direction_count, -1)
         return places[:, self.directions.index(direction)].ravel()
 
     def coordinates_of(self, direction: Direction) -> list[int]:
@@ -76,13 +76,13 @@ class Mesh:
 
 def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
     """Node positions of about `element_count` elements, and one wherever something acts on the beam or is attached."""
-    acted_on = [s for c in rig.contacts for s in contact_stations(c)]
-    acted_on += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in attached_springs(rig))]
-    acted_on += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
-    corners = np.unique([0.0, beam.length_m, *(s.position_m for s in acted_on if s.body == beam.name)])
-    largest = beam.length_m / element_count * (1 + 1e-9)
-    pieces = [np.linspace(a, b, int(np.ceil((b - a) / largest)) + 1)[:-1] for a, b in pairwise(corners)]
-    return np.append(np.concatenate(pieces), beam.length_m)
+    stations = [s for c in rig.contacts for s in contact_stations(c)]
+    stations += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in attached_springs(rig))]
+    stations += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
+    corners_m = np.unique([0.0, beam.length_m, *(s.position_m for s in stations if s.body == beam.name)])
+    max_element_m = beam.length_m / element_count * (1 + 1e-9)
+    pieces_m = [np.linspace(a, b, int(np.ceil((b - a) / max_element_m)) + 1)[:-1] for a, b in pairwise(corners_m)]
+    return np.append(np.concatenate(pieces_m), beam.length_m)
 
 
 def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[np.ndarray, " rows"]:
@@ -105,10 +105,10 @@ def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     """Static loads and weights on every transverse coordinate, N and N m."""
-    zero = np.zeros(station_row(meshes, rig.forces[0]).size)
+    weight = np.zeros(station_row(meshes, rig.forces[0]).size)
     if rig.gravity_m_per_s2:
-        zero = -rig.gravity_m_per_s2 * inertia(rig, meshes)
-    return zero + sum(load.force_n * station_row(meshes, load.station) for load in rig.loads)
+        weight = -rig.gravity_m_per_s2 * inertia(rig, meshes)
+    return weight + sum(weight.force_n * station_row(meshes, weight.station) for weight in rig.loads)
 
 
 def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
@@ -124,13 +124,13 @@ def inertia(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
 
 def by_node(meshes: list[Mesh], transverse: Float[np.ndarray, " rows"]) -> list[Float[np.ndarray, " coordinates"]]:
     """Vector over all transverse coordinates as one vector per body over all its coordinates; zero axially."""
-    vectors, first = [], 0
+    vectors, first_row = [], 0
     for mesh in meshes:
-        size = mesh.per_node_transverse * len(mesh.nodes)
-        values = np.zeros((len(mesh.nodes), mesh.per_node))
-        values[:, mesh.transverse] = transverse[first : first + size].reshape(len(mesh.nodes), -1)
-        vectors.append(values.ravel())
-        first += size
+        row_count = mesh.per_node_transverse * len(mesh.nodes)
+        node_values = np.zeros((len(mesh.nodes), mesh.per_node))
+        node_values[:, mesh.transverse] = transverse[first_row : first_row + row_count].reshape(len(mesh.nodes), -1)
+        vectors.append(node_values.ravel())
+        first_row += row_count
     return vectors
 
 
@@ -144,32 +144,32 @@ def coordinates_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " coo
         if not mesh.body.is_mass:
             by_node_values = values.reshape(len(mesh.nodes), -1)
             slope_x = mesh.per_node // 2
-            shortening = np.sum(by_node_values[:, slope_x + 1 :] ** 2, axis=1) / 2
-            steps = np.diff(mesh.positions_m) * (shortening[1:] + shortening[:-1]) / 2
-            by_node_values[:, slope_x] = -shortening
-            by_node_values[:, 0] = -np.concatenate([[0.0], np.cumsum(steps)])
+            shortening_per_m = np.sum(by_node_values[:, slope_x + 1 :] ** 2, axis=1) / 2
+            shortening_steps_m = np.diff(mesh.positions_m) * (shortening_per_m[1:] + shortening_per_m[:-1]) / 2
+            by_node_values[:, slope_x] = -shortening_per_m
+            by_node_values[:, 0] = -np.concatenate([[0.0], np.cumsum(shortening_steps_m)])
     return np.concatenate(vectors)
 
 
 def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     load = static_load(rig, meshes)
     mass, stiffness = np.zeros((2, load.size, load.size))
-    held, first, planes = [], 0, plane_rigs(rig)
+    clamped_rows, first_row, planes = [], 0, plane_rigs(rig)
     for mesh in meshes:
         for direction in mesh.directions:
-            places = first + mesh.places_of(direction)
-            inside = np.ix_(places, places)
-            mass[inside], stiffness[inside] = matrices(planes[direction], mesh.body, mesh.positions_m)
-            held += places[: held_coordinates(rig, mesh.body)].tolist()
-        first += mesh.per_node_transverse * len(mesh.nodes)
-    free = np.setdiff1d(np.arange(load.size), held)
-    joints = connections(rig)
-    across = np.array(
-        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in joints]
-    ).reshape(len(joints), load.size)
-    squares, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
-    squares = np.where(squares > ROUNDING * squares.max(), squares, 0.0)
-    laws = tuple(c.law for c in joints)
+            places = first_row + mesh.places_of(direction)
+            block = np.ix_(places, places)
+            mass[block], stiffness[block] = matrices(planes[direction], mesh.body, mesh.positions_m)
+            clamped_rows += places[: held_coordinates(rig, mesh.body)].tolist()
+        first_row += mesh.per_node_transverse * len(mesh.nodes)
+    free = np.setdiff1d(np.arange(load.size), clamped_rows)
+    contacts = connections(rig)
+    eta_rows = np.array(
+        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in contacts]
+    ).reshape(len(contacts), load.size)
+    omega_squared, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
+    omega_squared = np.where(omega_squared > ROUNDING * omega_squared.max(), omega_squared, 0.0)
+    laws = tuple(c.law for c in contacts)
     coordinates = np.zeros(load.size)
-    coordinates[free] = shapes @ equilibrium(squares, across[:, free] @ shapes, laws, shapes.T @ load[free])
+    coordinates[free] = shapes @ equilibrium(omega_squared, eta_rows[:, free] @ shapes, laws, shapes.T @ load[free])
     return coordinates

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import groupby
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -35,26 +35,28 @@ BEND_SUPPORT = 8
 class Model:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
-    sensed are the sensors' measurement operators over the modal coordinates; gains are the modal forces per unit of
-    each known input: exciting forces, static loads with the weight, base, tones. holding_n are the contact forces at
-    rest. In space the modes are those of y, then of z, and an annular contact has a row and its law in each.
+    Rows are over the modal coordinates q: station_rows give the displacement of a station, sensor_rows what a sensor
+    measures, eta_rows the relative displacements. input_forces are the modal forces per unit of each known input:
+    exciting forces, static loads with the weight, base, tones. At rest the coordinates are rest_coordinates and the
+    contact forces rest_contact_n. In space the modes are those of y, then of z, and an annular contact has a row and
+    its law in each.
     """
 
     omega: Float[np.ndarray, " modes"]
     zeta: Float[np.ndarray, " modes"]
-    rows: dict[Station, Float[np.ndarray, " modes"]]
-    sensed: Float[np.ndarray, "sensors modes"]
-    across: Float[np.ndarray, "contacts modes"]
+    station_rows: dict[Station, Float[np.ndarray, " modes"]]
+    sensor_rows: Float[np.ndarray, "sensors modes"]
+    eta_rows: Float[np.ndarray, "contacts modes"]
     laws: tuple[ContactLaw, ...]
-    gains: Float[np.ndarray, "inputs modes"]
-    at_rest: Float[np.ndarray, " modes"]
-    holding_n: Float[np.ndarray, " contacts"]
+    input_forces: Float[np.ndarray, "inputs modes"]
+    rest_coordinates: Float[np.ndarray, " modes"]
+    rest_contact_n: Float[np.ndarray, " contacts"]
 
     def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
         """State of rest (q, q'), and the contact state (4, contacts) of `stepping.advance`."""
-        zero = np.zeros(len(self.across))
-        contact_state = np.stack([self.holding_n, self.across @ self.at_rest, zero, zero])
-        return np.append(self.at_rest, np.zeros(self.omega.size)), contact_state
+        zero = np.zeros(len(self.eta_rows))
+        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, zero, zero])
+        return np.append(self.rest_coordinates, np.zeros(self.omega.size)), contact_state
 
 
 def simulate(
@@ -77,40 +79,41 @@ def simulate(
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
-    base = base_motion(rig, len(force_n), step_s)
-    model, measured = model_of(rig, bool(base), modes_per_beam), [s.measures for s in rig.sensors]
+    base_signals = base_motion(rig, len(force_n), step_s)
+    model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [s.measures for s in rig.sensors]
     constants = constants_of(model, step_s)
-    shapes = np.array([model.rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
-    last, contact_state = model.start()
-    history_n, history_bends_n = np.tile(model.holding_n[:, None], 4), np.zeros((len(model.across), 1))
-    for first in range(0, len(force_n), BLOCK):
-        span = slice(first, min(first + BLOCK, len(force_n)))
-        applied, bends = applied_inputs(rig, forces_n, base, step_s, span)
-        contact_n, contact_bends_n = np.empty((2, len(model.across), span.stop - first))
-        states = np.empty((span.stop - first + 1, last.size))  # a new array a block: Motion computes from it on demand
-        states[0] = last
-        advance(states, contact_state, contact_n, contact_bends_n, applied, bends, *constants, first, step_s)
-        advanced, last = states[1:], states[-1]
-        if not np.all(np.isfinite(last)):  # what is not finite stays so
+    shapes = np.array([model.station_rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
+    last_state, contact_state = model.start()
+    history_n, history_bends_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
+    for first_step in range(0, len(force_n), BLOCK):
+        span = slice(first_step, min(first_step + BLOCK, len(force_n)))
+        inputs, input_bends = applied_inputs(rig, forces_n, base_signals, step_s, span)
+        contact_n, contact_bends_n = np.empty((2, len(model.eta_rows), span.stop - first_step))
+        # a new array a block: Motion computes from it on demand
+        states = np.empty((span.stop - first_step + 1, last_state.size))
+        states[0] = last_state
+        advance(states, contact_state, contact_n, contact_bends_n, inputs, input_bends, *constants, first_step, step_s)
+        block_states, last_state = states[1:], states[-1]
+        if not np.all(np.isfinite(last_state)):  # what is not finite stays so
             raise RigError(
-                f"the modal plant diverged near {first * step_s:.3f} s at step {step_s} s; use a smaller step"
+                f"the modal plant diverged near {first_step * step_s:.3f} s at step {step_s} s; use a smaller step"
             )
-        check_softening(limits_m, model.across @ advanced[:, : model.omega.size].T)
+        check_softening(limits_m, model.eta_rows @ block_states[:, : model.omega.size].T)
         progress(span.stop / len(force_n))
         history_n = np.concatenate([history_n[:, -4:], contact_n], axis=1)
         history_bends_n = np.concatenate([history_bends_n[:, -1:], contact_bends_n], axis=1)
         corrected_n = _without_alias(history_n, history_bends_n)
-        sensed = observed(rig, model, advanced, applied[:, 1:], corrected_n)
-        if base:
-            sensed += np.array([base[m.order][span] * m.translates for m in measured]).reshape(sensed.shape)
-        coordinates = advanced[:, : model.omega.size]
+        sensed = observed(rig, model, block_states, inputs[:, 1:], corrected_n)
+        if base_signals:
+            sensed += np.array([base_signals[m.order][span] * m.translates for m in quantities]).reshape(sensed.shape)
+        coordinates = block_states[:, : model.omega.size]
         yield Motion(
-            start_s=first * step_s,
+            start_s=first_step * step_s,
             step_s=step_s,
             forces_n=forces_n[span],
             sensed=sensed,
-            displacement_m=Projected(shapes, coordinates, base[0][span] if base else None),
-            eta_m=Projected(model.across[: len(contact_rows(rig))], coordinates),
+            displacement_m=Projected(shapes, coordinates, base_signals[0][span] if base_signals else None),
+            eta_m=Projected(model.eta_rows[: len(contact_rows(rig))], coordinates),
             contact_force_n=contact_n[: len(contact_rows(rig))],
         )
 
@@ -119,24 +122,24 @@ def observed(
     rig: Rig,
     model: Model,
     states: Float[np.ndarray, "samples states"],
-    applied: Float[np.ndarray, "inputs samples"],
+    inputs: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
 ) -> Float[np.ndarray, "sensors samples"]:
     """True quantities at the sensors from the modal states, relative to the base."""
-    size = model.omega.size
+    mode_count = model.omega.size
     sensed = np.empty((len(rig.sensors), len(states)))
-    first = 0
+    first_sensor = 0
     for order, sensors in groupby(rig.sensors, lambda s: s.measures.order):
-        rows = model.sensed[first : first + len(list(sensors))]
-        into = sensed[first : first + len(rows)]
-        first += len(rows)
+        rows = model.sensor_rows[first_sensor : first_sensor + len(list(sensors))]
+        order_rows = sensed[first_sensor : first_sensor + len(rows)]
+        first_sensor += len(rows)
         if order < 2:
-            np.matmul(rows, states[:, order * size : (order + 1) * size].T, out=into)
+            np.matmul(rows, states[:, order * mode_count : (order + 1) * mode_count].T, out=order_rows)
         else:
             state_gain = np.concatenate([-(model.omega**2) * rows, -2 * model.zeta * model.omega * rows], axis=1)
-            force_gain = np.concatenate([rows @ model.gains.T, -rows @ model.across.T], axis=1)
-            np.matmul(state_gain, states.T, out=into)
-            into += force_gain @ np.concatenate([applied, contact_n])
+            force_gain = np.concatenate([rows @ model.input_forces.T, -rows @ model.eta_rows.T], axis=1)
+            np.matmul(state_gain, states.T, out=order_rows)
+            order_rows += force_gain @ np.concatenate([inputs, contact_n])
     return sensed
 
 
@@ -149,67 +152,72 @@ def _without_alias(
     (-f'' h^2 / 12, from the samples before) is moved to the samples after it, about the middle of the step. The input
     has four earlier samples of the forces, and one earlier bend.
     """
-    second = np.diff(history_n, n=2)
-    corner = bends_n + (3 * second[:, 1:] - second[:, :-1]) / 24
-    return history_n[:, 4:] + 1.5 * corner[:, 1:] - 0.5 * corner[:, :-1]
+    second_differences_n = np.diff(history_n, n=2)
+    excess_bends_n = bends_n + (3 * second_differences_n[:, 1:] - second_differences_n[:, :-1]) / 24
+    return history_n[:, 4:] + 1.5 * excess_bends_n[:, 1:] - 0.5 * excess_bends_n[:, :-1]
 
 
-BodyModes = tuple[Body, Modes, int, Direction]
+class BodyModes(NamedTuple):
+    """A body with its modes in a rig, the number of modes taken, and their direction."""
+
+    body: Body
+    modes: Modes
+    mode_count: int
+    direction: Direction
 
 
 def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
-    """Bodies with their modes in this rig, the number of modes taken, and their direction."""
+    """Modes of every body of a rig, first in y, then in z if the rig moves in it."""
     return [
-        (b, modes_of(plane, b), mode_count(b, modes_per_beam), direction)
+        BodyModes(body, modes_of(plane, body), mode_count(body, modes_per_beam), direction)
         for direction, plane in plane_rigs(rig).items()
-        for b in plane.bodies
+        for body in plane.bodies
     ]
 
 
 def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
-    omega = 2 * np.pi * np.concatenate([shapes.frequencies_hz(n) for _, shapes, n, _ in body_modes])
-    zeta = np.concatenate([shapes.damping_ratios(n) for _, shapes, n, _ in body_modes])
+    omega = 2 * np.pi * np.concatenate([b.modes.frequencies_hz(b.mode_count) for b in body_modes])
+    zeta = np.concatenate([b.modes.damping_ratios(b.mode_count) for b in body_modes])
     contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
     stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for c in contacts for station in contact_stations(c)}
-    rows = {station: shape_row(body_modes, station) for station in stations}
-    across = np.array([rows[c.at] - (rows[c.against] if c.against else 0) for c in contacts])
-    across = across.reshape(len(contacts), omega.size)
-    static = np.zeros(omega.size) + sum(load.force_n * rows[load.station] for load in rig.loads)
-    by_base = _pulled_by_base(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
+    station_rows = {station: shape_row(body_modes, station) for station in stations}
+    eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
+    eta_rows = eta_rows.reshape(len(contacts), omega.size)
+    static_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
+    base_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
     if rig.gravity_m_per_s2:
-        static = static + rig.gravity_m_per_s2 * by_base
-    at_rest = equilibrium(omega**2, across, laws, static)
-    gains = [rows[station] for station in rig.forces]
+        static_load = static_load + rig.gravity_m_per_s2 * base_load
+    rest_coordinates = equilibrium(omega**2, eta_rows, laws, static_load)
+    input_forces = [station_rows[station] for station in rig.forces]
     if has_static_load(rig):
-        gains.append(static)
+        input_forces.append(static_load)
     if moving_base:
-        gains.append(by_base)
-    gains += [rows[tone.station] for tone in rig.tones]
+        input_forces.append(base_load)
+    input_forces += [station_rows[tone.station] for tone in rig.tones]
     return Model(
         omega=omega,
         zeta=zeta,
-        rows=rows,
-        sensed=np.array([_sensed_row(rig, body_modes, s) for s in rig.sensors]).reshape(-1, omega.size),
-        across=across,
+        station_rows=station_rows,
+        sensor_rows=np.array([_sensed_row(rig, body_modes, s) for s in rig.sensors]).reshape(-1, omega.size),
+        eta_rows=eta_rows,
         laws=laws,
-        gains=np.array(gains),
-        at_rest=at_rest,
-        holding_n=connection_forces_n(laws, across @ at_rest, np.zeros(len(across))),
+        input_forces=np.array(input_forces),
+        rest_coordinates=rest_coordinates,
+        rest_contact_n=connection_forces_n(laws, eta_rows @ rest_coordinates, np.zeros(len(eta_rows))),
     )
 
 
-def _pulled_by_base(rig: Rig, body_modes: list[BodyModes]) -> Float[np.ndarray, " modes"]:
+def _base_modal_forces(rig: Rig, body_modes: list[BodyModes]) -> Float[np.ndarray, " modes"]:
     """Modal forces of an acceleration of the base in y, which are also those of gravity."""
-    parts = [participation(rig, body, shapes, n) * (direction == "y") for body, shapes, n, direction in body_modes]
-    return -np.concatenate(parts)
+    return -np.concatenate([participation(rig, *b[:3]) * (b.direction == "y") for b in body_modes])
 
 
 def applied_inputs(
-    rig: Rig, forces_n: Forces, base: tuple[Float[np.ndarray, " samples"], ...], step_s: float, span: slice
+    rig: Rig, forces_n: Forces, base_signals: tuple[Float[np.ndarray, " samples"], ...], step_s: float, span: slice
 ) -> tuple[Float[np.ndarray, "inputs more"], Float[np.ndarray, "inputs more"]]:
     """Known inputs at the samples of `span` and at the one before, and their bends over the steps.
 
@@ -220,14 +228,14 @@ def applied_inputs(
     rows = [np.append(np.zeros(rest_samples), true_force(rig, signal, step_s, window)) for signal in forces_n.signals]
     if has_static_load(rig):
         rows.append(np.ones(rows[0].size))
-    if base:
-        rows.append(np.append(np.zeros(rest_samples), base[2][window]))
+    if base_signals:
+        rows.append(np.append(np.zeros(rest_samples), base_signals[2][window]))
     time_s = np.arange(window.start - rest_samples, window.stop) * step_s
     rows += [tone.force_n(time_s) for tone in rig.tones]
     inputs = np.array(rows)
-    start = span.start - window.start - 1 + rest_samples
-    kept_steps = slice(start, start + span.stop - span.start + 1)
-    return np.ascontiguousarray(inputs[:, kept_steps]), np.ascontiguousarray(_bends(inputs)[:, kept_steps])
+    first_kept = span.start - window.start - 1 + rest_samples
+    kept_samples = slice(first_kept, first_kept + span.stop - span.start + 1)
+    return np.ascontiguousarray(inputs[:, kept_samples]), np.ascontiguousarray(_bends(inputs)[:, kept_samples])
 
 
 def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
@@ -237,15 +245,16 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
 
     propagate, response = _propagator(model.omega, model.zeta, step_s)
     state_by_input, state_by_contact_force = (
-        (response[:, None] * g[:, None]).reshape(3, len(g), 2 * model.omega.size) for g in (model.gains, -model.across)
+        (response[:, None] * rows[:, None]).reshape(3, len(rows), 2 * model.omega.size)
+        for rows in (model.input_forces, -model.eta_rows)
     )
-    reach, relief = _reach(model, state_by_contact_force, step_s)
+    gain, relief = _step_gain(model, state_by_contact_force, step_s)
     return (
         propagate,
         state_by_input,
-        model.across,
+        model.eta_rows,
         state_by_contact_force,
-        reach,
+        gain,
         relief,
         law_records(model.laws),
         gauss_points(step_s),
@@ -253,38 +262,40 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
     )
 
 
-def _reach(
+def _step_gain(
     model: Model, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
     """Response of every eta and eta' to each end force and each bend within a step, and the relief 1 / (1 + self gain).
 
     Raises RigError if the loop gain of a contact force exceeds one half.
     """
-    end_responses = state_by_contact_force[1:].reshape(2, len(model.across), 2, model.omega.size)
-    reach = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.across, end_responses))
-    stiffness, slope = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
-    loop = np.abs(reach[0, 0]) @ stiffness + np.abs(reach[0, 1]) @ slope
-    if np.any(loop > 0.5):
+    end_responses = state_by_contact_force[1:].reshape(2, len(model.eta_rows), 2, model.omega.size)
+    gain = np.ascontiguousarray(np.einsum("ji,fkxi->fxjk", model.eta_rows, end_responses))
+    stiffness, damping = np.array([law.steepest for law in model.laws]).reshape(-1, 2).T
+    loop_gain = np.abs(gain[0, 0]) @ stiffness + np.abs(gain[0, 1]) @ damping
+    if np.any(loop_gain > 0.5):
         raise RigError(
-            f"a contact is too stiff for the step of {step_s} s (loop gain {loop.max():.2g}); use a smaller step"
+            f"a contact is too stiff for the step of {step_s} s (loop gain {loop_gain.max():.2g}); use a smaller step"
         )
-    self_gain = -np.diag(reach[0, 0]) * stiffness - np.diag(reach[0, 1]) * slope
-    return reach, 1 / (1 + self_gain)
+    self_gain = -np.diag(gain[0, 0]) * stiffness - np.diag(gain[0, 1]) * damping
+    return gain, 1 / (1 + self_gain)
 
 
 def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "inputs samples"]:
     """Bends of the inputs: mean over each step of a smooth curve less that of the straight line, -F'' h^2 / 12.
 
-    F'' is the mean of the second_n differences at both ends of the step, or that of one end if the other is a corner,
-    where the second_n difference exceeds both its neighbours fourfold.
+    F'' is the mean of the second differences at both ends of the step, or that of one end if the other is a corner,
+    where the second difference exceeds both its neighbours fourfold.
     """
     bends = np.zeros(inputs.shape)
     with np.errstate(invalid="ignore"):  # a force that is not finite
-        second_n = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
-        second_size_n = np.abs(second_n)
-        corner = second_size_n[:, 1:-1] > 4 * np.maximum(second_size_n[:, :-2], second_size_n[:, 2:])
-        at_start, at_end = second_n[:, 1:-2], second_n[:, 2:-1]
-        bends[:, 1:-2] = -(np.where(corner[:, :-1], at_end, at_start) + np.where(corner[:, 1:], at_start, at_end)) / 24
+        curvature_n = np.pad(np.diff(inputs, n=2), ((0, 0), (1, 1)))
+        size_n = np.abs(curvature_n)
+        is_corner = size_n[:, 1:-1] > 4 * np.maximum(size_n[:, :-2], size_n[:, 2:])
+        at_start, at_end = curvature_n[:, 1:-2], curvature_n[:, 2:-1]
+        bends[:, 1:-2] = (
+            -(np.where(is_corner[:, :-1], at_end, at_start) + np.where(is_corner[:, 1:], at_start, at_end)) / 24
+        )
     return bends
 
 
@@ -293,10 +304,10 @@ def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> 
     place = np.array([station.position_m])
     return np.concatenate(
         [
-            modes.shapes(place, n, order)[0]
-            if (body.name, direction) == (station.body, station.direction)
-            else np.zeros(n)
-            for body, modes, n, direction in body_modes
+            b.modes.shapes(place, b.mode_count, order)[0]
+            if (b.body.name, b.direction) == (station.body, station.direction)
+            else np.zeros(b.mode_count)
+            for b in body_modes
         ]
     )
 
@@ -319,7 +330,7 @@ def _propagator(
     augmented[:, 1, 1] = -2 * zeta * omega * step_s
     augmented[:, 1, 2] = step_s
     augmented[:, 2, 3] = augmented[:, 3, 4] = 1.0
-    powers = scipy.linalg.expm(augmented)
-    constant, linear, quadratic = powers[:, :2, 2:].transpose(2, 1, 0)
-    propagate = np.ascontiguousarray(powers[:, :2, :2].transpose(1, 2, 0))
+    exponential = scipy.linalg.expm(augmented)
+    constant, linear, quadratic = exponential[:, :2, 2:].transpose(2, 1, 0)
+    propagate = np.ascontiguousarray(exponential[:, :2, :2].transpose(1, 2, 0))
     return propagate, np.stack([constant - linear, linear, 6 * linear - 12 * quadratic])

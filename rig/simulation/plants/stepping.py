@@ -40,7 +40,7 @@ def gauss_points(step_s: float) -> Float[np.ndarray, "10 16"]:
 
 @_compiled
 @no_type_check  # numba compiles the plain functions only
-def _touches(law, previous, j, eta1, rate1, time_s, step_s):
+def _may_touch(law, previous, j, eta1, rate1, time_s, step_s):
     """True if a contact may have a force within the step: the cubic eta(t) stays within a margin of its ends."""
     margin_m = 0.15 * step_s * (abs(previous[RATE, j]) + abs(rate1))
     worn = law.wear_m_per_s * (time_s - step_s)
@@ -51,8 +51,8 @@ def _touches(law, previous, j, eta1, rate1, time_s, step_s):
 
 @_compiled
 @no_type_check
-def _touches_ring(law, previous, j, eta, rate, time_s, step_s):
-    """Whether an annular contact of rows j and j + 1 may have a force within the step, as `_touches`."""
+def _may_touch_ring(law, previous, j, eta, rate, time_s, step_s):
+    """True if an annular contact of rows j and j + 1 may have a force within the step, as `_may_touch`."""
     y0, z0 = previous[ETA, j] - law.center_y_m, previous[ETA, j + 1] - law.center_z_m
     y1, z1 = eta[0] - law.center_y_m, eta[1] - law.center_z_m
     speed = math.hypot(previous[RATE, j], previous[RATE, j + 1]) + math.hypot(rate[0], rate[1])
@@ -82,7 +82,7 @@ def _bend_on_ring(law, j, previous, current, time_s, step_s, gauss, share):
 
 @_compiled
 @no_type_check
-def _ring_increments(law, j, reach, eta, rate, excess):
+def _ring_increments(law, j, gain, eta, rate, excess):
     """Changes of an annular contact's force that leave no excess (force of the law less that of before).
 
     The self-response is solved for, with the slopes k and c of the law along its normal n, to which friction adds
@@ -93,14 +93,14 @@ def _ring_increments(law, j, reach, eta, rate, excess):
     y, z = y / r, z / r
     sliding = (rate[1] * y - rate[0] * z) / law.sliding_speed_m_per_s
     rubbing = law.friction_coefficient * math.tanh(sliding)
-    slope = law.friction_coefficient
-    if abs(rubbing) > 1e-6 * slope:
-        slope = (rubbing / sliding + slope - rubbing * rubbing / slope) / 2
-    slope *= law.stiffness_n_per_m * max(r - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
+    friction_slope = law.friction_coefficient
+    if abs(rubbing) > 1e-6 * friction_slope:
+        friction_slope = (rubbing / sliding + friction_slope - rubbing * rubbing / friction_slope) / 2
+    friction_slope *= law.stiffness_n_per_m * max(r - law.clearance_m, 0.0) / law.sliding_speed_m_per_s
     k, c = law.stiffness_n_per_m, law.damping_n_s_per_m
-    push_y = (reach[0, 0, j, j] * k + reach[0, 1, j, j] * c) * (y - rubbing * z)
-    push_z = (reach[0, 0, i, i] * k + reach[0, 1, i, i] * c) * (z + rubbing * y)
-    rub_y, rub_z = reach[0, 1, j, j] * slope * z, reach[0, 1, i, i] * slope * y
+    push_y = (gain[0, 0, j, j] * k + gain[0, 1, j, j] * c) * (y - rubbing * z)
+    push_z = (gain[0, 0, i, i] * k + gain[0, 1, i, i] * c) * (z + rubbing * y)
+    rub_y, rub_z = gain[0, 1, j, j] * friction_slope * z, gain[0, 1, i, i] * friction_slope * y
     yy, yz = 1.0 - push_y * y - rub_y * z, -push_y * z + rub_y * y
     zy, zz = -push_z * y + rub_z * z, 1.0 - push_z * z - rub_z * y
     determinant = yy * zz - yz * zy
@@ -113,17 +113,17 @@ def _bend(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
     eta0, rate0, eta1, rate1 = previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j]
     start_s = time_s - step_s
-    mean = 0.0
+    mean_force = 0.0
     for m in range(gauss.shape[1]):
         eta = gauss[2, m] * eta0 + gauss[3, m] * rate0 + gauss[4, m] * eta1 + gauss[5, m] * rate1
         rate = gauss[6, m] * eta0 + gauss[7, m] * rate0 + gauss[8, m] * eta1 + gauss[9, m] * rate1
-        mean += gauss[1, m] * force_n(law, eta, rate, start_s + gauss[0, m] * step_s)
-    return mean - (previous[FORCE, j] + current[FORCE, j]) / 2
+        mean_force += gauss[1, m] * force_n(law, eta, rate, start_s + gauss[0, m] * step_s)
+    return mean_force - (previous[FORCE, j] + current[FORCE, j]) / 2
 
 
 @_compiled
 @no_type_check
-def _modes_alone(states, n, inputs, bends, propagate, state_by_input, state_by_contact_force, contact_state):
+def _advance_modes(states, n, inputs, bends, propagate, state_by_input, state_by_contact_force, contact_state):
     """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
     mode_count = propagate.shape[2]
     for i in range(mode_count):
@@ -144,59 +144,62 @@ def _modes_alone(states, n, inputs, bends, propagate, state_by_input, state_by_c
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, reach, relief, laws, time_s, space):
+def _sweep(current, eta, rate, gain, relief, laws, time_s, space):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
-    change, largest = 0.0, 0.0
+    max_change, max_force = 0.0, 0.0
     for j in range(eta.size):
         if space is not None and laws[j].kind == SECOND:
             continue
         e, r = eta[j], rate[j]
         for k in range(eta.size):
-            e += reach[0, 0, j, k] * current[FORCE, k] + reach[1, 0, j, k] * current[BEND, k]
-            r += reach[0, 1, j, k] * current[FORCE, k] + reach[1, 1, j, k] * current[BEND, k]
+            e += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
+            r += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
         if space is not None and laws[j].kind == SPATIAL:
             i = j + 1
             e2, r2 = eta[i], rate[i]
             for k in range(eta.size):
-                e2 += reach[0, 0, i, k] * current[FORCE, k] + reach[1, 0, i, k] * current[BEND, k]
-                r2 += reach[0, 1, i, k] * current[FORCE, k] + reach[1, 1, i, k] * current[BEND, k]
+                e2 += gain[0, 0, i, k] * current[FORCE, k] + gain[1, 0, i, k] * current[BEND, k]
+                r2 += gain[0, 1, i, k] * current[FORCE, k] + gain[1, 1, i, k] * current[BEND, k]
             force, force2 = vector_force_n(laws[j], (e, e2), (r, r2), time_s)
             increment, increment2 = force - current[FORCE, j], force2 - current[FORCE, i]
             if force != 0.0 or force2 != 0.0:
-                increment, increment2 = _ring_increments(laws[j], j, reach, (e, e2), (r, r2), (increment, increment2))
+                increment, increment2 = _ring_increments(laws[j], j, gain, (e, e2), (r, r2), (increment, increment2))
             current[FORCE, j] += increment
             current[FORCE, i] += increment2
-            current[ETA, j], current[RATE, j] = e + reach[0, 0, j, j] * increment, r + reach[0, 1, j, j] * increment
-            current[ETA, i], current[RATE, i] = e2 + reach[0, 0, i, i] * increment2, r2 + reach[0, 1, i, i] * increment2
-            change, largest = max(change, abs(increment), abs(increment2)), max(largest, abs(force), abs(force2))
+            current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
+            current[ETA, i], current[RATE, i] = e2 + gain[0, 0, i, i] * increment2, r2 + gain[0, 1, i, i] * increment2
+            max_change, max_force = (
+                max(max_change, abs(increment), abs(increment2)),
+                max(max_force, abs(force), abs(force2)),
+            )
             continue
         force = force_n(laws[j], e, r, time_s)
         increment = force - current[FORCE, j]
         if force != 0.0:
             increment *= relief[j]
         current[FORCE, j] += increment
-        current[ETA, j], current[RATE, j] = e + reach[0, 0, j, j] * increment, r + reach[0, 1, j, j] * increment
-        change, largest = max(change, abs(increment)), max(largest, abs(force))
-    return change, largest
+        current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
+        max_change, max_force = max(max_change, abs(increment)), max(max_force, abs(force))
+    return max_change, max_force
 
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss, space):
+def _solve(previous, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, space):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_ITERATIONS):
-        change, largest = _sweep(current, eta, rate, reach, relief, laws, time_s, space)
-        if iteration > 0 and change <= TOLERANCE_N:
+        max_change, max_force = _sweep(current, eta, rate, gain, relief, laws, time_s, space)
+        if iteration > 0 and max_change <= TOLERANCE_N:
             break
-        if space is not None and iteration == MAX_ITERATIONS - 1 and change > 1e-6 * largest:
+        if space is not None and iteration == MAX_ITERATIONS - 1 and max_change > 1e-6 * max_force:
             current[FORCE, 0] = np.nan  # not solved: the run ends
-        if iteration == 0 or change > BEND_REFRESH * largest:
+        if iteration == 0 or max_change > BEND_REFRESH * max_force:
             for j in range(eta.size):
                 if space is not None and laws[j].kind < 0:
-                    if touches[j] and laws[j].kind == SPATIAL:
+                    if may_touch[j] and laws[j].kind == SPATIAL:
                         share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
-                elif touches[j]:
+                elif may_touch[j]:
                     current[BEND, j] = _bend(laws[j], j, previous, current, time_s, step_s, gauss)
 
 
@@ -211,14 +214,14 @@ def advance(
     input_bends,
     propagate,
     state_by_input,
-    across,
+    eta_rows,
     state_by_contact_force,
-    reach,
+    gain,
     relief,
     laws,
     gauss,
     space,
-    first,
+    first_step,
     step_s,
 ):
     """Fill states (samples + 1, q and q' of every mode) from row 0 on; forces, contact_bends (contacts, samples).
@@ -226,34 +229,34 @@ def advance(
     contact_state (4, contacts) belongs to the first row and is updated to the last. inputs and input_bends
     (inputs, samples + 1) are the known forces. propagate (2, 2, modes) advances a mode; state_by_input and
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
-    at the end of a step, and of its bend; reach (2, 2, contacts, contacts) those of an end force and a bend to every
-    eta and eta'. relief is the share of a change that its own reach leaves; laws is the table of `compiled_laws`.
+    at the end of a step, and of its bend; gain (2, 2, contacts, contacts) those of an end force and a bend to every
+    eta and eta'. relief is the share of a change that its own gain leaves; laws is the table of `compiled_laws`.
     space is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
-    mode_count, contact_count = across.shape[1], across.shape[0]
+    mode_count, contact_count = eta_rows.shape[1], eta_rows.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
-    touches = np.empty(contact_count, dtype=np.bool_)
+    may_touch = np.empty(contact_count, dtype=np.bool_)
     for n in range(forces.shape[1]):
-        time_s = (first + n) * step_s
-        _modes_alone(states, n, inputs, input_bends, propagate, state_by_input, state_by_contact_force, contact_state)
-        touching = False
+        time_s = (first_step + n) * step_s
+        _advance_modes(states, n, inputs, input_bends, propagate, state_by_input, state_by_contact_force, contact_state)
+        any_may_touch = False
         for j in range(contact_count):
             e, r = 0.0, 0.0
             for i in range(mode_count):
-                e += across[j, i] * states[n + 1, i]
-                r += across[j, i] * states[n + 1, mode_count + i]
+                e += eta_rows[j, i] * states[n + 1, i]
+                r += eta_rows[j, i] * states[n + 1, mode_count + i]
             eta[j], rate[j] = e, r
             if space is not None and laws[j].kind < 0:
-                touches[j] = laws[j].kind == SECOND and _touches_ring(
+                may_touch[j] = laws[j].kind == SECOND and _may_touch_ring(
                     laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
                 )
-                touches[j - 1] |= touches[j]
+                may_touch[j - 1] |= may_touch[j]
             else:
-                touches[j] = _touches(laws[j], contact_state, j, e, r, time_s, step_s)
-            touching |= touches[j]
+                may_touch[j] = _may_touch(laws[j], contact_state, j, e, r, time_s, step_s)
+            any_may_touch |= may_touch[j]
             current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
-        if touching:
-            _solve(contact_state, current, eta, rate, touches, reach, relief, laws, time_s, step_s, gauss, space)
+        if any_may_touch:
+            _solve(contact_state, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, space)
             for j in range(contact_count):
                 for i in range(2 * mode_count):
                     states[n + 1, i] += (

@@ -60,23 +60,23 @@ class Stepwise:
         """Advance by `step_count` steps, at whose end the force has this value; RigError if the motion diverges."""
         from rig.simulation.plants.stepping import advance
 
-        start_inputs, contact_count = self._inputs, len(self._model.across)
+        start_inputs, contact_count = self._inputs, len(self._model.eta_rows)
         end_inputs = self._input_values(force_n, self._steps + step_count)
-        share = np.linspace(0.0, 1.0, step_count + 1)
-        inputs = start_inputs[:, None] + share * (end_inputs - start_inputs)[:, None]
+        elapsed_share = np.linspace(0.0, 1.0, step_count + 1)
+        inputs = start_inputs[:, None] + elapsed_share * (end_inputs - start_inputs)[:, None]
         for k, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
             inputs[k] = tone.force_n((self._steps + np.arange(step_count + 1)) * self.step_s)
         states = np.empty((step_count + 1, self._state.size))
         states[0] = self._state
         forces, contact_bends = np.empty((2, contact_count, step_count))
-        no_bends = np.zeros(inputs.shape)
+        input_bends = np.zeros(inputs.shape)
         advance(
             states,
             self._contact_state,
             forces,
             contact_bends,
             inputs,
-            no_bends,
+            input_bends,
             *self._constants,
             self._steps + 1,
             self.step_s,
@@ -86,10 +86,10 @@ class Stepwise:
             raise RigError(
                 f"the modal plant diverged near {self.time_s:.3f} s at step {self.step_s} s; use a smaller step"
             )
-        check_softening(self._limits_m, self._model.across @ states[1:, : self._model.omega.size].T)
+        check_softening(self._limits_m, self._model.eta_rows @ states[1:, : self._model.omega.size].T)
 
     def _input_values(self, force_n: float, step_count: int) -> Float[np.ndarray, " inputs"]:
         """Known inputs after a number of steps, in the order of the model's gains."""
-        loads = [1.0] if has_static_load(self.rig) else []
+        static_input = [1.0] if has_static_load(self.rig) else []
         time_s = np.array([step_count * self.step_s])
-        return np.array([force_n, *loads, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])
+        return np.array([force_n, *static_input, *(float(tone.force_n(time_s)[0]) for tone in self.rig.tones)])
