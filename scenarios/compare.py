@@ -1,42 +1,84 @@
-"""What the scenarios share: record, identify, and set what was identified beside what is true."""
+"""Recording and identification of the reference rigs, and tables of identified against true values."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.table import Table
 
 from identify.contacts import Identification, identify_contact
 from identify.contacts.report import write_results
+from identify.contacts.results import ContactEstimate
 from identify.pages.wording import COVERED
 from identify.signals.kinematics import Use
-from rig.commands.command_line import progress_bar
+from rig.commands.command_line import console_table, progress_bar
 from rig.model.contact_laws import ContactLaw
 from rig.recording import read, read_truth, truth_path
 from rig.simulation.plants import plant_named
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 
+PLANE_QUANTITIES = {"clearance_m": ("clearance, mm", 1e3), "stiffness_n_per_m": ("stiffness, N/m", 1.0)}
+
 
 @dataclass(frozen=True)
 class Comparison:
     """An identification and the contact laws that made its recording, by contact."""
 
-    found: Identification
-    true: dict[str, ContactLaw]
+    identification: Identification
+    true_laws: dict[str, ContactLaw]
 
-    def errors_percent(self, contact: str) -> tuple[float, float]:
-        """Of the clearance and the stiffness."""
-        law = self.true[contact]
-        estimate = next(c for c in self.found.report.contacts if c.name == contact)
-        return (
-            100 * (estimate.clearance_m.value / law.clearance_m - 1),
-            100 * (estimate.stiffness_n_per_m.value / law.stiffness_n_per_m - 1),
-        )
+    def print_estimates(self, title: str) -> None:
+        """Print clearances and stiffnesses beside the true ones."""
+        title = f"{title} (± 95 % with laboratory tolerances)"
+        print_estimates(title, self.identification.report.contacts, self.true_laws)
+
+    def print_nifo_forms(self, title: str, band_hz: tuple[float, float] = (0.0, np.inf)) -> None:
+        """Print the errors of stiffness and FRF of the main equation, by NIFO in the paper's and in the weak form."""
+        headings = ("form", "contact", "mean off by, %", "rms off by, %", "FRF squared error, %", "FRF rms error, %")
+        table, identification = console_table(title, headings, 2), self.identification
+        for form, nifo in (("the paper's", identification.paper_nifo), ("weak", identification.weak_nifo)):
+            in_band = (nifo.frequency_hz >= band_hz[0]) & (nifo.frequency_hz <= band_hz[1])
+            true_frf = nifo.true_frf()[in_band]
+            frf_error_share = float(np.sum(np.abs(nifo.frf[in_band] - true_frf) ** 2) / np.sum(np.abs(true_frf) ** 2))
+            for row, contact_index in enumerate(nifo.contacts):
+                contact = identification.rig.contacts[contact_index].name
+                true_n_per_m = self.true_laws[contact].stiffness_n_per_m
+                errors_percent = 100 * (nifo.stiffness_n_per_m[row, in_band] / true_n_per_m - 1)
+                table.add_row(
+                    form,
+                    contact,
+                    f"{errors_percent.real.mean():+.4f}",
+                    f"{np.sqrt(np.mean(np.abs(errors_percent) ** 2)):.4f}",
+                    f"{100 * frf_error_share:.2g}",
+                    f"{100 * np.sqrt(frf_error_share):.2g}",
+                )
+        Console().print(table)
+
+    def print_by_equation(self, title: str) -> None:
+        """Print the errors of NIFO's stiffness in every modal equation, and of the clearance by its surface."""
+        headings = ("equation", "contact", "clearance off by, %", "stiffness off by, %", "rms spread, %", "")
+        table = console_table(title, headings, 2)
+        report = self.identification.report
+        surfaces = {s.equation: {c.contact: c.clearance_m.value for c in s.clearances} for s in report.surface.surfaces}
+        for equation in report.nifo:
+            for stiffness in equation.stiffness:
+                law = self.true_laws[stiffness.contact]
+                clearance_m = surfaces[equation.equation].get(stiffness.contact)
+                table.add_row(
+                    equation.equation,
+                    stiffness.contact,
+                    "not told" if clearance_m is None else f"{100 * (clearance_m / law.clearance_m - 1):+.4f}",
+                    f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
+                    f"{100 * stiffness.rms_deviation_n_per_m / law.stiffness_n_per_m:.3f}",
+                    "nearly invisible" if stiffness.contact in equation.nearly_invisible else "",
+                )
+        Console().print(table)
 
 
-def recorded(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant: str, path: Path) -> Path:
+def record_reference_rig(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant: str, path: Path) -> Path:
+    """Path of the recording of a reference rig by a plant, made with its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with progress_bar(f"recording {path.name} ({plant})") as progress:
         record(
@@ -51,71 +93,28 @@ def recorded(settings: Sdof | BarrelCradle | BarrelCradleAnnular, plant: str, pa
     return path
 
 
-def identified_against_true(path: Path, *, use: Use, out: Path, equation: str | None = None) -> Comparison:
-    """Identifies a recording, takes the true laws from its truth file, and writes contact.json, page and figures."""
+def identify_against_truth(path: Path, *, use: Use, out: Path, equation: str | None = None) -> Comparison:
+    """Identify a recording, take the true laws from its truth file, and write contact.json, page and figures."""
     with progress_bar(f"identifying {path.name} ({use})") as progress:
-        found = identify_contact(read(path), use=use, equation=equation, progress=progress)
-        true = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
-        write_results(found, out, f"{found.rig.name}: {path.name}, {use}", true, "true")
-    return Comparison(found, true)
+        identification = identify_contact(read(path), use=use, equation=equation, progress=progress)
+        true_laws = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
+        write_results(identification, out, f"{identification.rig.name}: {path.name}, {use}", true_laws, "true")
+    return Comparison(identification, true_laws)
 
 
-def shown(title: str, comparison: Comparison) -> None:
-    """The table of identified against true; the standard errors allow for what a laboratory does not know exactly."""
-    table = Table(title=f"{title} (± 95 % with laboratory tolerances)")
-    for heading in ("contact", "quantity", "true", "identified", "± 95 %", "off by, %"):
-        table.add_column(heading, justify="left" if heading in ("contact", "quantity") else "right")
-    for estimate in comparison.found.report.contacts:
-        law, errors = comparison.true[estimate.name], comparison.errors_percent(estimate.name)
-        gap, stiffness = estimate.clearance_m, estimate.stiffness_n_per_m
-        for name, true, value, reach, off in (
-            ("clearance, mm", 1e3 * law.clearance_m, 1e3 * gap.value, 1e3 * COVERED * gap.standard_error, errors[0]),
-            ("stiffness, N/m", law.stiffness_n_per_m, stiffness.value, COVERED * stiffness.standard_error, errors[1]),
-        ):
-            table.add_row(estimate.name, name, f"{true:.6g}", f"{value:.6g}", f"{reach:.2g}", f"{off:+.4f}")
-    Console().print(table)
-
-
-def forms_beside(comparison: Comparison, title: str, band_hz: tuple[float, float] = (0.0, np.inf)) -> None:
-    """NIFO in the paper's form and in the weak form: stiffness and FRF of the main equation against the true ones."""
-    table = Table(title=title)
-    for heading in ("form", "contact", "mean off by, %", "rms off by, %", "FRF squared error, %", "FRF rms error, %"):
-        table.add_column(heading, justify="left" if heading in ("form", "contact") else "right")
-    for form, result in (("the paper's", comparison.found.paper_nifo), ("weak", comparison.found.weak_nifo)):
-        inside = (result.frequency_hz >= band_hz[0]) & (result.frequency_hz <= band_hz[1])
-        true = result.true_frf()[inside]
-        squared = float(np.sum(np.abs(result.frf[inside] - true) ** 2) / np.sum(np.abs(true) ** 2))
-        for i, j in enumerate(result.contacts):
-            contact = comparison.found.rig.contacts[j].name
-            off = 100 * (result.stiffness_n_per_m[i, inside] / comparison.true[contact].stiffness_n_per_m - 1)
-            table.add_row(
-                form,
-                contact,
-                f"{off.real.mean():+.4f}",
-                f"{np.sqrt(np.mean(np.abs(off) ** 2)):.4f}",
-                f"{100 * squared:.2g}",
-                f"{100 * np.sqrt(squared):.2g}",
-            )
-    Console().print(table)
-
-
-def equation_by_equation(comparison: Comparison, title: str) -> None:
-    """NIFO's stiffness in every modal equation, and the clearance by its surface."""
-    table = Table(title=title)
-    for heading in ("equation", "contact", "clearance off by, %", "stiffness off by, %", "rms spread, %", ""):
-        table.add_column(heading, justify="right" if "%" in heading else "left")
-    report = comparison.found.report
-    surfaces = {s.equation: {c.contact: c.clearance_m.value for c in s.clearances} for s in report.surface.surfaces}
-    for each in report.nifo:
-        for stiffness in each.stiffness:
-            law = comparison.true[stiffness.contact]
-            gap = surfaces[each.equation].get(stiffness.contact)
-            table.add_row(
-                each.equation,
-                stiffness.contact,
-                "not told" if gap is None else f"{100 * (gap / law.clearance_m - 1):+.4f}",
-                f"{100 * (stiffness.mean_n_per_m.value / law.stiffness_n_per_m - 1):+.4f}",
-                f"{100 * stiffness.rms_deviation_n_per_m / law.stiffness_n_per_m:.3f}",
-                "nearly invisible" if stiffness.contact in each.nearly_invisible else "",
-            )
+def print_estimates(
+    title: str,
+    estimates: Sequence[ContactEstimate],
+    true_laws: Mapping[str, ContactLaw],
+    quantities: Mapping[str, tuple[str, float]] = PLANE_QUANTITIES,
+) -> None:
+    """Print estimates beside true values; quantities are those of a contact, by field, with name and unit factor."""
+    table = console_table(title, ("contact", "quantity", "true", "identified", "± 95 %", "off by, %"), 2)
+    for contact in estimates:
+        for field, (quantity, unit_factor) in quantities.items():
+            true, estimate = getattr(true_laws[contact.name], field), getattr(contact, field)
+            if estimate is not None:
+                values = (true, estimate.value, COVERED * estimate.standard_error)
+                cells = (f"{unit_factor * x:.{digits}g}" for x, digits in zip(values, (6, 6, 2), strict=True))
+                table.add_row(contact.name, quantity, *cells, f"{100 * (estimate.value / true - 1):+.4f}")
     Console().print(table)

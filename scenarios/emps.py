@@ -18,19 +18,19 @@ from scipy.io import loadmat
 
 from identify.gaps.decision.answer import diagnose
 from identify.gaps.page.report import write_all
-from rig.commands.command_line import Force, progress_bar, refuse_existing, run
+from rig.commands.command_line import Force, console_table, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
 from rig.lab.importing import import_file
 from rig.model.description import PointDamper, Rig, Sensor, Station, to_json
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read
-from scenarios.free_runs import SIMULATOR, free_run
+from scenarios.measured_data import SIMULATOR, free_run
 
 FILES = {"fit": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 SAMPLE_RATE_HZ = 1000.0
 MASS_KG, VISCOUS_N_S_PER_M = 95.1, 203.0
-"""Of the published linear part, which the owner believes."""
+"""Mass and viscous friction of the published linear model, which the owner believes."""
 MAP = """rig = "rig.json"
 sample_rate_hz = {rate}
 force = {{ column = "vir", unit = "N", scale = {scale} }}
@@ -41,9 +41,8 @@ force = {{ column = "vir", unit = "N", scale = {scale} }}
 app = typer.Typer(pretty_exceptions_enable=False)
 
 
-class JudgedCarriage(msgspec.Struct, frozen=True, kw_only=True):
-    """The verdict; rms errors of the position (mm) in free runs on both records, of the believed and the corrected
-    rig."""
+class CarriageDiagnosis(msgspec.Struct, frozen=True, kw_only=True):
+    """Verdict, and rms position errors (mm) of the believed and the corrected rig in free runs on both records."""
 
     verdict: str
     sentence: str
@@ -59,17 +58,17 @@ def emps(
     out: Annotated[Path, typer.Option(help="Folder for the records and the results.")] = Path("out/emps"),
     force: Force = False,
 ) -> None:
-    """Diagnoses the carriage from one record, decides on the pulses, and runs both rigs freely."""
+    """Diagnose the carriage from one record, validate on the pulses, and simulate both rigs freely."""
     refuse_existing(out / "emps.json", force, new_folder=True)
     out.mkdir(parents=True, exist_ok=True)
     write_bytes(to_json(carriage()), out / "rig.json")
-    records = {name: imported(data / file, out, name) for name, file in FILES.items()}
+    recordings = {name: import_benchmark(data / file, out, name) for name, file in FILES.items()}
     with progress_bar("diagnosing") as progress:
-        gap, corrected = diagnose(records["fit"], records["pulses"], SIMULATOR, None, lambda _, x: progress(x))
+        gap, corrected = diagnose(recordings["fit"], recordings["pulses"], SIMULATOR, None, lambda _, x: progress(x))
     believed_mm, corrected_mm = (
-        {name: error_mm(rig, record) for name, record in records.items()} for rig in (carriage(), corrected)
+        {name: error_mm(rig, recording) for name, recording in recordings.items()} for rig in (carriage(), corrected)
     )
-    judged = JudgedCarriage(
+    diagnosis = CarriageDiagnosis(
         verdict=gap.verdict,
         sentence=gap.sentence,
         effects=gap.causes[0].effects if gap.causes else (),
@@ -78,51 +77,51 @@ def emps(
         corrected=corrected,
     )
     write_all(gap, corrected, "EMPS", out / "gap")
-    write_json(judged, out / "emps.json")
+    write_json(diagnosis, out / "emps.json")
     console = Console()
     console.print(gap.sentence, soft_wrap=True)
-    console.print(table(judged))
+    console.print(error_table(diagnosis))
     console.print(f"records, rig.json, map_*.toml, emps.json, gap/gap.html: in {out}", soft_wrap=True)
 
 
 def carriage() -> Rig:
     """A free mass with the published mass and viscous friction."""
-    at = Station("carriage")
+    station = Station("carriage")
     return Rig(
         name="carriage",
         bodies=(Oscillator(name="carriage", mass_kg=MASS_KG, frequency_hz=0.0, damping_ratio=0.0),),
         contacts=(),
-        force_at=at,
-        sensors=(Sensor(name="position", station=at, quantity="displacement"),),
+        force_at=station,
+        sensors=(Sensor(name="position", station=station, quantity="displacement"),),
         sample_rate_hz=SAMPLE_RATE_HZ,
-        dampers=(PointDamper(station=at, damping_n_s_per_m=VISCOUS_N_S_PER_M),),
+        dampers=(PointDamper(station=station, damping_n_s_per_m=VISCOUS_N_S_PER_M),),
     )
 
 
-def imported(path: Path, out: Path, name: str) -> Recording:
+def import_benchmark(data_path: Path, folder: Path, name: str) -> Recording:
     """Import a file by a map that takes the controller's voltage times the file's own gain (N/V) as the force."""
     try:
-        gain_n_per_v = float(np.ravel(loadmat(path)["gtau"])[0])
+        gain_n_per_v = float(np.ravel(loadmat(data_path)["gtau"])[0])
     except (OSError, KeyError, ValueError) as error:
-        raise RigError(f"{path}: cannot be read ({error}); give the benchmark's own file") from error
-    write_bytes(MAP.format(rate=SAMPLE_RATE_HZ, scale=gain_n_per_v).encode(), out / f"map_{name}.toml")
-    import_file(path, out / f"map_{name}.toml", out / f"{name}.mcap")
-    return read(out / f"{name}.mcap")
+        raise RigError(f"{data_path}: cannot be read ({error}); give the benchmark's own file") from error
+    write_bytes(MAP.format(rate=SAMPLE_RATE_HZ, scale=gain_n_per_v).encode(), folder / f"map_{name}.toml")
+    import_file(data_path, folder / f"map_{name}.toml", folder / f"{name}.mcap")
+    return read(folder / f"{name}.mcap")
 
 
-def error_mm(rig: Rig, record: Recording) -> float:
+def error_mm(rig: Rig, recording: Recording) -> float:
     """Root mean square error of the position in a free run from rest, mm."""
-    run_m, measured_m = (one.signals["displacement"].values[0] for one in (free_run(rig, record.force_n), record))
-    return float(1e3 * np.sqrt(np.mean((run_m - (measured_m - measured_m[0])) ** 2)))
+    records = (free_run(rig, recording.force_n), recording)
+    simulated_m, measured_m = (record.signals["displacement"].values[0] for record in records)
+    return float(1e3 * np.sqrt(np.mean((simulated_m - (measured_m - measured_m[0])) ** 2)))
 
 
-def table(judged: JudgedCarriage) -> Table:
-    rows = Table(title=f"Free run, position error in mm rms; verdict: {judged.verdict}, {' + '.join(judged.effects)}")
-    for heading in ("rig", *FILES):
-        rows.add_column(heading, justify="right" if rows.columns else "left")
-    for name, errors in (("believed", judged.believed_mm), ("corrected", judged.corrected_mm)):
-        rows.add_row(name, *(f"{errors[one]:.1f}" for one in FILES))
-    return rows
+def error_table(diagnosis: CarriageDiagnosis) -> Table:
+    title = f"Free run, position error in mm rms; verdict: {diagnosis.verdict}, {' + '.join(diagnosis.effects)}"
+    table = console_table(title, ("rig", *FILES))
+    for name, errors_mm in (("believed", diagnosis.believed_mm), ("corrected", diagnosis.corrected_mm)):
+        table.add_row(name, *(f"{errors_mm[record]:.1f}" for record in FILES))
+    return table
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""How well and how surely contacts are identified: many random barrel-cradle rigs, accelerometers with noise only.
+"""Errors and coverage of the identification: many random barrel-cradle rigs, noisy accelerometers alone.
 
 python -m scenarios.identification_campaign --out out/campaign
 """
@@ -16,11 +16,11 @@ import numpy as np
 import typer
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.table import Table
+from scipy.special import erf
 
 from identify.contacts.acceptance import Contacts, find_contacts
 from identify.pages.wording import COVERED
-from rig.commands.command_line import run
+from rig.commands.command_line import console_table, run
 from rig.commands.tasks import Dask, run_tasks
 from rig.model.contact_laws import DeadZone
 from rig.model.description import Rig
@@ -36,7 +36,7 @@ app = typer.Typer(pretty_exceptions_enable=False)
 
 
 class Task(msgspec.Struct, frozen=True):
-    """One random rig."""
+    """Random rig: its seed, plant and length of record, and whether it is built with jitter."""
 
     seed: int
     plant: str
@@ -44,23 +44,23 @@ class Task(msgspec.Struct, frozen=True):
     duration_s: float
 
 
-class FoundContact(msgspec.Struct, frozen=True):
+class EstimateErrors(msgspec.Struct, frozen=True):
     """True value, estimate and standard error of every quantity of one rig, or why there is none."""
 
     names: list[str]
-    true: list[float]
-    found: list[float]
-    errors: list[float]
-    unanswered: list[str]
+    true_values: list[float]
+    estimates: list[float]
+    standard_errors: list[float]
+    refusals: list[str]
 
 
 class RigOutcome(msgspec.Struct, frozen=True):
-    """What was found from six and from four stations a beam."""
+    """Estimates of a random rig from six and from four stations a beam."""
 
     task: Task
     rms_n: float
-    six: FoundContact
-    four: FoundContact
+    six_stations: EstimateErrors
+    four_stations: EstimateErrors
 
 
 @app.command()
@@ -72,35 +72,36 @@ def campaign(
     ancf_every: Annotated[int, typer.Option(help="Every how manyth rig is simulated with Exudyn; 0 for none.")] = 4,
     dask: Dask = None,
 ) -> None:
-    """Records and identifies the rigs exactly as described, with jitter, and with four stations a beam."""
+    """Record and identify the rigs exactly as described, with jitter, and with four stations a beam."""
     tasks = [
         Task(seed + i, "ancf" if ancf_every and i % ancf_every == 0 else "modal", jitter, duration)
         for i in range(rigs)
         for jitter in (False, True)
     ]
-    outcomes = run_tasks(one_rig, tasks, RigOutcome, out, dask)
-    table = Table(title=f"Errors of {rigs} rigs; six or four stations a beam, accelerometers only")
-    for heading in ("", "quantity", "median, %", "95th, %", "covered", "refused"):
-        table.add_column(heading, justify="left" if heading in ("", "quantity") else "right")
-    everything: list[FoundContact] = []
+    outcomes = run_tasks(identify_random_rig, tasks, RigOutcome, out, dask)
+    headings = ("", "quantity", "median, %", "95th, %", "covered", "refused")
+    table = console_table(f"Errors of {rigs} rigs; six or four stations a beam, accelerometers only", headings, 2)
+    all_errors: list[EstimateErrors] = []
     for stations in ("six", "four"):
         for jitter in (False, True):
-            kind = f"{stations}{', jitter' if jitter else ''}"
-            chosen: list[FoundContact] = [getattr(o, stations) for o in outcomes if o.task.jitter == jitter]
-            everything += chosen
+            case = f"{stations}{', jitter' if jitter else ''}"
+            errors: list[EstimateErrors] = [
+                getattr(o, f"{stations}_stations") for o in outcomes if o.task.jitter == jitter
+            ]
+            all_errors += errors
             for quantity in QUANTITIES:
-                table.add_row(kind, quantity, *figures_of(chosen, quantity))
-            draw(chosen, out / f"{kind.replace(' ', '_').replace(',', '')}.png", kind)
+                table.add_row(case, quantity, *error_statistics(errors, quantity))
+            draw(errors, out / f"{case.replace(' ', '_').replace(',', '')}.png", case)
     for plant in ("modal", "ancf"):
-        chosen = [f for o in outcomes if o.task.plant == plant for f in (o.six, o.four)]
-        if chosen:
-            table.add_row(f"plant {plant}", "", "", "", _coverage(chosen), "")
-    table.add_row("all", "", "", "", _coverage(everything), "")
+        errors = [f for o in outcomes if o.task.plant == plant for f in (o.six_stations, o.four_stations)]
+        if errors:
+            table.add_row(f"plant {plant}", "", "", "", _coverage(errors), "")
+    table.add_row("all", "", "", "", _coverage(all_errors), "")
     Console().print(table)
 
 
-def one_rig(task: Task) -> RigOutcome:
-    """Draws a rig, records it with the sensors of six and of four stations a beam, and identifies it from either."""
+def identify_random_rig(task: Task) -> RigOutcome:
+    """Draw a rig, record it with the sensors of six and of four stations a beam, and identify it from either."""
     rng = np.random.default_rng(task.seed)
     rms_n = float(rng.uniform(10, 40))
     settings = BarrelCradle(
@@ -111,10 +112,11 @@ def one_rig(task: Task) -> RigOutcome:
         step_s=2.0**-14 if task.plant == "ancf" else 2.0**-16,
         seed=task.seed,
     )
-    six = settings.rig()
-    four = msgspec.structs.replace(settings, stations=4).rig()
-    both = msgspec.structs.replace(six, sensors=tuple(dict.fromkeys(six.sensors + four.sensors)))
-    actual = _with_random_contacts(both, rng)
+    six_stations = settings.rig()
+    four_stations = msgspec.structs.replace(settings, stations=4).rig()
+    sensors = dict.fromkeys(six_stations.sensors + four_stations.sensors)
+    all_stations = msgspec.structs.replace(six_stations, sensors=tuple(sensors))
+    actual = _with_random_contacts(all_stations, rng)
     if task.jitter:
         actual = jittered(actual, rng)
     # Exudyn's beams turn and its step is finite: to the identification's linear theory they are a laboratory's
@@ -122,7 +124,7 @@ def one_rig(task: Task) -> RigOutcome:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rig.mcap"
         record(
-            both,
+            all_stations,
             settings.force(),
             plant=plant_named("ancf") if task.plant == "ancf" else partial(modal.simulate, modes_per_beam=40),
             duration_s=settings.duration_s,
@@ -132,43 +134,44 @@ def one_rig(task: Task) -> RigOutcome:
             actual=actual,
         )
         recording = read(path)
-    laws = [(c.name, c.law.clearance_m, c.law.stiffness_n_per_m, c.law.damping_n_s_per_m) for c in actual.contacts]
-    found = [found_in(find_contacts(_seen_by(recording, rig), "acceleration", tolerances), laws) for rig in (six, four)]
-    return RigOutcome(task, rms_n, *found)
+    true_laws = [(c.name, c.law.clearance_m, c.law.stiffness_n_per_m, c.law.damping_n_s_per_m) for c in actual.contacts]
+    recordings = (_with_sensors_of(recording, rig) for rig in (six_stations, four_stations))
+    contacts = (find_contacts(r, "acceleration", tolerances) for r in recordings)
+    return RigOutcome(task, rms_n, *(estimate_errors(c, true_laws) for c in contacts))
 
 
-def _seen_by(recording: Recording, rig: Rig) -> Recording:
-    """The recording as the accelerometers of this rig alone would have made it."""
+def _with_sensors_of(recording: Recording, rig: Rig) -> Recording:
+    """Recording with the accelerometers of this rig alone."""
     signals = recording.signals["acceleration"]
     rows = [signals.channels.names.index(s.name) for s in rig.sensors]
     channels = channel_groups(rig)["acceleration"]
-    seen = Signals(channels, signals.start_s, signals.values[rows])
-    return Recording(rig, {**recording.signals, "acceleration": seen}, recording.provenance)
+    kept = Signals(channels, signals.start_s, signals.values[rows])
+    return Recording(rig, {**recording.signals, "acceleration": kept}, recording.provenance)
 
 
-def found_in(contacts: Contacts, laws: Sequence[tuple[str, float, float, float]]) -> FoundContact:
-    """Against the laws that are true: name, clearance (m), stiffness (N/m) and damping (N s/m) of each contact."""
-    names, true, found, errors, refused = [], [], [], [], []
-    for name, clearance, stiffness, damping in laws:
-        if name in contacts.outcomes.refusals:
-            refused.append(f"{name}: {contacts.outcomes.refusals[name].sentence}")
+def estimate_errors(contacts: Contacts, true_laws: Sequence[tuple[str, float, float, float]]) -> EstimateErrors:
+    """Estimates beside true laws: name, clearance (m), stiffness (N/m) and damping (N s/m) of each contact."""
+    names, true_values, estimates, standard_errors, refusals = [], [], [], [], []
+    for contact, clearance_m, stiffness_n_per_m, damping_n_s_per_m in true_laws:
+        if contact in contacts.outcomes.refusals:
+            refusals.append(f"{contact}: {contacts.outcomes.refusals[contact].sentence}")
             continue
-        answer = contacts.outcomes.estimates[name]
-        _, _, of_stiffness, of_damping = answer.errors
-        for quantity, value, estimate, error in (
-            ("clearance", clearance, answer.clearance_m, answer.clearance_error_m),
-            ("stiffness", stiffness, answer.stiffness_n_per_m, of_stiffness),
-            ("damping", damping, answer.values[-1], of_damping),
+        law = contacts.outcomes.estimates[contact]
+        _, _, stiffness_error, damping_error = law.errors
+        for quantity, true_value, estimate, standard_error in (
+            ("clearance", clearance_m, law.clearance_m, law.clearance_error_m),
+            ("stiffness", stiffness_n_per_m, law.stiffness_n_per_m, stiffness_error),
+            ("damping", damping_n_s_per_m, law.values[-1], damping_error),
         ):
-            names.append(f"{name} {quantity}")
-            true.append(value)
-            found.append(float(estimate))
-            errors.append(float(error))
-    return FoundContact(names, true, found, errors, refused)
+            names.append(f"{contact} {quantity}")
+            true_values.append(true_value)
+            estimates.append(float(estimate))
+            standard_errors.append(float(standard_error))
+    return EstimateErrors(names, true_values, estimates, standard_errors, refusals)
 
 
 def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
-    """Clearances of 3 to 7 mm each side, 5e4 to 3e5 N/m, 0 to 50 N s/m, different at every contact."""
+    """Rig with random contacts: clearances of 3 to 7 mm each side, 5e4 to 3e5 N/m, 0 to 50 N s/m."""
     contacts = tuple(
         msgspec.structs.replace(
             contact,
@@ -184,60 +187,56 @@ def _with_random_contacts(rig: Rig, rng: np.random.Generator) -> Rig:
     return msgspec.structs.replace(rig, contacts=contacts)
 
 
-def _errors(found: list[FoundContact], quantity: str) -> tuple[np.ndarray, np.ndarray]:
-    """Relative errors in per cent (of damping: in N s/m) and errors in standard errors."""
-    rows = [
-        (true, estimate, error)
-        for one in found
-        for name, true, estimate, error in zip(one.names, one.true, one.found, one.errors, strict=True)
+def _relative_errors(rigs: list[EstimateErrors], quantity: str) -> tuple[np.ndarray, np.ndarray]:
+    """Errors in per cent (of damping: in N s/m), and errors in standard errors."""
+    values = [
+        row
+        for rig in rigs
+        for name, *row in zip(rig.names, rig.true_values, rig.estimates, rig.standard_errors, strict=True)
         if name.endswith(quantity)
     ]
-    true, estimate, error = np.array(rows).reshape(-1, 3).T
-    off = estimate - true
-    return (off if quantity == "damping" else 100 * off / true), off / error
+    true_values, estimates, standard_errors = np.array(values).reshape(-1, 3).T
+    differences = estimates - true_values
+    return (differences if quantity == "damping" else 100 * differences / true_values), differences / standard_errors
 
 
-def _coverage(found: list[FoundContact]) -> str:
-    sigmas = np.concatenate([_errors(found, quantity)[1] for quantity in QUANTITIES])
-    return f"{100 * np.mean(np.abs(sigmas) < COVERED):.1f} % of {sigmas.size}"
+def _coverage(rigs: list[EstimateErrors]) -> str:
+    """Share of the 95 % intervals that hold the true value, and their number."""
+    normalised_errors = np.concatenate([_relative_errors(rigs, quantity)[1] for quantity in QUANTITIES])
+    return f"{100 * np.mean(np.abs(normalised_errors) < COVERED):.1f} % of {normalised_errors.size}"
 
 
-def figures_of(found: list[FoundContact], quantity: str) -> tuple[str, ...]:
-    off, sigmas = _errors(found, quantity)
+def error_statistics(rigs: list[EstimateErrors], quantity: str) -> tuple[str, ...]:
+    """Cells of a table: median and 95th percentile of the errors, coverage of the intervals, refusals."""
+    errors, normalised_errors = _relative_errors(rigs, quantity)
     unit = " N s/m" if quantity == "damping" else ""
-    refused = sum(len(one.unanswered) for one in found)
+    refusal_count = sum(len(rig.refusals) for rig in rigs)
     return (
-        f"{np.median(np.abs(off)):.3f}{unit}",
-        f"{np.quantile(np.abs(off), 0.95):.3f}{unit}",
-        f"{100 * np.mean(np.abs(sigmas) < COVERED):.0f} %",
-        str(refused),
+        f"{np.median(np.abs(errors)):.3f}{unit}",
+        f"{np.quantile(np.abs(errors), 0.95):.3f}{unit}",
+        f"{100 * np.mean(np.abs(normalised_errors) < COVERED):.0f} %",
+        str(refusal_count),
     )
 
 
-def draw(found: list[FoundContact], path: Path, kind: str) -> None:
-    """Errors of every contact with their 95 % intervals, and how they compare with the intervals."""
+def draw(rigs: list[EstimateErrors], path: Path, case: str) -> None:
+    """Draw the errors of every contact with 95 % intervals, and their distribution in standard errors."""
     with mpl.rc_context({"font.size": 9, "axes.grid": True, "grid.alpha": 0.3}):
         figure = Figure(figsize=(8, 6), layout="constrained")
         axes = figure.subplots(2, 2, width_ratios=(2, 1))
-        for row, quantity in zip(axes, ("clearance", "stiffness"), strict=True):
-            off, sigmas = _errors(found, quantity)
-            row[0].errorbar(
-                np.arange(off.size), off, COVERED * np.abs(off / sigmas), fmt=".", color="#1f5fa8", elinewidth=0.8
-            )
-            row[0].axhline(0, color="k", lw=0.8)
-            row[0].set(xlabel="contact", ylabel=f"error of the {quantity}, %")
-            ordered = np.sort(np.abs(sigmas))
-            expected = np.linspace(0, 5, 100)
-            row[1].plot(ordered, np.linspace(0, 1, ordered.size), color="#1f5fa8", label="found")
-            row[1].plot(
-                expected,
-                [np.mean(np.abs(np.random.default_rng(1).standard_normal(20000)) < e) for e in expected],
-                "k:",
-                label="Gaussian",
-            )
-            row[1].set(xlim=(0, 5), xlabel="|error| / standard error", ylabel="share of the contacts")
-            row[1].legend(frameon=False)
-        figure.suptitle(f"{kind}: errors with 95 % intervals")
+        for panels, quantity in zip(axes, ("clearance", "stiffness"), strict=True):
+            errors, normalised_errors = _relative_errors(rigs, quantity)
+            half_widths = COVERED * np.abs(errors / normalised_errors)
+            panels[0].errorbar(np.arange(errors.size), errors, half_widths, fmt=".", color="#1f5fa8", elinewidth=0.8)
+            panels[0].axhline(0, color="k", lw=0.8)
+            panels[0].set(xlabel="contact", ylabel=f"error of the {quantity}, %")
+            ordered = np.sort(np.abs(normalised_errors))
+            limits = np.linspace(0, 5, 100)
+            panels[1].plot(ordered, np.linspace(0, 1, ordered.size), color="#1f5fa8", label="identified")
+            panels[1].plot(limits, erf(limits / np.sqrt(2)), "k:", label="Gaussian")
+            panels[1].set(xlim=(0, 5), xlabel="|error| / standard error", ylabel="share of the contacts")
+            panels[1].legend(frameon=False)
+        figure.suptitle(f"{case}: errors with 95 % intervals")
         figure.savefig(path, dpi=130)
 
 

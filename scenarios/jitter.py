@@ -7,31 +7,25 @@ from rig.model.description import Body, Rig, Station
 
 
 def jittered(rig: Rig, rng: np.random.Generator) -> Rig:
-    """The rig with E off by up to 0.3 %, damping by 20 %, sensor stations by 1 mm and gains by 0.2 %, all uniform.
+    """Rig with E off by up to 0.3 %, damping by 20 %, sensor stations by 1 mm and gains by 0.2 %, all uniform.
 
     Sensors at one station move together, as they sit on one block; on a beam's end they move inwards.
     """
-    bodies = tuple(_body(body, rng) for body in rig.bodies)
-    moved = {
-        station: Station(
-            station.body, float(np.clip(station.position_m + rng.uniform(-1e-3, 1e-3), 0, _length(rig, station)))
-        )
-        for station in dict.fromkeys(s.station for s in rig.sensors)
+    bodies = tuple(_jittered_body(body, rng) for body in rig.bodies)
+    actual_stations = {
+        s: Station(s.body, float(np.clip(s.position_m + rng.uniform(-1e-3, 1e-3), 0, rig.body(s.body).length_m)))
+        for s in dict.fromkeys(sensor.station for sensor in rig.sensors)
     }
     sensors = tuple(
-        msgspec.structs.replace(s, station=moved[s.station], gain=s.gain * (1 + rng.uniform(-2e-3, 2e-3)))
+        msgspec.structs.replace(s, station=actual_stations[s.station], gain=s.gain * (1 + rng.uniform(-2e-3, 2e-3)))
         for s in rig.sensors
     )
     return msgspec.structs.replace(rig, bodies=bodies, sensors=sensors)
 
 
-def _body(body: Body, rng: np.random.Generator) -> Body:
-    """All frequencies of a beam or a structure go with the root of E."""
+def _jittered_body(body: Body, rng: np.random.Generator) -> Body:
+    """Body with its damping off, and its frequencies: of a beam or a structure by the root of E."""
     damped = body.scale_damping(1 + rng.uniform(-0.2, 0.2))
     if body.is_mass:
         return damped.scale_frequencies(1 + rng.uniform(-1.5e-3, 1.5e-3))
     return damped.scale_frequencies(float(np.sqrt(1 + rng.uniform(-3e-3, 3e-3))))
-
-
-def _length(rig: Rig, station: Station) -> float:
-    return rig.body(station.body).length_m

@@ -1,4 +1,4 @@
-"""The notebooks with their outputs, kept small: executed again, and marked with what they were executed from.
+"""Execution of the notebooks: outputs are stored small, with a hash of the cells that they come from.
 
 python -m scenarios.notebooks
 """
@@ -20,11 +20,11 @@ from rig.files import write_bytes
 app = typer.Typer(pretty_exceptions_enable=False)
 
 FOLDER = Path(__file__).parent
-SOURCES = "sources_sha256"
+SOURCES_KEY = "sources_sha256"
 """Key of a notebook's metadata: the hash of the cells from which its outputs come."""
-COLOURS, WIDTH_PX = 128, 640
+COLOUR_COUNT, WIDTH_PX = 128, 640
 """Colours and largest width of a stored figure: some 20 kB."""
-PLOT, HTML = "image/png", "text/html"
+PNG, HTML = "image/png", "text/html"
 Notebook = dict[str, Any]
 
 
@@ -42,41 +42,41 @@ def execute(
     paths = notebooks or sorted(FOLDER.glob("*.ipynb"))
     for path in paths:
         with progress_bar(f"executing {path.name}") as progress:
-            notebook = executed(json.loads(path.read_text(encoding="utf-8")))
+            notebook = execute_notebook(json.loads(path.read_text(encoding="utf-8")))
             progress(1.0)
         write_bytes((json.dumps(notebook, indent=1, ensure_ascii=False) + "\n").encode(), path)
 
 
-def executed(notebook: Notebook) -> Notebook:
-    """Notebook with the outputs of its cells, as small as they need be."""
+def execute_notebook(notebook: Notebook) -> Notebook:
+    """Notebook with the outputs of its executed cells: figures as small PNG, tables and figures without their text."""
     with needs_extra("docs", "executing a notebook"):
         import nbformat
         from nbclient import NotebookClient
     with TemporaryDirectory() as folder:
-        node = nbformat.reads(json.dumps(notebook), nbformat.NO_CONVERT)
-        NotebookClient(node, timeout=None, resources={"metadata": {"path": folder}}).execute()
-    result: Notebook = json.loads(nbformat.writes(node))
-    for cell in result["cells"]:
+        executed = nbformat.reads(json.dumps(notebook), nbformat.NO_CONVERT)
+        NotebookClient(executed, timeout=None, resources={"metadata": {"path": folder}}).execute()
+    content: Notebook = json.loads(nbformat.writes(executed))
+    for cell in content["cells"]:
         cell["metadata"] = {}  # the times of the execution
         for output in cell.get("outputs", ()):
-            shown = output.get("data", {})
-            if HTML in shown:
-                shown["text/plain"] = ["(a table)"]
-            if PLOT in shown:
-                shown[PLOT] = smaller(shown[PLOT])
-                shown["text/plain"] = ["(a figure)"]
-    result["metadata"] = {**notebook["metadata"], SOURCES: sources_sha256(result)}
-    return result
+            data = output.get("data", {})
+            if HTML in data:
+                data["text/plain"] = ["(a table)"]
+            if PNG in data:
+                data[PNG] = shrink_png(data[PNG])
+                data["text/plain"] = ["(a figure)"]
+    content["metadata"] = {**notebook["metadata"], SOURCES_KEY: sources_sha256(content)}
+    return content
 
 
-def smaller(plot: str) -> str:
+def shrink_png(plot: str) -> str:
     """PNG in base64 with few colours, which keep thin lines as they are, and at most `WIDTH_PX` wide."""
     from PIL import Image
 
     image = Image.open(BytesIO(b64decode(plot))).convert("RGB")
     image.thumbnail((WIDTH_PX, image.height))
     file = BytesIO()
-    image.quantize(COLOURS, Image.Quantize.MAXCOVERAGE).save(file, "png", optimize=True)
+    image.quantize(COLOUR_COUNT, Image.Quantize.MAXCOVERAGE).save(file, "png", optimize=True)
     return b64encode(file.getvalue()).decode()
 
 

@@ -27,13 +27,13 @@ from rig.viewer.deflection import Deflection, deflection
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
-FRAMES, FRAME_S = 90, 0.08
+FRAME_COUNT, FRAME_S = 90, 0.08
 """Number of frames, and time that each is shown, s."""
 WIDTH_IN, HEIGHT_IN, DPI = 8.0, 3.0, 90
 SCREEN_PX = 1280, 800
 COLOURS = {"open": "#8a8a8a", "closed": "#b3411b"}
-PLACES = 60
-"""Places along a body at which it is drawn."""
+NODE_COUNT = 60
+"""Number of points of a drawn body."""
 
 
 @app.command()
@@ -45,46 +45,46 @@ def animation(
 ) -> None:
     """Animate the bodies between their stops: displacements in mm, those of a contact in true scale."""
     with progress_bar(f"drawing {out.name}") as progress:
-        file = read(recording)
-        motion = deflection(file, read_truth(truth_path(recording)))
-        first = round(start * file.rig.sample_rate_hz)
-        samples = first + np.linspace(0, seconds * file.rig.sample_rate_hz, FRAMES).astype(int)
-        if samples[-1] >= motion.displacement_m.shape[1]:
+        content = read(recording)
+        displacements = deflection(content, read_truth(truth_path(recording)))
+        first_sample = round(start * content.rig.sample_rate_hz)
+        samples = first_sample + np.linspace(0, seconds * content.rig.sample_rate_hz, FRAME_COUNT).astype(int)
+        if samples[-1] >= displacements.displacement_m.shape[1]:
             raise RigError(f"{recording}: is shorter than {start + seconds:g} s; start earlier")
-        largest_mm = 1e3 * float(np.abs(motion.displacement_m[:, samples]).max())
+        largest_mm = 1e3 * float(np.abs(displacements.displacement_m[:, samples]).max())
         frames = []
-        for number, sample in enumerate(samples):
-            frames.append(_frame(motion, int(sample), sample / file.rig.sample_rate_hz, largest_mm))
-            progress((number + 1) / FRAMES)
+        for frame_number, sample in enumerate(samples):
+            frames.append(_frame(displacements, int(sample), sample / content.rig.sample_rate_hz, largest_mm))
+            progress((frame_number + 1) / FRAME_COUNT)
     swatches = [np.asarray(Image.new("RGB", (frames[0].width, 40), colour)) for colour in COLOURS.values()]
     palette = Image.fromarray(np.vstack([*swatches, *(np.asarray(frame) for frame in frames[::9])])).quantize(32)
     frames = [frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
-    content = BytesIO()
+    gif_bytes = BytesIO()
     frames[0].save(
-        content, "GIF", save_all=True, append_images=frames[1:], duration=round(1e3 * FRAME_S), loop=0, optimize=True
+        gif_bytes, "GIF", save_all=True, append_images=frames[1:], duration=round(1e3 * FRAME_S), loop=0, optimize=True
     )
-    write_bytes(content.getvalue(), out)
-    print(f"{out}: {FRAMES} frames, {len(content.getvalue()) / 1e3:.0f} kB")
+    write_bytes(gif_bytes.getvalue(), out)
+    print(f"{out}: {FRAME_COUNT} frames, {len(gif_bytes.getvalue()) / 1e3:.0f} kB")
 
 
-def _frame(motion: Deflection, sample: int, time_s: float, largest_mm: float) -> "Image.Image":
-    """Picture of one sample: the line of every body, and the two stops of every contact beside what they hold."""
-    rig, left_m = motion.rig, left_ends(motion.rig)
+def _frame(displacements: Deflection, sample: int, time_s: float, largest_mm: float) -> "Image.Image":
+    """Picture of a sample: the line of every body, and the two stops of every contact beside what they hold."""
+    rig, left_m = displacements.rig, left_ends(displacements.rig)
     figure = Figure(figsize=(WIDTH_IN, HEIGHT_IN), dpi=DPI, layout="constrained")
     canvas = FigureCanvasAgg(figure)
     axes = figure.subplots()
     for body, colour in zip(rig.bodies, ("#444444", "#1f5fa8"), strict=False):
-        x_m = np.linspace(0, body.length_m, PLACES)
-        w_mm = 1e3 * motion.of_body(body, x_m, np.array([sample]))[:, 0]
+        x_m = np.linspace(0, body.length_m, NODE_COUNT)
+        w_mm = 1e3 * displacements.of_body(body, x_m, np.array([sample]))[:, 0]
         axes.plot(left_m[body.name] + x_m, w_mm, color=colour, lw=5, solid_capstyle="butt", label=body.name, zorder=3)
-    for contact, relative_m in zip(rig.contacts, motion.relative_displacement_m()[:, sample], strict=True):
+    for contact, relative_m in zip(rig.contacts, displacements.relative_displacement_m()[:, sample], strict=True):
         law, carrier_mm = contact.law, 0.0
         if contact.against is not None:
-            carrier_mm = 1e3 * float(motion.displacement_at(contact.against)[sample])
-        x = left_m[contact.at.body] + contact.at.position_m
+            carrier_mm = 1e3 * float(displacements.displacement_at(contact.against)[sample])
+        x_on_drawing_m = left_m[contact.at.body] + contact.at.position_m
         stops_mm = carrier_mm + 1e3 * law.upper_clearance_m, carrier_mm - 1e3 * law.lower_clearance_m
         is_closed = relative_m > law.upper_clearance_m, relative_m < -law.lower_clearance_m
-        _draw_stops(axes, x, carrier_mm, stops_mm, is_closed)
+        _draw_stops(axes, x_on_drawing_m, carrier_mm, stops_mm, is_closed)
     axes.set(
         xlim=(-0.03, max(left_m[b.name] + b.length_m for b in rig.bodies) + 0.03),
         ylim=(-1.3 * largest_mm, 1.3 * largest_mm),
@@ -122,15 +122,15 @@ def screens(
             raise RigError(f"{page}: is not there; make it by `rig demo --out {folder}`")
         with TemporaryDirectory() as place:
             picture = Path(place) / "screen.png"
-            words = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=6000")
+            options = ("--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--virtual-time-budget=6000")
             size = f"--window-size={SCREEN_PX[0]},{SCREEN_PX[1]}"
-            places = (f"--user-data-dir={place}", f"--screenshot={picture}", page.resolve().as_uri())
-            subprocess.run([browser, *words, size, *places], check=True, capture_output=True, timeout=180)
+            paths = (f"--user-data-dir={place}", f"--screenshot={picture}", page.resolve().as_uri())
+            subprocess.run([browser, *options, size, *paths], check=True, capture_output=True, timeout=180)
             screen = Image.open(picture).convert("P", palette=Image.Palette.ADAPTIVE, colors=64)
-            content = BytesIO()
-            screen.save(content, "PNG", optimize=True)
-        write_bytes(content.getvalue(), out / f"{name}_page.png")
-        print(f"{out / f'{name}_page.png'}: {len(content.getvalue()) / 1e3:.0f} kB")
+            png_bytes = BytesIO()
+            screen.save(png_bytes, "PNG", optimize=True)
+        write_bytes(png_bytes.getvalue(), out / f"{name}_page.png")
+        print(f"{out / f'{name}_page.png'}: {len(png_bytes.getvalue()) / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A picture of an .rrd file without a screen: python -m scenarios.screenshot FILE.rrd --at 3.4 --out FILE.png
+"""Picture of an .rrd file without a screen: python -m scenarios.screenshot FILE.rrd --at 3.4 --out FILE.png
 
 `--view model`, `--view close_up/contact_1` or any other takes one view, as large as the window, instead of the whole
 window; without `--out` it prints which views there are. Needs a Vulkan driver; on Debian without a graphics card:
@@ -19,33 +19,33 @@ from rig.errors import RigError
 from rig.files import check_source, write_bytes
 from rig.viewer.drawing import TIMELINE
 
-PATIENCE_S = 240.0
+TIMEOUT_S = 240.0
 SETTLE_S = 2.0
 
 
 def screenshot(rrd: Path, at_s: float, view: str | None = None) -> bytes:
-    """The viewer's window, or one view, at that time of the record, as PNG, once two pictures in a row are equal."""
+    """PNG of the viewer's window, or of one view, at a time of the record, once two pictures in a row are equal."""
     with _opened(rrd) as viewer:
         viewer.set_time(TIMELINE, duration=at_s, play_state="paused")
-        chosen = None if view is None else _alone(viewer, view)
-        picture, until = b"", time.monotonic() + PATIENCE_S
-        while time.monotonic() < until:
+        view_id = None if view is None else _maximize_view(viewer, view)
+        picture, deadline_s = b"", time.monotonic() + TIMEOUT_S
+        while time.monotonic() < deadline_s:
             time.sleep(SETTLE_S)
-            last, picture = picture, _picture(viewer, chosen)
-            if picture and picture == last:
+            earlier_picture, picture = picture, _picture(viewer, view_id)
+            if picture and picture == earlier_picture:
                 return picture
-    raise TimeoutError(f"{rrd}: the viewer still draws after {PATIENCE_S:g} s")
+    raise TimeoutError(f"{rrd}: the viewer still draws after {TIMEOUT_S:g} s")
 
 
-def _picture(viewer: ViewerClient, chosen: str | None) -> bytes:
+def _picture(viewer: ViewerClient, view_id: str | None) -> bytes:
     """PNG of the window or a view; nothing where a busy machine did not draw it in time."""
     with suppress(TimeoutError):
-        return bytes(viewer.take_screenshot(chosen))
+        return bytes(viewer.take_screenshot(view_id))
     return b""
 
 
-def views(rrd: Path) -> list[str]:
-    """The origins of the views, each the name of one for `screenshot`."""
+def view_names(rrd: Path) -> list[str]:
+    """Origins of the views, each the name of one for `screenshot`."""
     with _opened(rrd) as viewer:
         return _origins(viewer)
 
@@ -53,13 +53,13 @@ def views(rrd: Path) -> list[str]:
 @contextmanager
 def _opened(rrd: Path) -> Iterator[ViewerClient]:
     check_source(rrd)
-    program = str(Path(sys.executable).with_name("rerun"))  # beside Python, should no environment be active
+    viewer_path = str(Path(sys.executable).with_name("rerun"))  # beside Python, should no environment be active
     with ViewerClient.spawn(
-        headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=program
+        headless=True, port=_free_port(), hide_welcome_screen=True, executable_path=viewer_path
     ) as viewer:
         viewer.open(str(rrd.resolve()))
-        until = time.monotonic() + PATIENCE_S
-        while time.monotonic() < until and not viewer.get_state().views:
+        deadline_s = time.monotonic() + TIMEOUT_S
+        while time.monotonic() < deadline_s and not viewer.get_state().views:
             time.sleep(1.0)
         yield viewer
 
@@ -68,8 +68,8 @@ def _origins(viewer: ViewerClient) -> list[str]:
     return sorted(view.origin.strip("/") for view in viewer.get_state().views)
 
 
-def _alone(viewer: ViewerClient, origin: str) -> str:
-    """Fills the window with a view, which may stand behind a tab, and tells its id."""
+def _maximize_view(viewer: ViewerClient, origin: str) -> str:
+    """Fill the window with a view, which may be behind a tab; return its id."""
     for view in viewer.get_state().views:
         if view.origin.strip("/") == origin.strip("/"):
             blueprint = viewer.get_blueprint("recording").blueprint
@@ -91,12 +91,12 @@ def main() -> None:
     parser.add_argument("--at", type=float, default=0.0, metavar="SECONDS", help="time of the record")
     parser.add_argument("--out", type=Path, help="the .png to write; without it the names of the views are printed")
     parser.add_argument("--view", help="one view instead of the window")
-    chosen = parser.parse_args()
+    options = parser.parse_args()
     try:
-        if chosen.out is None:
-            print("\n".join(views(chosen.rrd)))
+        if options.out is None:
+            print("\n".join(view_names(options.rrd)))
         else:
-            write_bytes(screenshot(chosen.rrd, chosen.at, chosen.view), chosen.out)
+            write_bytes(screenshot(options.rrd, options.at, options.view), options.out)
     except (RigError, TimeoutError) as error:
         sys.exit(f"scenarios.screenshot: {error}")
 

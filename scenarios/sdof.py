@@ -10,7 +10,7 @@ import typer
 
 from rig.commands.command_line import run
 from rig.simulation.reference import Sdof
-from scenarios.compare import forms_beside, identified_against_true, recorded, shown
+from scenarios.compare import identify_against_truth, record_reference_rig
 
 app = typer.Typer(pretty_exceptions_enable=False)
 
@@ -22,19 +22,19 @@ def sdof(
     ),
     plant: Annotated[str, typer.Option(help="ancf (Exudyn) or modal.")] = "ancf",
 ) -> None:
-    """Records the one-mass rig under the paper's conditions and compares what is identified with what is true."""
+    """Record the one-mass rig under the paper's conditions and compare what is identified with what is true."""
     # section 2.1: 1 kg on a 5 Hz spring, stops at +-1 mm with 1e4 N/m, a random force from 0 to 15 Hz
     settings = Sdof(noise_density=1e-3)
-    recording = recorded(settings, plant, out / "sdof.mcap")
+    recording = record_reference_rig(settings, plant, out / "sdof.mcap")
 
     # sections 2.2 and 2.3: displacement known, no noise, 40 averages, Hann window, 50 % overlap
-    known = identified_against_true(recording, use="displacement", out=out)
-    shown("One mass, displacement known", known)
-    forms_beside(known, "NIFO over 0.5 to 14.5 Hz, displacement known", band_hz=(0.5, 14.5))
+    by_displacement = identify_against_truth(recording, use="displacement", out=out)
+    by_displacement.print_estimates("One mass, displacement known")
+    by_displacement.print_nifo_forms("NIFO over 0.5 to 14.5 Hz, displacement known", band_hz=(0.5, 14.5))
 
     # beyond the paper: the accelerometer alone, with its noise
-    alone = identified_against_true(recording, use="acceleration", out=out / "accelerometer")
-    shown("One mass, accelerometer alone, with noise", alone)
+    by_acceleration = identify_against_truth(recording, use="acceleration", out=out / "accelerometer")
+    by_acceleration.print_estimates("One mass, accelerometer alone, with noise")
 
 
 if __name__ == "__main__":

@@ -23,11 +23,11 @@ from rig.simulation.plants.basis import modal_basis
 from rig.simulation.plants.connectors import Section
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
-from scenarios.compare import identified_against_true, shown
+from scenarios.compare import identify_against_truth
 
 BREECH_M = 0.4
-THICKER = 1.5
-"""The barrel is so many times as thick, from its left end to the end of its breech, as the rest of it."""
+THICKNESS_RATIO = 1.5
+"""Thickness of the breech, from the barrel's left end to BREECH_M, over that of the rest."""
 MODES = 16
 POSITIONS_M = np.linspace(0, 1, 41)
 
@@ -46,7 +46,7 @@ def stepped_barrel(
         str | None, typer.Option(help="An unmodelled effect, as of `rig record`; then nothing is identified.")
     ] = None,
 ) -> None:
-    """Records a stepped barrel in its cradle with finite elements and identifies it from the barrel's modes as data."""
+    """Record a stepped barrel in its cradle with finite elements, and identify it from the barrel's modes as data."""
     # the barrel-cradle rig of the paper, with accelerometers alone, 1e-3 m/s2/sqrt(Hz)
     settings = BarrelCradle(sensors="acceleration", noise_density=1e-3, rms_n=level, duration_s=duration, seed=seed)
     believed = with_basis(settings.rig())
@@ -69,11 +69,12 @@ def stepped_barrel(
 
     # the identification has the modal basis in rig.json, and the record
     if not effect:
-        shown("A stepped barrel, its modal basis as data", identified_against_true(path, use="acceleration", out=out))
+        comparison = identify_against_truth(path, use="acceleration", out=out)
+        comparison.print_estimates("A stepped barrel, its modal basis as data")
 
 
 def with_basis(rig: Rig) -> Rig:
-    """The rig with its barrel replaced by the modes of the stepped one, from a mesh of 60 elements."""
+    """Rig with its barrel replaced by the modes of the stepped one, from a mesh of 60 elements."""
     barrel = rig.body("barrel")
     assert isinstance(barrel, Beam)
     basis = modal_basis(barrel, breech(barrel), POSITIONS_M, MODES)
@@ -81,12 +82,12 @@ def with_basis(rig: Rig) -> Rig:
 
 
 def breech(barrel: Beam) -> tuple[Section, ...]:
-    """E I goes with the cube of the thickness, the mass with the thickness."""
-    return (Section(barrel.name, 0.0, BREECH_M, stiffness_factor=THICKER**3, mass_factor=THICKER),)
+    """Section of the breech: E I grows with the cube of the thickness, the mass with the thickness."""
+    return (Section(barrel.name, 0.0, BREECH_M, stiffness_factor=THICKNESS_RATIO**3, mass_factor=THICKNESS_RATIO),)
 
 
 def meshed(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]:
-    """The plant: the rig with its barrel's modal basis left aside, in place of it a mesh of 20 elements."""
+    """Plant that simulates a mesh of 20 elements in place of the barrel's modal basis."""
     barrel = BarrelCradle().rig().body("barrel")
     assert isinstance(barrel, Beam)
     beams = replace(rig, bodies=tuple(barrel if b.name == barrel.name else b for b in rig.bodies))
@@ -94,10 +95,11 @@ def meshed(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) ->
 
 
 def with_effect(rig: Rig, text: str) -> Rig:
-    changed = effect_named(text).applied_to(rig)
-    if changed.bodies != rig.bodies:
+    """Rig with an effect; raises RigError if it changes the bodies, which the mesh replaces."""
+    actual = effect_named(text).applied_to(rig)
+    if actual.bodies != rig.bodies:
         raise RigError(f"effect {text}: changes the modes, which the meshed barrel does not have; choose another")
-    return changed
+    return actual
 
 
 if __name__ == "__main__":

@@ -59,41 +59,41 @@ def tour(
 
     # 2. Record. A shaker pushes the mass with a random force of 0 to 15 Hz; the file is what a laboratory would have,
     #    with rig.json inside.
-    first = recorded(rig, rig, out / "first.mcap", duration, rms_n=0.5, seed=1)
-    print(f"2. {out / 'first.mcap'}: {first.duration_s:g} s at {first.rig.sample_rate_hz:g} Hz")
+    recording = record_actual_rig(rig, rig, out / "first.mcap", duration, rms_n=0.5, seed=1)
+    print(f"2. {out / 'first.mcap'}: {recording.duration_s:g} s at {recording.rig.sample_rate_hz:g} Hz")
 
     # 3. Look at a channel. A group holds all channels of one quantity, in SI, one row a channel.
-    acceleration = first.signals["acceleration"]
-    row = acceleration.values[0]
-    largest = int(np.argmax(np.abs(row)))
+    acceleration = recording.signals["acceleration"]
+    values = acceleration.values[0]
+    peak_sample = int(np.argmax(np.abs(values)))
     print(
-        f"3. {acceleration.channels.names[0]}: {np.sqrt(np.mean(row**2)):.3g} {acceleration.channels.unit} rms, "
-        f"largest {row[largest]:.3g} at {acceleration.time_s[largest]:.3f} s, where the mass hits a stop"
+        f"3. {acceleration.channels.names[0]}: {np.sqrt(np.mean(values**2)):.3g} {acceleration.channels.unit} rms, "
+        f"largest {values[peak_sample]:.3g} at {acceleration.time_s[peak_sample]:.3f} s, where the mass hits a stop"
     )
 
-    # 4. Identify. From the force and the acceleration alone: how wide is the gap, how stiff are the stops?
+    # 4. Identify. From the force and the acceleration alone: how large is the clearance, how stiff are the stops?
     with progress_bar("identifying") as progress:
-        (stop,) = identify_contact(first, progress=progress).report.contacts
-    gap, stiffness = stop.clearance_m, stop.stiffness_n_per_m
-    print(f"4. clearance {interval(1e3 * gap.value, 1e3 * gap.standard_error, 'mm')} (95 %), true is 1 mm")
+        (contact,) = identify_contact(recording, progress=progress).report.contacts
+    clearance, stiffness = contact.clearance_m, contact.stiffness_n_per_m
+    print(f"4. clearance {interval(1e3 * clearance.value, 1e3 * clearance.standard_error, 'mm')} (95 %), true is 1 mm")
     print(f"   stiffness {interval(stiffness.value, stiffness.standard_error, 'N/m')}, true is 10000 N/m")
 
-    # 5. Let it differ. An effect is a function from rig to rig: here 50 g of cable and bracket hang on the mass that
+    # 5. Change it. An effect is a function from rig to rig: here 50 g of cable and bracket hang on the mass that
     #    nobody counted. The recordings still carry the rig that is believed.
-    real = AddedMass(mass_kg=0.05).applied_to(rig)
-    monday = recorded(rig, real, out / "monday.mcap", duration, rms_n=0.5, seed=2)
-    tuesday = recorded(rig, real, out / "tuesday.mcap", duration, rms_n=0.7, seed=3)
-    print(f"5. {1e3 * real.masses[0].mass_kg:g} g more than believed; two recordings of that were made")
+    actual = AddedMass(mass_kg=0.05).applied_to(rig)
+    search_record = record_actual_rig(rig, actual, out / "monday.mcap", duration, rms_n=0.5, seed=2)
+    validation_record = record_actual_rig(rig, actual, out / "tuesday.mcap", duration, rms_n=0.7, seed=3)
+    print(f"5. {1e3 * actual.masses[0].mass_kg:g} g more than believed; two recordings of that were made")
 
     # 6. Diagnose. What in Monday's recording does the believed rig not explain, and which effect of the library would?
     #    Tuesday's, at another level of force, decides between the explanations. What is normal is simulated first,
     #    and kept in a file.
     with progress_bar("diagnosing") as progress:
         simulator = simulator_named("modal")
-        found, corrected = diagnose(
-            monday, tuesday, simulator, out / "null_reference.json", lambda _, done: progress(done)
+        diagnosis, corrected = diagnose(
+            search_record, validation_record, simulator, out / "null_reference.json", lambda _, done: progress(done)
         )
-    print(f"6. {found.sentence}")
+    print(f"6. {diagnosis.sentence}")
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.
     write_bytes(to_json(corrected), out / "rig.json")
@@ -101,8 +101,8 @@ def tour(
     print(f"7. corrected by {1e3 * added_kg:.1f} g, in {out / 'rig.json'}")
 
 
-def recorded(believed: Rig, actual: Rig, path: Path, duration_s: float, rms_n: float, seed: int) -> Recording:
-    """What the laboratory has: the actual rig is simulated, and the file says that it was the believed one."""
+def record_actual_rig(believed: Rig, actual: Rig, path: Path, duration_s: float, rms_n: float, seed: int) -> Recording:
+    """Recording of the actual rig, whose file states the believed one, as a laboratory would have it."""
     force = BandLimitedGaussian(rms_n=rms_n, low_hz=0.0, high_hz=15.0, seed=seed)
     with progress_bar(f"recording {path.name}") as progress:
         record(

@@ -14,6 +14,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
 from rich.text import Text
 
 from rig.errors import RigError, is_plain, one_line
@@ -114,6 +115,14 @@ def say(text: str) -> None:
 def literal_console() -> Console:
     """Console for tables on standard output that prints names literally: no markup, emoji or highlighting."""
     return Console(markup=False, emoji=False, highlight=False)
+
+
+def console_table(title: str, headings: Sequence[str], text_column_count: int = 1) -> Table:
+    """Empty table for a console: its first columns hold texts, those behind them numbers, aligned right."""
+    table = Table(title=title)
+    for number, heading in enumerate(headings):
+        table.add_column(heading, justify="left" if number < text_column_count else "right")
+    return table
 
 
 @contextmanager

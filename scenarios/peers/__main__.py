@@ -1,4 +1,4 @@
-"""Head to head: this project and what a reader would otherwise use, on identical recordings.
+"""Comparison of this project with other methods on identical recordings.
 
 python -m scenarios.peers --out out/peers
 """
@@ -23,8 +23,8 @@ from rig.recording import Recording, read
 from rig.simulation.plants.modal import simulate
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, Sdof
-from scenarios.peers.given import MODES_PER_BEAM
 from scenarios.peers.methods import METHODS
+from scenarios.peers.peer_data import MODES_PER_BEAM
 from scenarios.peers.table import HEADINGS, PeerOutcome, PeerTrial, row
 
 SENSORS = "displacement+velocity+acceleration"
@@ -36,8 +36,8 @@ RIGS: dict[str, Sdof | BarrelCradle] = {
     "barrel_cradle": BARREL_CRADLE,
     "barrel_cradle_noise": BARREL_CRADLE,
 }
-"""Accelerometers of a good laboratory, and beside them displacements and velocities, which peers need: without noise,
-and in the rigs called noise with that of `SENSOR_NOISE`."""
+"""Rigs with noisy accelerometers, and with displacements and velocities, which peers need: without noise, or with that
+of `SENSOR_NOISE` in the rigs called noise."""
 SENSOR_NOISE = {"displacement": 5e-8, "velocity": 5e-7}
 """Noise densities of a good laser, m/sqrt(Hz) and m/s/sqrt(Hz)."""
 TITLES = {
@@ -57,47 +57,45 @@ def peers(
     seeds: Annotated[int, typer.Option(help="Recordings of each rig: seeds 1, 2, ...", min=1)] = 3,
     method: Annotated[list[str] | None, typer.Option(help=f"Of {', '.join(METHODS)}; all by default.")] = None,
 ) -> None:
-    """Identifies the recordings by every method that is installed, one after another, and prints the table.
+    """Identify the recordings by every method that is installed, one after another, and print the table.
 
     Results are kept in the folder, and not computed again.
     """
-    if unknown := [name for name in method or () if name not in METHODS]:
-        raise RigError(f"--method {unknown[0]}: there is no such method; give any of {', '.join(METHODS)}")
+    if unknown_methods := [method_name for method_name in method or () if method_name not in METHODS]:
+        raise RigError(f"--method {unknown_methods[0]}: there is no such method; give any of {', '.join(METHODS)}")
     out.mkdir(parents=True, exist_ok=True)
     rows: list[tuple[str, ...]] = []
-    for rig in RIGS:
-        for name in method or METHODS:
-            chosen = METHODS[name]
-            if rig not in chosen.rigs:
+    for rig_name in RIGS:
+        for method_name in method or METHODS:
+            peer = METHODS[method_name]
+            if rig_name not in peer.rigs:
                 continue
-            if not chosen.installed:
-                missing = ", ".join(chosen.packages)
-                print(
-                    f"{chosen.title} on {TITLES[rig]}: skipped; it needs {missing}: pip install 'rig-identify[peers]'"
-                )
+            if not peer.installed:
+                needed = f"it needs {', '.join(peer.packages)}: pip install 'rig-identify[peers]'"
+                print(f"{peer.title} on {TITLES[rig_name]}: skipped; {needed}")
                 continue
-            outcomes = [outcome_of(PeerTrial(name, rig, seed), out) for seed in range(1, seeds + 1)]
-            rows.append(row(chosen.title, chosen.prior_knowledge, outcomes))
-            print(" | ".join((TITLES[rig], *rows[-1][1:])), flush=True)
-    text = io.StringIO()
-    csv.writer(text).writerows([HEADINGS, *rows])
-    write_bytes(text.getvalue().encode(), out / "peers.csv")
-    used = [METHODS[name] for name in method or METHODS if METHODS[name].installed]
-    Console().print(f"{out / 'peers.csv'}; {', '.join(m.versions for m in used)}", highlight=False)
+            outcomes = [outcome_of(PeerTrial(method_name, rig_name, seed), out) for seed in range(1, seeds + 1)]
+            rows.append(row(peer.title, peer.prior_knowledge, outcomes))
+            print(" | ".join((TITLES[rig_name], *rows[-1][1:])), flush=True)
+    csv_text = io.StringIO()
+    csv.writer(csv_text).writerows([HEADINGS, *rows])
+    write_bytes(csv_text.getvalue().encode(), out / "peers.csv")
+    installed_methods = [METHODS[method_name] for method_name in method or METHODS if METHODS[method_name].installed]
+    Console().print(f"{out / 'peers.csv'}; {', '.join(m.versions for m in installed_methods)}", highlight=False)
 
 
 def outcome_of(trial: PeerTrial, folder: Path) -> PeerOutcome:
     """Outcome of a trial: the one kept in the folder, or computed and kept there."""
-    chosen = METHODS[trial.method]
+    method = METHODS[trial.method]
     path = folder / f"{trial.rig}_{trial.seed}_{trial.method}.json"
     if path.exists():
         return msgspec.json.decode(path.read_bytes(), type=PeerOutcome)
     recording_path = folder / f"{trial.rig}_{trial.seed}.mcap"
     if not recording_path.exists():
         _record(trial, recording_path)
-    for module in chosen.modules:
+    for module in method.modules:
         import_module(module)  # not among the seconds that are measured
-    outcome = tried(trial, read(recording_path))
+    outcome = run_trial(trial, read(recording_path))
     write_bytes(msgspec.json.encode(outcome), path)
     return outcome
 
@@ -123,18 +121,19 @@ def _record(trial: PeerTrial, path: Path) -> None:
         )
 
 
-def tried(trial: PeerTrial, recording: Recording) -> PeerOutcome:
+def run_trial(trial: PeerTrial, recording: Recording) -> PeerOutcome:
     """Outcome of a method on a recording, on one thread; seconds are those of the processor."""
-    chosen = METHODS[trial.method]
-    true = tuple((c.law.clearance_m, c.law.stiffness_n_per_m) for c in recording.rig.contacts)
+    method = METHODS[trial.method]
+    true_laws = tuple((c.law.clearance_m, c.law.stiffness_n_per_m) for c in recording.rig.contacts)
     begin_s = time.process_time()
     try:
         with threadpool_limits(1):
-            answers = chosen.answers(recording)
+            answers = method.answers(recording)
     except Exception as error:  # a peer may raise anything, and the others go on
-        return PeerOutcome(trial=trial, versions=chosen.versions, true=true, failure=f"{type(error).__name__}: {error}")
+        failure = f"{type(error).__name__}: {error}"
+        return PeerOutcome(trial=trial, versions=method.versions, true=true_laws, failure=failure)
     cpu_s = time.process_time() - begin_s
-    return PeerOutcome(trial=trial, versions=chosen.versions, true=true, answers=answers, cpu_s=cpu_s)
+    return PeerOutcome(trial=trial, versions=method.versions, true=true_laws, answers=answers, cpu_s=cpu_s)
 
 
 if __name__ == "__main__":

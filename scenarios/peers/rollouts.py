@@ -7,7 +7,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from scenarios.peers.given import LinearModel
+from scenarios.peers.peer_data import LinearModel
 
 SWEEPS = 4
 """Fixed-point sweeps for the contact forces at the end of a step; each divides their error by the loop gain, ~20."""
@@ -36,42 +36,36 @@ def stepper(model: LinearModel, is_moving: Float[np.ndarray, " modes"], step_s: 
     omega, zeta = model.omega[is_moving], model.zeta[is_moving]
     augmented = np.zeros((omega.size, 4, 4))  # (q, q', p, dp/dt * step): p rises over the step by its last
     augmented[:, 0, 1] = step_s
-    augmented[:, 1, 0], augmented[:, 1, 1], augmented[:, 1, 2] = (
-        -(omega**2) * step_s,
-        -2 * zeta * omega * step_s,
-        step_s,
-    )
+    augmented[:, 1, :3] = np.stack([-(omega**2), -2 * zeta * omega, np.ones(omega.size)], axis=1) * step_s
     augmented[:, 2, 3] = 1
-    advance = np.array([scipy.linalg.expm(a) for a in augmented])
-    by_start, by_slope = advance[:, :2, 2].T, advance[:, :2, 3].T
-    flexible = ~is_moving & (model.omega > 0)
-    compliance = np.where(flexible, 1 / np.where(flexible, model.omega, 1) ** 2, 0)
-    rows, across = model.sensor_rows, model.contact_rows
+    advance = scipy.linalg.expm(augmented)
+    start_response, slope_response = advance[:, :2, 2].T, advance[:, :2, 3].T
+    respond = np.array([start_response - slope_response, slope_response])
+    is_static = ~is_moving & (model.omega > 0)
+    compliance = np.where(is_static, 1 / np.where(is_static, model.omega, 1) ** 2, 0)
+    moving_rows, moving_contact_rows = model.sensor_rows[:, is_moving], model.contact_rows[:, is_moving]
+    static_rows, static_contact_rows = model.sensor_rows * compliance, model.contact_rows * compliance
     if accelerations:
-        by_state = np.hstack([-rows[:, is_moving] * omega**2, -rows[:, is_moving] * 2 * zeta * omega])
-        by_contact, by_force = (
-            -rows[:, is_moving] @ across[:, is_moving].T,
-            rows[:, is_moving] @ model.force_row[is_moving],
-        )
+        by_state = np.hstack([-moving_rows * omega**2, -moving_rows * 2 * zeta * omega])
+        by_contact, by_force = -moving_rows @ moving_contact_rows.T, moving_rows @ model.force_row[is_moving]
     else:
-        by_state = np.hstack([rows[:, is_moving], 0 * rows[:, is_moving]])
-        by_contact, by_force = -(rows * compliance) @ across.T, (rows * compliance) @ model.force_row
-    across_moving, respond = np.ascontiguousarray(across[:, is_moving]), np.array([by_start - by_slope, by_slope])
+        by_state = np.hstack([moving_rows, 0 * moving_rows])
+        by_contact, by_force = -static_rows @ model.contact_rows.T, static_rows @ model.force_row
     return Stepper(
         propagate=np.ascontiguousarray(np.moveaxis(advance[:, :2, :2], 0, -1)),
         respond=respond,
         force_row=np.ascontiguousarray(model.force_row[is_moving]),
-        contact_rows=across_moving,
-        loop=-np.einsum("jm,xm,km->xjk", across_moving, respond[1], across_moving),
-        eta_by_contact=-(across * compliance) @ across.T,
-        eta_by_force=(across * compliance) @ model.force_row,
+        contact_rows=np.ascontiguousarray(moving_contact_rows),
+        loop=-np.einsum("jm,xm,km->xjk", moving_contact_rows, respond[1], moving_contact_rows),
+        eta_by_contact=-static_contact_rows @ model.contact_rows.T,
+        eta_by_force=static_contact_rows @ model.force_row,
         output_by_state=by_state,
         output_by_contact=by_contact,
         output_by_force=by_force,
     )
 
 
-def rolled_out(
+def roll_out(
     system: Stepper,
     laws: Float[np.ndarray, "contacts 3"],
     starts: Float[np.ndarray, "windows states"],

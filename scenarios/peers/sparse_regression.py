@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from scenarios.peers.given import ContactAnswer, Given, dead_zone
+from identify.pages.wording import COVERED
+from scenarios.peers.peer_data import ContactAnswer, PeerData, dead_zone
 
-COARSE, FINE = 40, 9
+COARSE_COUNT, FINE_COUNT = 40, 9
 """Clearances of the first grid, over all displacements, and of the finer ones, around the clearance found before."""
 HALF_WIDTHS = (1 / 4, 1 / 10, 1 / 40, 1 / 40, 1 / 160, 1 / 640)
 """Half-widths of the finer grids, as shares of the largest displacement."""
-PICKS = 3
+PICKS_PER_CONTACT = 3
 """Dead zones a contact that the greedy selection may take beside the linear terms."""
 BOOTSTRAPS = 20
-COVERED = 1.96
-KEPT_HZ = 512.0
+REGRESSION_HZ = 512.0
 """Samples a second that the regression takes; more of them only take longer."""
 
 
-def sparse_regression(recording: Given) -> tuple[ContactAnswer, ...]:
+def sparse_regression(recording: PeerData) -> tuple[ContactAnswer, ...]:
     """Clearance and stiffness of every contact from measured displacements, velocities and accelerations.
 
     One mass: its acceleration. Two beams: the accelerations of the struck body's first four modes, by the pseudoinverse
@@ -33,37 +33,40 @@ def sparse_regression(recording: Given) -> tuple[ContactAnswer, ...]:
     """
     modes = [i for i, body in enumerate(recording.model.bodies) if body == recording.station_bodies[-1]]
     stations = [i for i, body in enumerate(recording.station_bodies) if body == recording.station_bodies[-1]]
-    resolved = modes[: len(stations)]
-    every = max(1, round(recording.sample_rate_hz / KEPT_HZ))
-    to_modes = np.linalg.pinv(recording.model.sensor_rows[np.ix_(stations, resolved)])[:4]
-    modal = [
-        (to_modes @ signal[stations, ::every]).T
+    resolved_modes = modes[: len(stations)]
+    decimation = max(1, round(recording.sample_rate_hz / REGRESSION_HZ))
+    to_modes = np.linalg.pinv(recording.model.sensor_rows[np.ix_(stations, resolved_modes)])[:4]
+    modal_signals = [
+        (to_modes @ signal[stations, ::decimation]).T
         for signal in (recording.displacement_m, recording.velocity_m_per_s, recording.acceleration_m_per_s2)
     ]
-    eta_m, force_n = recording.eta_m[:, ::every].T, recording.force_n[::every, None]
-    shapes = recording.model.contact_rows[:, resolved[:4]].T
+    eta_m, force_n = recording.eta_m[:, ::decimation].T, recording.force_n[::decimation, None]
+    shapes = recording.model.contact_rows[:, resolved_modes[:4]].T
 
-    reach_m = np.abs(eta_m).max(axis=0)
-    library_inputs = (np.hstack([*modal[:2]]), force_n, eta_m)
-    grids = [np.linspace(0.02, 0.98, COARSE) * reach for reach in reach_m]
+    amplitudes_m = np.abs(eta_m).max(axis=0)
+    library_inputs = (np.hstack([*modal_signals[:2]]), force_n, eta_m)
+    grids_m = [np.linspace(0.02, 0.98, COARSE_COUNT) * amplitude_m for amplitude_m in amplitudes_m]
     for half_width in (*HALF_WIDTHS, None):
-        (coefficients,) = _coefficients(library_inputs, modal[2], grids, bootstraps=0)
-        clearance_m, stiffness_n_per_m = _joined(coefficients, grids, shapes)
+        (coefficients,) = _coefficients(library_inputs, modal_signals[2], grids_m, bootstraps=0)
+        clearance_m, stiffness_n_per_m = _contact_values(coefficients, grids_m, shapes)
         if half_width:
-            grids = [
-                np.clip(middle, half_width * reach, (0.95 - half_width) * reach)
-                + half_width * reach * np.linspace(-1, 1, FINE)
-                for middle, reach in zip(clearance_m, reach_m, strict=True)
+            grids_m = [
+                np.clip(center_m, half_width * amplitude_m, (0.95 - half_width) * amplitude_m)
+                + half_width * amplitude_m * np.linspace(-1, 1, FINE_COUNT)
+                for center_m, amplitude_m in zip(clearance_m, amplitudes_m, strict=True)
             ]
-    ensemble = [_joined(c, grids, shapes) for c in _coefficients(library_inputs, modal[2], grids, BOOTSTRAPS)]
+    ensemble = [
+        _contact_values(c, grids_m, shapes)
+        for c in _coefficients(library_inputs, modal_signals[2], grids_m, BOOTSTRAPS)
+    ]
     spread_m, spread_n_per_m = (np.std(values, axis=0, ddof=1) for values in zip(*ensemble, strict=True))
     return tuple(
         ContactAnswer(
             contact=name,
             clearance_m=float(clearance_m[j]),
             stiffness_n_per_m=float(stiffness_n_per_m[j]),
-            clearance_reach_m=COVERED * float(spread_m[j]),
-            stiffness_reach_n_per_m=COVERED * float(spread_n_per_m[j]),
+            clearance_half_width_m=COVERED * float(spread_m[j]),
+            stiffness_half_width_n_per_m=COVERED * float(spread_n_per_m[j]),
         )
         for j, name in enumerate(recording.names)
     )
@@ -82,20 +85,22 @@ def _coefficients(
     """
     import pysindy
 
-    motion, force_n, eta_m = library_inputs
-    states = acceleration.shape[1]
-    velocity, controls = motion[:, states:], np.hstack([motion[:, :states], force_n, eta_m])
-    linear = list(range(2 * states + force_n.shape[1]))
+    modal_states, force_n, eta_m = library_inputs
+    mode_count = acceleration.shape[1]
+    velocity, controls = modal_states[:, mode_count:], np.hstack([modal_states[:, :mode_count], force_n, eta_m])
+    linear_terms = list(range(2 * mode_count + force_n.shape[1]))
     libraries = [pysindy.PolynomialLibrary(degree=1, include_bias=False)]
     libraries += [pysindy.CustomLibrary([_penetration(clearance_m) for clearance_m in grid]) for grid in grids_m]
     library = pysindy.GeneralizedLibrary(
-        libraries, inputs_per_library=[linear, *([len(linear) + j] for j in range(len(grids_m)))]
+        libraries, inputs_per_library=[linear_terms, *([len(linear_terms) + j] for j in range(len(grids_m)))]
     )
-    greedy = pysindy.FROLS(normalize_columns=True, alpha=1e-12, max_iter=len(linear) + PICKS * len(grids_m))
+    greedy = pysindy.FROLS(
+        normalize_columns=True, alpha=1e-12, max_iter=len(linear_terms) + PICKS_PER_CONTACT * len(grids_m)
+    )
     optimizer = pysindy.EnsembleOptimizer(greedy, bagging=True, n_models=bootstraps) if bootstraps else greedy
     model = pysindy.SINDy(optimizer=optimizer, feature_library=library)
-    model.fit(velocity, t=1 / KEPT_HZ, x_dot=acceleration, u=controls)
-    return [c[:, len(linear) :] for c in (optimizer.coef_list if bootstraps else [model.coefficients()])]
+    model.fit(velocity, t=1 / REGRESSION_HZ, x_dot=acceleration, u=controls)
+    return [c[:, len(linear_terms) :] for c in (optimizer.coef_list if bootstraps else [model.coefficients()])]
 
 
 def _penetration(clearance_m: float) -> Callable[[Any], Any]:
@@ -105,7 +110,7 @@ def _penetration(clearance_m: float) -> Callable[[Any], Any]:
     return penetration
 
 
-def _joined(
+def _contact_values(
     coefficients: Float[np.ndarray, "modes terms"],
     grids_m: list[Float[np.ndarray, " clearances"]],
     shapes: Float[np.ndarray, "modes contacts"],

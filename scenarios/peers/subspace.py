@@ -7,11 +7,11 @@ identifies that; the stiffness is the ratio of two of its frequency responses.
 import numpy as np
 from scipy.signal import decimate
 
-from scenarios.peers.given import ContactAnswer, Given, dead_zone
+from scenarios.peers.peer_data import ContactAnswer, PeerData, dead_zone
 
-RATE_HZ = {1: 64.0, 2: 256.0}
+SAMPLE_RATE_HZ = {1: 64.0, 2: 256.0}
 """Samples a second that the method takes, by the number of contacts. nfoursid's memory grows with their square."""
-ORDER = {1: 4, 2: 24}
+STATE_COUNT = {1: 4, 2: 24}
 """States of the linear system by the number of contacts: more than the modes in the band have (one, and three), for
 what lies beyond. That of two beams was chosen by the true stiffness of seed 1, which favours the method."""
 BAND_HZ = {1: (1.0, 14.0), 2: (2.0, 90.0)}
@@ -19,7 +19,7 @@ BAND_HZ = {1: (1.0, 14.0), 2: (2.0, 90.0)}
 BLOCK_ROWS = 15
 
 
-def subspace(recording: Given) -> tuple[ContactAnswer, ...]:
+def subspace(recording: PeerData) -> tuple[ContactAnswer, ...]:
     """Stiffness of every contact; the clearance is told.
 
     With the accelerance H from the force F and from the penetration of contact j, reciprocity gives
@@ -29,29 +29,29 @@ def subspace(recording: Given) -> tuple[ContactAnswer, ...]:
     from nfoursid.nfoursid import NFourSID
 
     contacts = len(recording.names)
-    decimation = round(recording.sample_rate_hz / RATE_HZ[contacts])
+    decimation = round(recording.sample_rate_hz / SAMPLE_RATE_HZ[contacts])
     penetrations_m = np.array(
         [dead_zone(eta, d) for eta, d in zip(recording.eta_m, recording.true_clearance_m, strict=True)]
     )
     inputs = np.vstack([recording.force_n, 1e4 * penetrations_m])  # of like size
-    outputs = np.vstack(
+    output_selection = np.vstack(
         [np.eye(len(recording.acceleration_m_per_s2))[recording.force_station], recording.contact_stations]
     )
-    signals = np.vstack([inputs, outputs @ recording.acceleration_m_per_s2])
+    signals = np.vstack([inputs, output_selection @ recording.acceleration_m_per_s2])
     while decimation > 1:  # scipy advises against more than 13 at once
         factor = min(decimation, 4)
         signals, decimation = decimate(signals, factor, ftype="fir", axis=1), decimation // factor
     names = [f"signal {i}" for i in range(len(signals))]
-    method = NFourSID(
+    identifier = NFourSID(
         pandas.DataFrame(signals.T, columns=names),
         output_columns=names[len(inputs) :],
         input_columns=names[: len(inputs)],
         num_block_rows=BLOCK_ROWS,
     )
-    method.subspace_identification()
-    system, _ = method.system_identification(rank=ORDER[contacts])
+    identifier.subspace_identification()
+    system, _ = identifier.system_identification(rank=STATE_COUNT[contacts])
 
-    z = np.exp(2j * np.pi * np.linspace(*BAND_HZ[contacts], 200) / RATE_HZ[contacts])
+    z = np.exp(2j * np.pi * np.linspace(*BAND_HZ[contacts], 200) / SAMPLE_RATE_HZ[contacts])
     states = np.linalg.solve(z[:, None, None] * np.eye(len(system.a)) - system.a, system.b[None])
     response = system.c @ states + system.d
     answers = []

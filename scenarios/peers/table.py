@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from scenarios.peers.given import ContactAnswer
+from scenarios.peers.peer_data import ContactAnswer
 
 HEADINGS = ("rig", "method", "clearance error, %", "stiffness error, %", "intervals that cover", "CPU, s", "told")
 
@@ -39,31 +39,32 @@ def errors_percent(outcomes: Sequence[PeerOutcome]) -> tuple[list[float], list[f
     )
 
 
-def covering(outcomes: Sequence[PeerOutcome]) -> tuple[int, int]:
+def coverage_counts(outcomes: Sequence[PeerOutcome]) -> tuple[int, int]:
     """Number of intervals that hold the true value, and of all intervals."""
-    inside = []
+    is_covered = []
     for outcome in outcomes:
-        for answer, (clearance_m, stiffness_n_per_m) in zip(outcome.answers, outcome.true, strict=False):
-            if answer.clearance_m is not None and answer.clearance_reach_m is not None:
-                inside.append(abs(answer.clearance_m - clearance_m) <= answer.clearance_reach_m)
-            if answer.stiffness_reach_n_per_m is not None:
-                inside.append(abs(answer.stiffness_n_per_m - stiffness_n_per_m) <= answer.stiffness_reach_n_per_m)
-    return sum(inside), len(inside)
+        for answer, (true_m, true_n_per_m) in zip(outcome.answers, outcome.true, strict=False):
+            if answer.clearance_m is not None and answer.clearance_half_width_m is not None:
+                is_covered.append(abs(answer.clearance_m - true_m) <= answer.clearance_half_width_m)
+            if answer.stiffness_half_width_n_per_m is not None:
+                is_covered.append(abs(answer.stiffness_n_per_m - true_n_per_m) <= answer.stiffness_half_width_n_per_m)
+    return sum(is_covered), len(is_covered)
 
 
 def row(title: str, prior_knowledge: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ...]:
     """Row of one method on one rig: median and largest errors, intervals, mean seconds of the CPU."""
-    answered = [o for o in outcomes if not o.failure]
-    clearance, stiffness = errors_percent(answered)
-    covered, intervals = covering(answered)
-    failed = f" ({len(outcomes) - len(answered)} of {len(outcomes)} failed)" if len(answered) < len(outcomes) else ""
+    succeeded = [o for o in outcomes if not o.failure]
+    clearance_errors, stiffness_errors = errors_percent(succeeded)
+    covered_count, interval_count = coverage_counts(succeeded)
+    failed_count = len(outcomes) - len(succeeded)
+    failure_note = f" ({failed_count} of {len(outcomes)} failed)" if failed_count else ""
     return (
         outcomes[0].trial.rig,
-        title + failed,
-        _median_and_largest(clearance) if clearance else "told",
-        _median_and_largest(stiffness),
-        f"{covered} of {intervals}" if intervals else "none",
-        f"{float(f'{np.mean([o.cpu_s for o in answered]):.2g}'):g}" if answered else "",
+        title + failure_note,
+        _median_and_largest(clearance_errors) if clearance_errors else "told",
+        _median_and_largest(stiffness_errors),
+        f"{covered_count} of {interval_count}" if interval_count else "none",
+        f"{float(f'{np.mean([o.cpu_s for o in succeeded]):.2g}'):g}" if succeeded else "",
         prior_knowledge,
     )
 

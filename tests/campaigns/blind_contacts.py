@@ -18,7 +18,7 @@ from rig.commands.command_line import run
 from rig.commands.tasks import Dask, run_tasks
 from rig.model.tolerances import LABORATORY
 from rig.recording import read
-from scenarios.identification_campaign import QUANTITIES, FoundContact, draw, figures_of, found_in
+from scenarios.identification_campaign import QUANTITIES, EstimateErrors, draw, error_statistics, estimate_errors
 from tests.campaigns.worlds.machine import Machine
 from tests.campaigns.worlds.truth import Key
 
@@ -46,17 +46,17 @@ def blind_contacts(
         if case.kind == "null"
         for record in case.records
     ]
-    found = run_tasks(one_recording, tasks, FoundContact, out, dask)
+    found = run_tasks(one_recording, tasks, EstimateErrors, out, dask)
     table = Table(title=f"Errors on {len(tasks)} recordings of world {key.world}, accelerometers alone")
     for heading in ("quantity", "median, %", "95th, %", "covered", "refused"):
         table.add_column(heading, justify="left" if heading == "quantity" else "right")
     for quantity in QUANTITIES:
-        table.add_row(quantity, *figures_of(found, quantity))
+        table.add_row(quantity, *error_statistics(found, quantity))
     draw(found, out / f"{key.world}.png", f"world {key.world}")
     Console().print(table)
 
 
-def one_recording(task: Task) -> FoundContact:
+def one_recording(task: Task) -> EstimateErrors:
     laws = [
         (
             contact.name,
@@ -66,7 +66,7 @@ def one_recording(task: Task) -> FoundContact:
         )
         for contact in task.true.contacts
     ]
-    return found_in(find_contacts(read(Path(task.recording)), "acceleration", LABORATORY), laws)
+    return estimate_errors(find_contacts(read(Path(task.recording)), "acceleration", LABORATORY), laws)
 
 
 if __name__ == "__main__":  # under its own name, by which other processes find its tasks

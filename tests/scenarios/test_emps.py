@@ -12,20 +12,20 @@ from typer.testing import CliRunner
 
 from rig.errors import RigError
 from rig.model.description import to_json
-from scenarios.emps import FILES, SAMPLE_RATE_HZ, JudgedCarriage, app, carriage, error_mm, imported
-from scenarios.free_runs import simulated
+from scenarios.emps import FILES, SAMPLE_RATE_HZ, CarriageDiagnosis, app, carriage, error_mm, import_benchmark
+from scenarios.measured_data import simulated
 
 DATA = Path(os.environ.get("EMPS", "emps"))
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory) -> JudgedCarriage:
+def judged(tmp_path_factory) -> CarriageDiagnosis:
     if not (DATA / FILES["fit"]).exists():
         pytest.skip(f"no {FILES['fit']}: let the environment variable EMPS name its folder")
     out = tmp_path_factory.mktemp("emps")
     result = CliRunner().invoke(app, ["--data", str(DATA), "--out", str(out)])
     assert result.exit_code == 0, result.output
-    return msgspec.json.decode((out / "emps.json").read_bytes(), type=JudgedCarriage)
+    return msgspec.json.decode((out / "emps.json").read_bytes(), type=CarriageDiagnosis)
 
 
 def test_friction_and_offset_are_named(judged):
@@ -51,7 +51,7 @@ def test_a_record_is_imported_with_the_gain_of_the_file_and_run_again(tmp_path):
     path, gain_n_per_v = tmp_path / FILES["fit"], 35.15
     savemat(path, {"t": time_s, "qm": position_m, "vir": force_n / gain_n_per_v, "gtau": gain_n_per_v})
     (tmp_path / "rig.json").write_bytes(to_json(carriage()))
-    record = imported(path, tmp_path, "fit")
+    record = import_benchmark(path, tmp_path, "fit")
     np.testing.assert_allclose(record.force_n, force_n, atol=1e-9)
     assert error_mm(carriage(), record) < 1e-3
     heavier = replace(carriage(), bodies=(carriage().bodies[0].scale_mass(1.1),))

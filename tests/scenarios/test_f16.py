@@ -18,29 +18,29 @@ from rig.model.structure import structure_of
 from rig.model.tolerances import Tolerances
 from scenarios.f16 import (
     FILE,
-    PERIOD,
+    PERIOD_SAMPLES,
     PLACES_M,
     RATE_HZ,
-    Judged,
+    LevelDiagnosis,
     accelerations,
     app,
     errors_percent,
 )
-from scenarios.free_runs import SIMULATOR, simulated
+from scenarios.measured_data import SIMULATOR, simulated
 
 DATA = Path(os.environ.get("F16", "f16"))
 SHAPES = np.array([[0.09, 0.03, 0.04, 0.05], [0.02, 0.05, 0.08, -0.04], [0.02, 0.05, 0.07, -0.01]])
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory) -> list[Judged]:
+def judged(tmp_path_factory) -> list[LevelDiagnosis]:
     if not (DATA / FILE.format("1")).exists():
         pytest.skip(f"no {FILE.format('1')}: let the environment variable F16 name its folder")
     out = tmp_path_factory.mktemp("f16")
     result = CliRunner().invoke(app, ["--data", str(DATA), "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert {p.name for p in out.glob("*.png")} == {"level3.png", "level5.png"}
-    return msgspec.json.decode((out / "f16.json").read_bytes(), type=list[Judged])
+    return msgspec.json.decode((out / "f16.json").read_bytes(), type=list[LevelDiagnosis])
 
 
 def test_what_the_levels_add_is_explained_in_part_by_a_softer_and_more_damped_structure(judged):
@@ -86,17 +86,17 @@ def soft():
 
 def multisine(rms_n, seed):
     """Three periods of odd lines from 2 to 15 Hz with random phases."""
-    hz = np.fft.rfftfreq(PERIOD, 1 / RATE_HZ)
+    hz = np.fft.rfftfreq(PERIOD_SAMPLES, 1 / RATE_HZ)
     lines = (hz >= 2) & (hz <= 15) & (np.arange(hz.size) % 2 == 1)
     phases = np.exp(2j * np.pi * np.random.default_rng(seed).random(hz.size))
-    one = np.fft.irfft(lines * phases, PERIOD)
+    one = np.fft.irfft(lines * phases, PERIOD_SAMPLES)
     return rms_n * np.tile(one / one.std(), 3)
 
 
 def test_a_low_level_gives_the_rig(soft):
     found, _, _ = soft
     assert found.misfits.max() < 0.01
-    assert found.period_s == pytest.approx(PERIOD / RATE_HZ)
+    assert found.period_s == pytest.approx(PERIOD_SAMPLES / RATE_HZ)
 
 
 @pytest.mark.study

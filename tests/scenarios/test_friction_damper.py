@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 import identify
 from identify.laws import SLIDING
 from identify.laws.fitted_laws import SlidingFriction
-from scenarios.friction_damper import SAMPLE_RATE_HZ, DamperLaw, app, recorded
+from scenarios.friction_damper import SAMPLE_RATE_HZ, DamperLaw, app, damper_recording
 
 DATA = Path(os.environ.get("FRICTION_DAMPER", "friction_damper"))
 
@@ -21,7 +21,8 @@ def test_a_simulated_damper_is_identified():
     displacement = 0.025 * np.minimum(time_s / 4, 1) * np.sin(np.pi * time_s)
     law = SlidingFriction(upper_n=9e3, lower_n=6e3, backlash_m=4e-3, stiffness_n_per_m=5e6)
     noise = 200 * np.random.default_rng(1).standard_normal(time_s.size)
-    found = identify.law(recorded(displacement, law(displacement) + noise, "simulated"), seconds=3.0).report.laws[0]
+    recording = damper_recording(displacement, law(displacement) + noise, "simulated")
+    found = identify.law(recording, seconds=3.0).report.laws[0]
     assert found.best == SLIDING
     for name in ("upper_n", "lower_n", "backlash_m", "stiffness_n_per_m"):
         estimate, true = getattr(found.sliding, name), getattr(law, name)

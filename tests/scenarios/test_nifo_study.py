@@ -6,20 +6,20 @@ from msgspec.structs import replace
 
 from identify.signals.spectra import Averaging, blocks
 from scenarios import nifo_study, nifo_sweep
-from scenarios.nifo_study import LONG, Study, estimated, incoherent_shares, needed_s
-from scenarios.nifo_sweep import NOISE_M, Point, ideal_range, shown
+from scenarios.nifo_study import LONG_RECORD_RIG, Study, incoherent_shares, nifo_outcome, record_length_s
+from scenarios.nifo_sweep import NOISE_DENSITY, Point, ideal_range, print_and_draw
 from tests.running import environment
 
-STUDY = Study(settings=LONG, block_s=(1.0, 2.5))
+STUDY = Study(settings=LONG_RECORD_RIG, block_s=(1.0, 2.5))
 
 
 @pytest.fixture(scope="module")
 def outcome():
-    return estimated(STUDY)
+    return nifo_outcome(STUDY)
 
 
 def test_the_paper_needs_24_600_s_for_its_finest_resolution():
-    assert needed_s(1200.0) == 24_600.0
+    assert record_length_s(1200.0) == 24_600.0
 
 
 def test_pieces_join_without_a_seam(monkeypatch):
@@ -27,7 +27,7 @@ def test_pieces_join_without_a_seam(monkeypatch):
     for piece_s in (60.0, 20.0):
         monkeypatch.setattr(nifo_study, "PIECE_S", piece_s)
         assert STUDY.pieces * piece_s == 60.0
-        found.append(estimated(STUDY))
+        found.append(nifo_outcome(STUDY))
     for one, other in zip(*(f.estimates for f in found), strict=True):
         assert (other.form, other.block_s, other.contact) == (one.form, one.block_s, one.contact)
         assert other.mean_n_per_m == pytest.approx(one.mean_n_per_m, rel=1e-4)
@@ -36,28 +36,28 @@ def test_pieces_join_without_a_seam(monkeypatch):
 def test_the_weak_form_is_right_where_the_papers_leaks(outcome):
     found = {(e.form, e.block_s, e.contact): e for e in outcome.estimates}
     for contact in ("contact_1", "contact_2"):
-        assert abs(found["weak", 2.5, contact].off_percent) < 0.01
+        assert abs(found["weak", 2.5, contact].mean_error_percent) < 0.01
         for block_s in STUDY.block_s:
             assert (
                 found["weak", block_s, contact].spread_percent < 0.1 * found["paper", block_s, contact].spread_percent
             )
         assert found["paper", 2.5, contact].spread_percent < 0.6 * found["paper", 1.0, contact].spread_percent
-    assert all(0.1 < share < 0.5 for share in outcome.closed)
+    assert all(0.1 < share < 0.5 for share in outcome.closed_shares)
 
 
 def test_noise_spoils_weak_contact():
-    both = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,), noise_densities=(0.0, NOISE_M))
-    alone = Study(settings=replace(LONG, rms_n=0.5), block_s=(2.5,))
-    found, quiet = estimated(both).estimates, estimated(alone).estimates
+    both = Study(settings=replace(LONG_RECORD_RIG, rms_n=0.5), block_s=(2.5,), noise_densities=(0.0, NOISE_DENSITY))
+    alone = Study(settings=replace(LONG_RECORD_RIG, rms_n=0.5), block_s=(2.5,))
+    found, quiet = nifo_outcome(both).estimates, nifo_outcome(alone).estimates
     assert found[: len(quiet)] == quiet
     for clean, spoiled in zip(quiet, found[len(quiet) :], strict=True):
         assert spoiled.spread_percent > 2 * clean.spread_percent
 
 
 def test_the_table_and_the_figure(outcome, tmp_path, capsys):
-    points = [Point(1 / e.block_s, e, outcome.closed[0], outcome.free) for e in outcome.estimates]
+    points = [Point(1 / e.block_s, e, outcome.closed_shares[0], outcome.incoherent_shares) for e in outcome.estimates]
     with environment(COLUMNS="160"):
-        shown("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
+        print_and_draw("a title", "resolution, Hz", points, tmp_path / "out" / "figure.png", (0.5, 0.9))
     printed = capsys.readouterr().out
     assert all(text in printed for text in ("a title", "resolution, Hz", "0.4", "weak form", "contact 2"))
     assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000

@@ -7,7 +7,7 @@ import matplotlib
 import matplotlib.pyplot as plt
 import pytest
 
-from scenarios.notebooks import FOLDER, HTML, PLOT, SOURCES, executed, sources_sha256
+from scenarios.notebooks import FOLDER, HTML, PNG, SOURCES_KEY, execute_notebook, sources_sha256
 
 pytestmark = pytest.mark.long
 
@@ -68,12 +68,12 @@ def test_the_gap_is_the_mass_that_was_added(run, tmp_path):
 @pytest.mark.parametrize("name", NAMES)
 def test_its_outputs_come_from_its_cells_and_are_small(name):
     notebook = read(name)
-    assert notebook["metadata"][SOURCES] == sources_sha256(notebook), "run python -m scenarios.notebooks"
+    assert notebook["metadata"][SOURCES_KEY] == sources_sha256(notebook), "run python -m scenarios.notebooks"
     outputs = [output for cell in notebook["cells"] for output in cell.get("outputs", ())]
     assert [
         output for output in outputs if output["output_type"] in ("error", "stream") and output.get("name") != "stdout"
     ] == []
-    figures = [output["data"][PLOT] for output in outputs if PLOT in output.get("data", {})]
+    figures = [output["data"][PNG] for output in outputs if PNG in output.get("data", {})]
     assert figures
     assert all(len(figure) < 60_000 for figure in figures)
     assert len(json.dumps(notebook)) < 150_000
@@ -84,7 +84,7 @@ def test_its_outputs_come_from_its_cells_and_are_small(name):
 def test_executed_again_it_says_the_same_but_for_digits(name):
     pytest.importorskip("nbclient")
     notebook = read(name)
-    assert words(executed(notebook)) == words(notebook)
+    assert words(execute_notebook(notebook)) == words(notebook)
 
 
 def words(notebook):

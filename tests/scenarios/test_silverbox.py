@@ -16,22 +16,22 @@ from identify.gaps.decision.answer import diagnose
 from rig.errors import RigError
 from rig.model.description import PointSpring
 from rig.simulation.excitation import BandLimitedGaussian, force_history
-from scenarios.free_runs import SIMULATOR, free_run, simulated
-from scenarios.silverbox import FILE, SAMPLES, JudgedRig, app, identified, measured, one_mass, rms
+from scenarios.measured_data import SIMULATOR, free_run, simulated
+from scenarios.silverbox import FILE, SAMPLE_COUNT, SilverboxDiagnosis, app, fit_free_run, one_mass, read_volts, rms
 
 DATA = Path(os.environ.get("SILVERBOX", "silverbox"))
 CUBIC_N_PER_M3, NOISE_DENSITY = 4e7, 1e-7
 
 
 @pytest.fixture(scope="module")
-def judged(tmp_path_factory) -> JudgedRig:
+def judged(tmp_path_factory) -> SilverboxDiagnosis:
     if not (DATA / FILE).exists():
         pytest.skip(f"no {FILE}: let the environment variable SILVERBOX name its folder")
     out = tmp_path_factory.mktemp("silverbox")
     result = CliRunner().invoke(app, ["--data", str(DATA), "--out", str(out)])
     assert result.exit_code == 0, result.output
     assert {p.name for p in out.glob("*.png")} == {"where.png", "arrow.png"}
-    return msgspec.json.decode((out / "silverbox.json").read_bytes(), type=JudgedRig)
+    return msgspec.json.decode((out / "silverbox.json").read_bytes(), type=SilverboxDiagnosis)
 
 
 def test_measured_data_is_diagnosed_as_a_hardening_spring(judged):
@@ -81,7 +81,7 @@ def test_identification_recovers_the_rig_from_a_wrong_start(duffing):
         bodies=(replace(body, mass_kg=1.03 * body.mass_kg, frequency_hz=1.01 * body.frequency_hz),),
         springs=(replace(spring, cubic_n_per_m3=0.9 * spring.cubic_n_per_m3),),
     )
-    found = identified(wrong, fit)
+    found = fit_free_run(wrong, fit)
     assert found.springs[0].cubic_n_per_m3 == pytest.approx(CUBIC_N_PER_M3, rel=2e-3)
     assert found.bodies[0].mass_kg == pytest.approx(body.mass_kg, rel=2e-3)
 
@@ -95,21 +95,21 @@ def test_a_free_run_has_no_noise(duffing):
 
 def test_data_that_is_not_there_is_one_sentence(tmp_path):
     with pytest.raises(RigError, match=f"{FILE}: cannot be opened"):
-        measured(tmp_path)
+        read_volts(tmp_path)
     (tmp_path / FILE).write_text('"V1","V2",\n0.1,0.2,\n0.1,0.2,\n')
     with pytest.raises(RigError, match="has 2 samples instead of"):
-        measured(tmp_path)
+        read_volts(tmp_path)
 
 
 def test_the_package_that_fetches_the_data(monkeypatch):
-    record = SimpleNamespace(u=np.arange(SAMPLES) * 1.0, y=np.ones(SAMPLES))
+    record = SimpleNamespace(u=np.arange(SAMPLE_COUNT) * 1.0, y=np.ones(SAMPLE_COUNT))
     loads = SimpleNamespace(Silverbox=lambda train_test_split: None if train_test_split else record)
     monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", loads)
-    np.testing.assert_array_equal(measured(None), [record.u, record.y])
+    np.testing.assert_array_equal(read_volts(None), [record.u, record.y])
 
     loads.Silverbox = Mock(side_effect=OSError("no network"))
     with pytest.raises(RigError, match="could not fetch the data"):
-        measured(None)
+        read_volts(None)
     monkeypatch.setitem(sys.modules, "nonlinear_benchmarks", None)
     with pytest.raises(RigError, match="no data: give --data FOLDER"):
-        measured(None)
+        read_volts(None)

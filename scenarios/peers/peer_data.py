@@ -25,8 +25,8 @@ class ContactAnswer(msgspec.Struct, frozen=True, kw_only=True):
     contact: str
     clearance_m: float | None
     stiffness_n_per_m: float
-    clearance_reach_m: float | None = None
-    stiffness_reach_n_per_m: float | None = None
+    clearance_half_width_m: float | None = None
+    stiffness_half_width_n_per_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class LinearModel:
 
 
 @dataclass(frozen=True)
-class Given:
+class PeerData:
     """A recording as arrays, with the true contact laws for those peers that are told them, or start near them."""
 
     model: LinearModel
@@ -68,29 +68,29 @@ class Given:
         return self.contact_stations @ self.displacement_m
 
 
-def given(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Given:
+def peer_data(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> PeerData:
     """Arrays of a recording that has displacement, velocity and acceleration at every station."""
     rig = recording.rig
     model = model_of(rig, False, modes_per_beam)
-    places = [s.station for s in sensors_of(rig, "displacement")]
+    stations = [s.station for s in sensors_of(rig, "displacement")]
     mode_bodies = [b.name for b in rig.bodies for _ in range(model.omega.size // len(rig.bodies))]
-    selection = np.zeros((len(rig.contacts), len(places)))
-    for row, contact in zip(selection, rig.contacts, strict=True):
-        row[places.index(contact.at)] = 1
+    eta_from_stations = np.zeros((len(rig.contacts), len(stations)))
+    for row, contact in zip(eta_from_stations, rig.contacts, strict=True):
+        row[stations.index(contact.at)] = 1
         if contact.against:
-            row[places.index(contact.against)] = -1
+            row[stations.index(contact.against)] = -1
 
     def values(quantity: QuantityName) -> Float[np.ndarray, "stations samples"]:
         return np.array([recording.values_of(s) for s in sensors_of(rig, quantity)])
 
-    return Given(
+    return PeerData(
         model=LinearModel(
             omega=model.omega,
             zeta=model.zeta,
             bodies=tuple(mode_bodies),
             force_row=model.input_forces[0],
             contact_rows=model.eta_rows,
-            sensor_rows=np.array([model.station_rows[place] for place in places]),
+            sensor_rows=np.array([model.station_rows[place] for place in stations]),
         ),
         names=tuple(c.name for c in rig.contacts),
         true_clearance_m=np.array([c.law.clearance_m for c in rig.contacts]),
@@ -100,9 +100,9 @@ def given(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Given:
         displacement_m=values("displacement"),
         velocity_m_per_s=values("velocity"),
         acceleration_m_per_s2=values("acceleration"),
-        station_bodies=tuple(place.body for place in places),
-        contact_stations=selection,
-        force_station=places.index(rig.forces[0]),
+        station_bodies=tuple(place.body for place in stations),
+        contact_stations=eta_from_stations,
+        force_station=stations.index(rig.forces[0]),
     )
 
 
