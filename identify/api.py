@@ -32,7 +32,7 @@ from rig.model.tolerances import Tolerances, tolerances_named
 from rig.recording import Recording, channel_groups, read
 
 Source = Recording | str | Path
-LONGEST_NAME = 100
+MAX_NAME = 100
 Progress = Callable[[float], None]
 
 
@@ -44,10 +44,10 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
     record = _recording(recording)
     with threadpool_limits(1):
         if record.rig.in_space:
-            findings = space_findings(record, use, _resolved(tolerances))
+            findings = space_findings(record, use, _tolerances(tolerances))
         else:
             check_plane(record.rig, "identify check without annular contacts")
-            findings = check_recording(record, use, _resolved(tolerances))
+            findings = check_recording(record, use, _tolerances(tolerances))
     return CheckResult(findings, _title([recording], record), unchecked(record.rig))
 
 
@@ -71,7 +71,7 @@ def contact(
         use=use,
         averaging=averaging,
         equation=equation,
-        tolerances=_resolved(tolerances),
+        tolerances=_tolerances(tolerances),
         progress=progress,
     )
     laws = {c.name: c.law for c in record.rig.contacts}
@@ -100,7 +100,7 @@ def law(
         use=use,
         seconds=seconds,
         seed=seed,
-        tolerances=_resolved(tolerances),
+        tolerances=_tolerances(tolerances),
         progress=progress,
     )
     return LawResult(laws, _title([recording], record), _files([recording]))
@@ -130,39 +130,42 @@ def gap(
     if len(by_identity) < len(sources):
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
-    records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
+    records = {identity: _recording_with_rig(source, nominal, rig) for identity, source in by_identity.items()}
     for record in records.values():
         check_plane(record.rig, "identify gap")
     first = next(iter(records.values()))
     reference_path = None if null_reference is None else Path(null_reference)
     if reference_path and reference_path.is_dir():
-        reference_path /= f"{quote(first.rig.name, safe=' ')[:LONGEST_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
+        reference_path /= f"{quote(first.rig.name, safe=' ')[:MAX_NAME]}-{simulator}{NULL_REFERENCE_SUFFIX}"
     if reference_path:
         inputs = [Path(source) for source in (*sources, validation, rig) if isinstance(source, str | Path)]
         check_target(reference_path, *inputs, new_folder=True)
     with threadpool_limits(1):  # the matrices are small
-        findings = [check_recording(record, tolerances=_resolved(tolerances)) for record in records.values()]
+        findings = [check_recording(record, tolerances=_tolerances(tolerances)) for record in records.values()]
         report, corrected = diagnose(
             list(records.values()),
-            None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
+            None
+            if validation is None
+            else records.get(_identity(validation)) or _recording_with_rig(validation, nominal, rig),
             simulator_named(simulator),
             reference_path,
             progress,
-            _resolved(tolerances),
+            _tolerances(tolerances),
             matters or Matters(),
             next_experiment,
         )
-        remaining = [
-            _not_accounted_for(record_findings, record, corrected, _resolved(tolerances))
+        remaining_findings = [
+            _remaining_findings(record_findings, record, corrected, _tolerances(tolerances))
             for record_findings, record in zip(findings, records.values(), strict=True)
         ]
     all_sources = sources if validation is None else [*sources, validation]
-    all_findings = [finding for record_findings in remaining for finding in record_findings]
-    distinct = dict.fromkeys(without_dead_force(all_findings, first.force_names))  # zeros: the force of a free decay
-    return GapResult(report, corrected, _title(sources, first), tuple(distinct), _files(all_sources))
+    all_findings = [finding for record_findings in remaining_findings for finding in record_findings]
+    # zeros: the force of a free decay
+    unique_findings = dict.fromkeys(without_dead_force(all_findings, first.force_names))
+    return GapResult(report, corrected, _title(sources, first), tuple(unique_findings), _files(all_sources))
 
 
-def _not_accounted_for(
+def _remaining_findings(
     findings: Sequence[Finding], record: Recording, corrected: Rig, tolerances: Tolerances | None
 ) -> Sequence[Finding]:
     """Findings of the check of a record that it also has with the corrected rig; all where that cannot be checked."""
@@ -192,7 +195,7 @@ def compare(
     if len({path.resolve() for path in paths}) < len(paths):
         raise RigError("a recording is given twice; give each once")
     with threadpool_limits(1):
-        history = history_of(list(observations(paths, use, _resolved(tolerances), progress)))
+        history = history_of(list(observations(paths, use, _tolerances(tolerances), progress)))
     return HistoryResult(history)
 
 
@@ -220,7 +223,7 @@ def plan(
     else:
         described = source
     check_plane(described if isinstance(described, Rig) else described.rig, "identify plan")
-    test = planned_test(described, duration_s, force_rms_n, band_hz, _resolved(tolerances))
+    test = planned_test(described, duration_s, force_rms_n, band_hz, _tolerances(tolerances))
     report = ranked_plan(test, simulator, most_changes, workers, progress)
     return PlanResult(report, test.rig, (Path(source),) if isinstance(source, str | Path) else ())
 
@@ -234,7 +237,7 @@ def _recording(source: Source) -> Recording:
     return source if isinstance(source, Recording) else read(Path(source))
 
 
-def _with_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) -> Recording:
+def _recording_with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | None) -> Recording:
     """Recording with another nominal rig if one is given; raises RigError if their channels differ."""
     recording = _recording(source)
     if rig is None:
@@ -244,7 +247,7 @@ def _with_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) ->
     if channels != {
         quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()
     }:
-        rig_name = name if isinstance(name, str | Path) else f"rig {rig.name!r}"
+        rig_name = rig_source if isinstance(rig_source, str | Path) else f"rig {rig.name!r}"
         file = "the recording" if isinstance(source, Recording) else source
         raise RigError(
             f"{rig_name}: its forces, sensors or their sampling rate are not those of {file}; give one with the same"
@@ -253,7 +256,7 @@ def _with_rig(source: Source, rig: Rig | None, name: Rig | str | Path | None) ->
     return replace(recording, rig=rig, signals=signals)
 
 
-def _resolved(tolerances: Tolerances | str | None) -> Tolerances | None:
+def _tolerances(tolerances: Tolerances | str | None) -> Tolerances | None:
     return tolerances_named(tolerances) if isinstance(tolerances, str) else tolerances
 
 

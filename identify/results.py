@@ -27,7 +27,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig
 
 Row = dict[str, str | float]
-MOST_CAUSES = 5
+MAX_CAUSES = 5
 """Causes of a diagnosis in its summary, the most probable first. Display."""
 
 
@@ -258,7 +258,7 @@ class GapResult(Summarized):
                 "probability": percent(cause.probability),
                 "difference removed": percent(cause.explained),
             }
-            for cause in self.report.causes[:MOST_CAUSES]
+            for cause in self.report.causes[:MAX_CAUSES]
         )
         return Summary(rows, above=(self.report.sentence,))
 

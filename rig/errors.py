@@ -4,7 +4,7 @@ import unicodedata
 from collections.abc import Iterable
 from difflib import get_close_matches
 
-MAX_LENGTH = 1500
+MAX_SENTENCE_LENGTH = 1500
 _CONTROL_CATEGORIES = {"Cc", "Cf", "Cs", "Zl", "Zp"}
 
 
@@ -17,7 +17,7 @@ class RigError(ValueError):
     def __init__(self, sentence: str) -> None:
         super().__init__(one_line(sentence))
 
-    def noting(self, note: str) -> "RigError":
+    def with_note(self, note: str) -> "RigError":
         """Error with a note appended to its sentence."""
         return RigError(f"{self} {note}")
 
@@ -34,7 +34,7 @@ class CutOffError(RigError):
         self.strerror = strerror
 
 
-def meant(word: str, candidates: Iterable[str]) -> str:
+def hint(word: str, candidates: Iterable[str]) -> str:
     """Suggestion " (did you mean 'x'?)" of the candidate closest to an unknown word; empty if none is close."""
     return "".join(f" (did you mean {match!r}?)" for match in get_close_matches(word, candidates, 1))
 
@@ -47,7 +47,7 @@ def is_plain(text: str) -> bool:
 
 
 def one_line(text: str) -> str:
-    """Text on one line: unprintable characters escaped, the middle cut out beyond MAX_LENGTH characters."""
-    if len(text) > MAX_LENGTH:
-        text = f"{text[: MAX_LENGTH // 2]} [...] {text[-MAX_LENGTH // 2 :]}"
+    """Text on one line: unprintable characters escaped, the middle cut out beyond MAX_SENTENCE_LENGTH characters."""
+    if len(text) > MAX_SENTENCE_LENGTH:
+        text = f"{text[: MAX_SENTENCE_LENGTH // 2]} [...] {text[-MAX_SENTENCE_LENGTH // 2 :]}"
     return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

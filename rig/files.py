@@ -31,12 +31,12 @@ def check_source(path: Path) -> None:
     """Raise RigError unless the path is a regular file: a device or a pipe may never end."""
     _check_name(path)
     try:
-        regular = path.is_file()
-        if not regular:
+        is_regular = path.is_file()
+        if not is_regular:
             path.open("rb").close() if path.is_dir() else path.stat()
     except OSError as error:
         raise RigError(f"{path}: cannot be opened ({error.strerror}); check the name") from error
-    if not regular:
+    if not is_regular:
         raise RigError(f"{path}: is a device, a pipe or the like; give a file")
 
 
@@ -65,7 +65,7 @@ def check_target(path: Path, *sources: Path, new_folder: bool = False) -> None:
     part_path = part_of(path)
     for source in sources:
         _check_name(source)
-        if any(_is_same_file(place, source) for place in (path, part_path)):
+        if any(_is_same_file(candidate, source) for candidate in (path, part_path)):
             raise RigError(f"{path}: would be written over {source}, which is read; give another name")
     folder = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
     if folder != path.absolute().parent and not new_folder:
@@ -83,13 +83,13 @@ def part_of(path: Path) -> Path:
     part_path = path.with_name(path.name + ".part")
     if any(len(os.fsencode(name)) > MAX_NAME_BYTES for name in part_path.parts):
         raise RigError(f"{path}: cannot be written (its name is too long); give a shorter one")
-    for place in (path, part_path):
-        if place.is_symlink():
-            raise RigError(f"{place}: is a symbolic link; name the file itself")
-        if place.is_dir():
-            raise RigError(f"{place}: is a folder; name a file in it")
-        if place.exists() and not place.is_file():
-            raise RigError(f"{place}: is a device, a pipe or the like; name a file")
+    for candidate in (path, part_path):
+        if candidate.is_symlink():
+            raise RigError(f"{candidate}: is a symbolic link; name the file itself")
+        if candidate.is_dir():
+            raise RigError(f"{candidate}: is a folder; name a file in it")
+        if candidate.exists() and not candidate.is_file():
+            raise RigError(f"{candidate}: is a device, a pipe or the like; name a file")
     return part_path
 
 
@@ -102,7 +102,7 @@ def make_folder(path: Path) -> None:
 
 
 @contextmanager
-def reserved(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
+def locked_part(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
     """FILE.part, locked for this writer; raises RigError if another writer holds it for longer than wait_s.
 
     The remains of a writer that was killed may be overwritten.
@@ -122,7 +122,7 @@ def reserved(path: Path, wait_s: float = 0.0) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def settle(part_path: Path, path: Path) -> None:
+def sync_and_rename(part_path: Path, path: Path) -> None:
     """Sync the file to the disk, rename it to its final path, and sync the folder."""
     with part_path.open("rb+") as file:
         os.fsync(file.fileno())
@@ -141,10 +141,10 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
     Writers of one file wait for each other; the last one prevails. Raises RigError if the file cannot be written.
     """
-    with reserved(path, WAIT_S) as part_path:
+    with locked_part(path, WAIT_S) as part_path:
         try:
             yield part_path
-            settle(part_path, path)
+            sync_and_rename(part_path, path)
         except BaseException as error:  # once settled it stays: what stands there then is the next writer's
             with suppress(OSError):
                 part_path.unlink()

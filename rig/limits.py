@@ -23,7 +23,7 @@ MAX_ITEMS = 100_000
 """Largest number of columns, datasets, elements of structs and cells, or segments in a file."""
 MAX_DEPTH = 32
 """Deepest nesting of groups, structs, cells and keys."""
-MAX_NAME = 1000
+MAX_NAME_LENGTH = 1000
 """Longest name in a file, characters."""
 SCHEMA_VERSION = 2
 """Version of the structure of rig.json, contact.json and gap.json that this program writes; it reads all up to it."""
@@ -36,11 +36,11 @@ def memory_bound_bytes(file_bytes: int) -> int:
 
 def check_decoded_size(decoded_bytes: int | float, file_bytes: int, content: str) -> None:
     """Raise TooLargeError if `content` ("PATH: dataset 'x'"), once decoded, exceeds the bound of its file."""
-    bound = memory_bound_bytes(file_bytes)
-    if decoded_bytes > bound:
+    bound_bytes = memory_bound_bytes(file_bytes)
+    if decoded_bytes > bound_bytes:
         raise TooLargeError(
             f"{content} would take {decoded_bytes / 1e6:.0f} MB of memory, and a file of {file_bytes / 1e6:.3g} MB may "
-            f"take {bound / 1e6:.0f} MB; export it in parts, at a lower rate, or without compression"
+            f"take {bound_bytes / 1e6:.0f} MB; export it in parts, at a lower rate, or without compression"
         )
 
 
@@ -75,34 +75,34 @@ def check_json(text: bytes, source: str) -> None:
 
 def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     """Object of these key-value pairs; raises RigError, without the name of the file, if a key occurs twice."""
-    unique: dict[str, Any] = {}
+    value_by_key: dict[str, Any] = {}
     for key, value in pairs:
-        if key in unique:
+        if key in value_by_key:
             raise RigError(f"the key {key!r} is given twice in one object; give it once")
-        unique[key] = value
-    return unique
+        value_by_key[key] = value
+    return value_by_key
 
 
-LARGEST = 1e30
+MAX_NUMBER = 1e30
 """Largest number, in any unit: beyond any sensor, and a fourth power would overflow."""
 
 
 def check_largest(decoded: Any, source: str) -> None:
-    """Raise RigError, with its place, if a number in decoded JSON is beyond LARGEST."""
+    """Raise RigError, with its place, if a number in decoded JSON is beyond MAX_NUMBER."""
     pending: list[tuple[tuple[Any, ...], Any]] = [((), decoded)]
     while pending:
         path, value = pending.pop()
         if isinstance(value, dict):
             pending.extend(((path, f".{key}"), child) for key, child in value.items())
         elif isinstance(value, list):
-            pending.extend(((path, f"[{number}]"), child) for number, child in enumerate(value))
-        elif isinstance(value, int | float) and abs(value) > LARGEST:
+            pending.extend(((path, f"[{index}]"), child) for index, child in enumerate(value))
+        elif isinstance(value, int | float) and abs(value) > MAX_NUMBER:
             raise RigError(
-                f"{source}: {_name(path)} is about 1e{math.log10(abs(value)):.0f}, which nothing is; correct it"
+                f"{source}: {_dotted_name(path)} is about 1e{math.log10(abs(value)):.0f}, which nothing is; correct it"
             )
 
 
-def _name(path: tuple[Any, ...]) -> str:
+def _dotted_name(path: tuple[Any, ...]) -> str:
     """Name of a place as in `bodies[0].mass_kg`, from (parent, key) pairs."""
     keys = []
     while path:

@@ -10,7 +10,7 @@ from typing import TypeVar
 from joblib import Parallel, cpu_count, delayed
 from joblib.externals.loky import get_reusable_executor
 
-WORTH_S = 15.0
+MIN_REMAINING_S = 15.0
 """Seconds of remaining work from which on processes are started, as each imports what it needs for 2 to 3 s."""
 MAX_PROCESSES = 4
 """Number of processes at most by default, as a diagnosis takes up to 1 GB in each."""
@@ -27,29 +27,29 @@ def mapped(
 ) -> list[Result]:
     """Results of `function` for every run, in their order, over so many processes; by default one a core.
 
-    Runs are done in this process until their time says that the remaining ones would take longer than `WORTH_S`. The
-    processes end with the last run, as they keep their memory. LOKY_MAX_CPU_COUNT limits the cores. Errors are raised
-    as they occur.
+    Runs are done in this process until their time says that the remaining ones would take longer than
+    `MIN_REMAINING_S`. The processes end with the last run, as they keep their memory. LOKY_MAX_CPU_COUNT limits the
+    cores. Errors are raised as they occur.
     """
-    workers = processes or min(cpu_count(), MAX_PROCESSES)
+    process_count = processes or min(cpu_count(), MAX_PROCESSES)
     results: list[Result] = []
-    begin_s = time.monotonic()
+    start_s = time.monotonic()
 
-    def take(result: Result) -> None:
+    def add_result(result: Result) -> None:
         results.append(result)
         report_finished(len(results))
 
     for run in runs:
         remaining_count = len(runs) - len(results)
-        run_s = (time.monotonic() - begin_s) / max(len(results), 1)
-        if results and min(workers, remaining_count) > 1 and remaining_count * run_s > WORTH_S:
+        run_s = (time.monotonic() - start_s) / max(len(results), 1)
+        if results and min(process_count, remaining_count) > 1 and remaining_count * run_s > MIN_REMAINING_S:
             break
-        take(function(run))
+        add_result(function(run))
     if remaining_runs := runs[len(results) :]:
-        parallel = Parallel(n_jobs=min(workers, len(remaining_runs)), return_as="generator")
+        parallel = Parallel(n_jobs=min(process_count, len(remaining_runs)), return_as="generator")
         try:
             for result in parallel(delayed(function)(run) for run in remaining_runs):
-                take(result)
+                add_result(result)
         finally:
             get_reusable_executor().shutdown(kill_workers=True)
     return results

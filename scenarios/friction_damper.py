@@ -20,7 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 import identify
-from identify.laws import FoundLaw
+from identify.laws import ContactLawFit
 from identify.laws.results import ContactLawEstimate
 from identify.pages.style import GREY, RED, picture
 from identify.pages.wording import interval
@@ -144,7 +144,7 @@ def law_table(laws: list[DamperLaw]) -> Table:
     return table
 
 
-def draw_laws(laws: Sequence[DamperLaw], plotted_laws: Sequence[FoundLaw], path: Path) -> None:
+def draw_laws(laws: Sequence[DamperLaw], plotted_laws: Sequence[ContactLawFit], path: Path) -> None:
     """Draw the measured force and the law over the displacement, a panel for each recording."""
     panel_rows = -(-len(laws) // PANEL_COLUMNS)
 

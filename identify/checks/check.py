@@ -99,7 +99,7 @@ def naming_first_finding(findings: tuple[Finding, ...]) -> Iterator[None]:
     except RigError as error:
         if not findings:
             raise
-        raise error.noting(f"(the check of the record found: {findings[0].sentence})") from error
+        raise error.with_note(f"(the check of the record found: {findings[0].sentence})") from error
 
 
 def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[str, ...]:

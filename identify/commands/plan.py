@@ -17,7 +17,7 @@ from rig.commands.command_line import Force, Json, literal_console, progress_bar
 
 SHOWN_CHANGES = 8
 """Number of ranked changes on the terminal."""
-MOST_WORKERS = 8
+MAX_WORKERS = 8
 """Most processes, each of which takes some 0.4 GB."""
 
 
@@ -66,7 +66,7 @@ def plan(
             tolerances=tolerances,
             simulator=simulator,
             most_changes=changes,
-            workers=workers or min(os.cpu_count() or 1, MOST_WORKERS),
+            workers=workers or min(os.cpu_count() or 1, MAX_WORKERS),
             progress=progress,
         )
     if out is not None:

@@ -222,7 +222,7 @@ class ContactRefusedError(RigError):
         super().__init__(f"{refusal.sentence} {note}".rstrip())
         self.refusal = refusal
 
-    def noting(self, note: str) -> "ContactRefusedError":
+    def with_note(self, note: str) -> "ContactRefusedError":
         """Error with a note behind its sentence."""
         return ContactRefusedError(self.refusal, note)
 

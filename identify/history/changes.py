@@ -18,7 +18,7 @@ LEVEL = 0.05
 ERROR_INFLATION = 1.5
 """Factor by which own errors may be too small: for the machines of `tests.campaigns.wear --seed 3` the scatter of a
 clearance over its own error is 1.17 (root mean square), at most 2.06; 1.5 is set by hand."""
-FEWEST_FOR_TREND = 4
+MIN_TREND_COUNT = 4
 """Fewest recordings of which a trend is tested."""
 UNITS = {"clearance_m": "m", "stiffness_n_per_m": "N/m", "damping_n_s_per_m": "N s/m"}
 MODAL_UNITS = {"frequency_hz": "Hz", "damping_ratio": "1"}
@@ -197,7 +197,7 @@ def change_tests(
     p_different = (
         float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1)) if errors_known else None
     )
-    if recording_count < FEWEST_FOR_TREND:
+    if recording_count < MIN_TREND_COUNT:
         return ChangeTests(p_different, None, None)
     position_square_sum = weights @ centred_positions**2
     slope = float(weights @ (centred_positions * centred_values) / position_square_sum)

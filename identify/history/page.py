@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from identify.history.changes import FEWEST_FOR_TREND, LEVEL, UNITS, History, Observation, QuantityHistory
+from identify.history.changes import LEVEL, MIN_TREND_COUNT, UNITS, History, Observation, QuantityHistory
 from identify.pages import page
 from identify.pages.style import Picture
 from identify.pages.wording import COVERED, interval, number
@@ -175,7 +175,7 @@ def _sections(history: History, figure: Picture) -> list[tuple[str, str]]:
         "without what rig.json may have wrong, which is the same in all of them."
     )
     table_note = (
-        f"<p>± 95 %. A trend is tested from {FEWEST_FOR_TREND} recordings on. p is the chance of such a trend, or of "
+        f"<p>± 95 %. A trend is tested from {MIN_TREND_COUNT} recordings on. p is the chance of such a trend, or of "
         f"such differences, in a machine that does not change, corrected for the number of tests: in one history of "
         f"{1 / LEVEL:.0f} any p falls below {LEVEL:g} by chance.</p>"
     )

@@ -16,7 +16,7 @@ from identify.signals.law_evaluation import evaluated_law, interpolated, low_pas
 from identify.signals.scores import part_scores
 
 HAT_COUNT, HAT_GROUP_COUNT = 81, 9
-MOST_KNEES = 8
+MAX_KNEES = 8
 BEND_PENALTY = 1e-3
 KNEE_ERROR_RATIO = 1.02
 """A knee is dropped if the error of the fit without it is at most this multiple."""
@@ -162,7 +162,7 @@ def slope_jumps(law: LawFunction, low_m: float, high_m: float, jump_share: float
     jump_edges = np.flatnonzero(np.diff(np.concatenate([[0], is_jump.astype(int), [0]])))
     middles_m = eta_m[span_samples // 2 : -span_samples // 2]
     jump_runs = [(a, b) for a, b in zip(jump_edges[::2], jump_edges[1::2], strict=True) if b - a <= 3 * span_samples]
-    jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MOST_KNEES])
+    jump_runs = sorted(sorted(jump_runs, key=lambda run: -float(slope_changes[slice(*run)].sum()))[:MAX_KNEES])
     return np.array([np.average(middles_m[a:b], weights=slope_changes[a:b]) for a, b in jump_runs])
 
 
@@ -291,13 +291,13 @@ class SlidingFriction:
 
     def force_n(self, course: Course) -> Float[np.ndarray, " more"]:
         """Force at every sample of a course."""
-        half_m, k = self.backlash_m / 2, self.stiffness_n_per_m
-        low_m, high_m = -half_m - self.lower_n / k, half_m + self.upper_n / k
+        half_backlash_m, k = self.backlash_m / 2, self.stiffness_n_per_m
+        low_m, high_m = -half_backlash_m - self.lower_n / k, half_backlash_m + self.upper_n / k
         slider_at_turns_m = [0.0]
         for step_m in course.steps_m:
             slider_at_turns_m.append(min(max(slider_at_turns_m[-1] + step_m, low_m), high_m))
-        s = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.since_turn_m, low_m, high_m)
-        return np.asarray(k * (s - np.clip(s, -half_m, half_m)))
+        slider_m = np.clip(np.array(slider_at_turns_m)[course.run_indices] + course.since_turn_m, low_m, high_m)
+        return np.asarray(k * (slider_m - np.clip(slider_m, -half_backlash_m, half_backlash_m)))
 
 
 def sliding_friction(samples: ForceSamples, rows: Rows) -> SlidingFriction:

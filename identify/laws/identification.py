@@ -52,13 +52,13 @@ FALLBACK_KNEE_COUNT = 4
 """Count of evenly spaced knees from which straight pieces start where those of the formula fit badly."""
 EDGE_SAMPLE_COUNT = 64
 """Samples of the force at either end of the record that the low-pass falsifies."""
-LEAST_SAMPLE_COUNT = 500
+MIN_SAMPLE_COUNT = 500
 EQUIVALENT_RATIO = 1.05
 """An error counts as equal to the smallest up to this multiple of it."""
 
 
 @dataclass(frozen=True)
-class FoundLaw:
+class ContactLawFit:
     """Law of one contact with the points that the formula was searched on, and the record for figures.
 
     sliding is None unless friction is the best law.
@@ -90,7 +90,7 @@ class Laws:
     """Laws of the contacts that were identified, with the report on all."""
 
     report: LawReport
-    found: tuple[FoundLaw, ...]
+    found: tuple[ContactLawFit, ...]
 
 
 def identify_law(
@@ -126,7 +126,7 @@ def identify_law(
         for joined_contact, contact_record in joined_and_records
         if contact in (None, *(contact_names[j] for j in joined_contact.contact_indices))
     ]
-    laws: list[FoundLaw] = []
+    laws: list[ContactLawFit] = []
     refusal_by_name: dict[str, Refusal] = {}
     for contact_number, (joined_contact, contact_record) in enumerate(chosen_contacts, start=1):
         member_names = [contact_names[j] for j in joined_contact.contact_indices]
@@ -190,7 +190,7 @@ class _FormulaFit:
 
 def _identify_contact(
     contacts: Contacts, joined_contact: ContactGroup, contact_record: ContactRecord, search_s: float, seed: int
-) -> FoundLaw:
+) -> ContactLawFit:
     """Law of one contact: formula, straight pieces, friction and cubic, compared on the held-out half."""
     samples = _contact_samples(contacts, joined_contact, contact_record)
     force_samples, error_resolution_n = samples.record, samples.error_resolution_n
@@ -229,7 +229,7 @@ def _identify_contact(
         repeatable=not formula_fit.out_of_time,
     )
     time_s = contacts.separation.motion.time_s(force_samples.force_n.size, contact_record.decimation)
-    return FoundLaw(
+    return ContactLawFit(
         law_estimate, formula_fit.eta_m, formula_fit.force_n, formula, pieces, sliding, force_samples, time_s
     )
 
@@ -259,7 +259,7 @@ def _contact_samples(
         force_samples = replace(force_samples, force_n=force_samples.force_n - damping_n)
     first_row = separation.motion.excited_from // contact_record.decimation + EDGE_SAMPLE_COUNT
     last_row = force_samples.force_n.size - EDGE_SAMPLE_COUNT
-    if last_row - first_row < LEAST_SAMPLE_COUNT:
+    if last_row - first_row < MIN_SAMPLE_COUNT:
         raise RigError(
             f"the excited part of the record holds {max(last_row - first_row, 0)} samples of the contact force; "
             "record longer"

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from identify.laws.identification import EDGE_SAMPLE_COUNT, FoundLaw, Laws
+from identify.laws.identification import EDGE_SAMPLE_COUNT, ContactLawFit, Laws
 from identify.laws.results import PIECEWISE, ContactLawEstimate, LawReport
 from identify.pages import page
 from identify.pages.style import BLUE, GREEN, GREY, RED, Picture, picture
@@ -127,13 +127,13 @@ def _law_values(law: ContactLawEstimate) -> Iterator[tuple[str, str]]:
         yield f"{PIECEWISE}, slope {ordinal}", interval(slope.value, slope.standard_error, "N/m")
 
 
-def law_figures(laws: Sequence[FoundLaw]) -> dict[str, Picture]:
+def law_figures(laws: Sequence[ContactLawFit]) -> dict[str, Picture]:
     """Figures of the laws by name; none without a law."""
     draw_functions = {"law": _draw_law, "law_over_time": _draw_over_time} if laws else {}
     return {figure_name: picture(partial(draw, laws=laws)) for figure_name, draw in draw_functions.items()}
 
 
-def _draw_law(figure: Any, laws: Sequence[FoundLaw]) -> None:
+def _draw_law(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     """Draw each contact's force over eta: the points searched, formula and straight pieces, and their residual below.
 
     Where friction behind a backlash is the best law, draw that instead, along the course of eta.
@@ -169,7 +169,7 @@ def _draw_law(figure: Any, laws: Sequence[FoundLaw]) -> None:
     _draw_legend(figure, force_panels)
 
 
-def _draw_over_time(figure: Any, laws: Sequence[FoundLaw]) -> None:
+def _draw_over_time(figure: Any, laws: Sequence[ContactLawFit]) -> None:
     """Draw force, law and relative displacement over time around the largest force."""
     force_panels, motion_panels = figure.subplots(2, len(laws), squeeze=False, sharex="col", sharey="row")
     for force_axes, motion_axes, law in zip(force_panels, motion_panels, laws, strict=True):
@@ -203,7 +203,7 @@ def _draw_legend(figure: Any, panels: Any) -> None:
     figure.legend(handle_by_label.values(), handle_by_label.keys(), loc="outside upper center", ncols=4)
 
 
-def _draw_sliding(force_axes: Any, residual_axes: Any, law: FoundLaw) -> None:
+def _draw_sliding(force_axes: Any, residual_axes: Any, law: ContactLawFit) -> None:
     eta_mm, force_n, law_force_n = 1e3 * law.record.eta_at_force_m, law.record.force_n, law.plotted_force_n
     force_axes.plot(eta_mm, force_n, color=GREY, lw=0.5, label="force, no law assumed")
     force_axes.plot(eta_mm, law_force_n, color=RED, lw=0.9, label=law.plotted_law)
@@ -212,14 +212,14 @@ def _draw_sliding(force_axes: Any, residual_axes: Any, law: FoundLaw) -> None:
     residual_axes.set(xlabel="η, mm")
 
 
-def curves(laws: Sequence[FoundLaw]) -> dict[str, Table]:
+def curves(laws: Sequence[ContactLawFit]) -> dict[str, Table]:
     """Tables by name: `law_over_time` (relative displacement, separated force and low-passed force of the law) and, for
     the N-th contact, `law_N` (formula and straight pieces over relative displacement); none without a law."""
     tables = {f"law_{contact_number}": _over_displacement(law) for contact_number, law in enumerate(laws, start=1)}
     return tables | ({"law_over_time": _over_time(laws)} if laws else {})
 
 
-def _over_time(laws: Sequence[FoundLaw]) -> Table:
+def _over_time(laws: Sequence[ContactLawFit]) -> Table:
     row_count = min(law.record.force_n.size for law in laws)
     table: Table = {"time_s": laws[0].time_s[:row_count]}
     for law in laws:
@@ -230,7 +230,7 @@ def _over_time(laws: Sequence[FoundLaw]) -> Table:
     return table
 
 
-def _over_displacement(law: FoundLaw) -> Table:
+def _over_displacement(law: ContactLawFit) -> Table:
     contact_name, eta_m = law.result.contact, np.linspace(law.eta_m.min(), law.eta_m.max(), TABULATED_POINT_COUNT)
     return {
         f"{contact_name} relative displacement m": eta_m,

@@ -16,7 +16,7 @@ POPULATION_SIZE = 400
 GENERATION_COUNT = 120
 FIT_ITERATION_COUNT = 5
 """Iterations of the least-squares fit of the constants of each new formula."""
-MOST_NODES = 15
+MAX_NODES = 15
 THREAD_COUNT = 2
 NEGLIGIBLE_CONSTANT = 1e-5
 """Constant term below which it is dropped; y is of order 1."""
@@ -75,7 +75,8 @@ class Formula:
             return f"{self.operation}({', '.join(operand_texts)})"
         if self.operation == "*":
             return " * ".join(
-                f"({s})" if p.operation in "+-" else s for s, p in zip(operand_texts, self.operands, strict=True)
+                f"({operand_text})" if operand.operation in "+-" else operand_text
+                for operand_text, operand in zip(operand_texts, self.operands, strict=True)
             )
         second_text = (
             f"({operand_texts[1]})"
@@ -184,7 +185,7 @@ def search(
         population_size=POPULATION_SIZE,
         generations=GENERATION_COUNT,
         max_evaluations=10**9,
-        max_length=MOST_NODES,
+        max_length=MAX_NODES,
         max_time=max(1, int(seconds)),
         uncertainty=[0.01],
         n_threads=min(thread_count, os.cpu_count() or 1),

@@ -11,9 +11,9 @@ from identify.signals.scores import PARTS, part_scores
 from identify.signals.spectra import decimated
 from rig.model.contact_laws import penetration_m
 
-LEAST_CONTACT_SHARE = 2e-3
+MIN_CONTACT_SHARE = 2e-3
 """Share of the time for which a contact must be closed to determine its clearance."""
-LARGEST_LOG_KAPPA = 20.0
+MAX_LOG_KAPPA = 20.0
 """Largest ln kappa of the density of a relative displacement, of one standard deviation: a rigid stop."""
 
 
@@ -124,7 +124,7 @@ def fit_surface(
         stiffness_n_per_m[j] = weights[2 + i]
         contact_forces[j] = weights[2 + i] * regression_columns(stops)[:, 2 + i]
         closed_share = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
-        if closed_share >= LEAST_CONTACT_SHARE:
+        if closed_share >= MIN_CONTACT_SHARE:
             variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
             lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
             lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
@@ -154,17 +154,19 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
 
         def cost(parameters: Float[np.ndarray, " parameters"]) -> tuple[float, Float[np.ndarray, " parameters"]]:
             """Mean of -log p over the sample, and its gradient by a, b, ln kappa and both stops."""
-            depth, kappa = penetration_m(x, *np.abs(parameters[3:])), np.exp(min(parameters[2], LARGEST_LOG_KAPPA))
+            depth, kappa = penetration_m(x, *np.abs(parameters[3:])), np.exp(min(parameters[2], MAX_LOG_KAPPA))
             exponent = -parameters[0] * x - parameters[1] * x**2 / 2 - kappa * depth**2 / 2
             largest_exponent = exponent.max()
             density = np.exp(exponent - largest_exponent)
             density_sum = density.sum()
-            by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < LARGEST_LOG_KAPPA)
+            by_log_kappa = -kappa * depth**2 / 2 * (parameters[2] < MAX_LOG_KAPPA)
             by_stops = kappa * np.sign(parameters[3:, None]) * np.maximum([-depth, depth], 0)
             gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / density_sum - bin_shares)
             return float(-(bin_shares @ exponent) + largest_exponent + np.log(density_sum)), gradient
 
-        attempts = [minimize(cost, s, jac=True, method="BFGS", options={"gtol": 1e-8}) for s in start_parameters]
+        attempts = [
+            minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in start_parameters
+        ]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m

@@ -16,7 +16,7 @@ from identify.pages.wording import number
 from identify.signals.measured_base import refuse_measured_base
 from rig.errors import RigError
 from rig.model.description import Rig
-from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling
+from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, rattling_level
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -97,7 +97,7 @@ def planned_test(
         rig=rig,
         tolerances=tolerances or rig.tolerances or LABORATORY,
         duration_s=DEFAULT_DURATION_S if duration_s is None else duration_s,
-        force_rms_n=levels_n or (rattling(rig, *band_hz).rms_n,) * len(rig.forces),
+        force_rms_n=levels_n or (rattling_level(rig, *band_hz).rms_n,) * len(rig.forces),
         band_hz=band_hz,
     )
 

@@ -32,12 +32,12 @@ from rig.commands.command_line import (
 from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
 from rig.effects import effect_named, effects
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.contact_laws import walls_m
 from rig.model.description import ON_GROUND, Station, read_rig, to_json
 from rig.model.space import check_plane
 from rig.recording import Recording, Signals, read, truth_path
-from rig.simulation.own import Drive, OwnRig, own_rig, plant_for
+from rig.simulation.own import OwnRig, OwnRigSettings, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
 from rig.simulation.reference import REFERENCES, Reference, reference
@@ -48,7 +48,7 @@ File = Annotated[Path, typer.Argument(help="The recording, an .mcap file.")]
 
 
 @app.callback()
-def _group(version: Version = False) -> None:
+def _callback(version: Version = False) -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
@@ -69,7 +69,7 @@ def _first_paragraph(documented_class: type) -> str:
 
 
 _EPILOG = (
-    _settings_text("Settings of", {**REFERENCES, "FILE.json": Drive}),
+    _settings_text("Settings of", {**REFERENCES, "FILE.json": OwnRigSettings}),
     "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
     *(f"Effect {name}: {_defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
 )
@@ -109,7 +109,7 @@ def record(
 
     Example: rig record rig.json --duration 60 --set rms_n=20 --out own.mcap
     """
-    setting_parts = [s.partition("=") for s in settings or []]
+    setting_parts = [parsed_settings.partition("=") for parsed_settings in settings or []]
     for key, equals, _ in setting_parts:
         if not equals:
             raise typer.BadParameter(f"{key!r} is not KEY=VALUE", param_hint="--set")
@@ -118,7 +118,7 @@ def record(
     setting_texts = {key: value for key, _, value in setting_parts}
     setting_texts |= {} if duration is None else {"duration_s": str(duration)}
     setting_texts |= {} if seed is None else {"seed": str(seed)}
-    machine = _machine(scenario, setting_texts)
+    machine = _reference_or_own_rig(scenario, setting_texts)
     rig = machine.rig()
     if effect:
         check_plane(rig, "rig record --effect")
@@ -156,7 +156,7 @@ def record(
             force_text = "no force, the base shakes"
         print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         if isinstance(machine, OwnRig):
-            say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.why}")
+            say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.reason}")
             for warning in machine.warnings:
                 say(f"warning: {warning}")
         print(f"{truth_path(out)}: what only a simulator knows")
@@ -166,10 +166,10 @@ def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
     if not isinstance(machine, OwnRig):
         return {}
-    return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.why, "warnings": machine.warnings}}
+    return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.reason, "warnings": machine.warnings}}
 
 
-def _machine(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
+def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
     """Reference rig by its name, or the rig in a JSON file.
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
@@ -178,7 +178,7 @@ def _machine(scenario: str, settings: dict[str, str]) -> Reference | OwnRig:
     if not is_file and scenario not in REFERENCES:
         reference_names = ", ".join(REFERENCES)
         raise typer.BadParameter(
-            f"{scenario!r} is none of {reference_names}, and no FILE.json{meant(scenario, REFERENCES)}",
+            f"{scenario!r} is none of {reference_names}, and no FILE.json{hint(scenario, REFERENCES)}",
             param_hint="RIG",
         )
     rig = read_rig(Path(scenario)) if is_file else None

@@ -23,7 +23,7 @@ from rig.recording.recovery import recover as recover_recording
 
 
 def recover(
-    bad: Annotated[Path, typer.Argument(metavar="FILE", help="A recording that was cut off: FILE.mcap or FILE.part.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording that was cut off: FILE.mcap or FILE.part.")],
     out: Annotated[Path, typer.Option(help="The recording to write.")],
     force: Force = False,
     as_json: Json = False,
@@ -32,14 +32,14 @@ def recover(
 
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
-    refuse_existing(out, force, bad)
+    refuse_existing(out, force, file)
     check_ending(out, (".mcap",), "a recording")
-    with working(f"recovering {bad.name}"):
-        losses = recover_recording(bad, out)
+    with working(f"recovering {file.name}"):
+        losses = recover_recording(file, out)
     if as_json:
         print(json.dumps({"recording": str(out), "groups": msgspec.to_builtins(losses)}))
         return
-    print(f"{out}: recovered from {bad}")
+    print(f"{out}: recovered from {file}")
     for loss in losses:
         print(f"  {loss}")
 
@@ -108,8 +108,8 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
         print(proposal.text, end="")
         say(f"# next: save this as {map_name}, {next_command}")
         return
-    for fact in proposal.facts:
-        say(fact)
+    for observation in proposal.facts:
+        say(observation)
     say(f"{write_map}: written; next: {next_command}")
 
 

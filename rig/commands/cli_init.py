@@ -35,7 +35,7 @@ init = typer.Typer(no_args_is_help=True)
 
 
 @init.callback()
-def _group() -> None:
+def _callback() -> None:
     """Write a first rig.json and an import map for a rig of your own. All numbers are in SI units.
 
     Example: rig init mass --help

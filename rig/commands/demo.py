@@ -52,7 +52,7 @@ def demo(
     """
     started_s = time.monotonic()
     plant = "ancf" if find_spec("exudyn") else "modal"
-    setting_options = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
+    setting_options = [argument for key, value in SETTINGS.items() for argument in ("--set", f"{key}={value}")]
     nominal_path, changed_path = out / "nominal.mcap", out / "changed.mcap"
     page_paths = out / "contact" / "contact.html", out / "gap" / "gap.html"
     for path in (nominal_path, changed_path, *page_paths):

@@ -29,7 +29,7 @@ Completions = Generator[tuple[int, Future[Any]], None, None]
 Dask = Annotated[
     str | None, typer.Option("--dask", help="Address of a dask scheduler, or local; by default a process a core.")
 ]
-MOST_LOSSES = 3
+MAX_LOSSES = 3
 """So many times the process of a task may be lost before the task is given up."""
 
 
@@ -63,7 +63,7 @@ def outcomes_of_tasks(
 
     A result is kept in the folder under a hash of the function's name, its parameters and this package's version, and
     not computed again; an error is not kept. Processes of one thread each run the tasks: one a core, or those of
-    `dask`. A task whose process is lost is tried again by itself, at most MOST_LOSSES times; the others go on. Raises
+    `dask`. A task whose process is lost is tried again by itself, at most MAX_LOSSES times; the others go on. Raises
     RigError if no such scheduler answers, StoppedError if interrupted, when the processes end at once.
     """
     make_folder(folder)
@@ -111,7 +111,7 @@ def _on_dask(function: Callable[[Parameters], TaskResult], tasks: Sequence[Param
         client = Client(**local_options) if dask == "local" else Client(dask, timeout=10)
     except (OSError, ValueError) as error:
         raise RigError(f"--dask {dask}: no scheduler answers there ({error}); start one, or give local") from error
-    with client, client.get_executor(retries=MOST_LOSSES) as executor:
+    with client, client.get_executor(retries=MAX_LOSSES) as executor:
         index_by_future = {executor.submit(_on_one_thread, function, task): index for index, task in enumerate(tasks)}
         for future in as_completed(index_by_future):
             yield index_by_future[future], future
@@ -126,25 +126,25 @@ def _on_processes(function: Callable[[Parameters], TaskResult], tasks: Sequence[
     suspect_indices: list[int] = []
     waiting_indices = deque(range(len(tasks)))
     while waiting_indices:
-        for index, future in _in_a_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
+        for index, future in _on_pool(function, tasks, waiting_indices, os.cpu_count() or 1):
             if _is_lost(future):
                 suspect_indices.append(index)
             else:
                 yield index, future
     for index in suspect_indices:
-        for _ in range(MOST_LOSSES - 1):
-            ((_, future),) = _in_a_pool(function, tasks, deque([index]), 1)
+        for _ in range(MAX_LOSSES - 1):
+            ((_, future),) = _on_pool(function, tasks, deque([index]), 1)
             if not _is_lost(future):
                 break
         else:
             future = Future()
             future.set_exception(
-                RigError(f"its process was lost {MOST_LOSSES} times (out of memory?); run the command again to go on")
+                RigError(f"its process was lost {MAX_LOSSES} times (out of memory?); run the command again to go on")
             )
         yield index, future
 
 
-def _in_a_pool(
+def _on_pool(
     function: Callable[[Parameters], TaskResult],
     tasks: Sequence[Parameters],
     waiting_indices: deque[int],

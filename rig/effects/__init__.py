@@ -3,7 +3,7 @@
 import msgspec
 
 from rig.effects.base import Effect
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.decoding import explained
 from rig.registry import subclasses
 
@@ -25,7 +25,7 @@ def effect_named(text: str) -> Effect:
     effect_types = effects()
     if effect_name not in effect_types:
         raise RigError(
-            f"no effect {effect_name!r}{meant(effect_name, effect_types)}; there are {', '.join(effect_types)}"
+            f"no effect {effect_name!r}{hint(effect_name, effect_types)}; there are {', '.join(effect_types)}"
         )
     effect_type, value_texts = effect_types[effect_name], {}
     for assignment in assignments.split(",") if assignments else []:
@@ -35,7 +35,7 @@ def effect_named(text: str) -> Effect:
         if parameter_name not in effect_type.__struct_fields__:
             parameter_names = effect_type.__struct_fields__
             raise RigError(
-                f"effect {effect_name} has no parameter {parameter_name!r}{meant(parameter_name, parameter_names)}; it "
+                f"effect {effect_name} has no parameter {parameter_name!r}{hint(parameter_name, parameter_names)}; it "
                 f"has {', '.join(parameter_names)}"
             )
         value_texts[parameter_name] = value_text

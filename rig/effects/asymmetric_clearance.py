@@ -23,8 +23,8 @@ class AsymmetricClearance(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to four fifths of the smaller clearance, either way."""
-        most_m = 0.8 * scale.clearance_m()
-        return cls.ranged(shift_m=(-most_m, most_m))
+        max_shift_m = 0.8 * scale.clearance_m()
+        return cls.ranged(shift_m=(-max_shift_m, max_shift_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -24,8 +24,8 @@ class ContactPosition(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to a tenth of the shortest beam, either way."""
-        most_m = 0.1 * _shortest_m(scale.rig)
-        return cls.ranged(shift_m=(-most_m, most_m))
+        max_shift_m = 0.1 * _shortest_m(scale.rig)
+        return cls.ranged(shift_m=(-max_shift_m, max_shift_m))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -20,8 +20,8 @@ class ForceShift(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to 5 ms, or five samples, either way."""
-        most_s = max(5e-3, 5 / scale.rig.sample_rate_hz)
-        return cls.ranged(shift_s=(-most_s, most_s))
+        max_shift_s = max(5e-3, 5 / scale.rig.sample_rate_hz)
+        return cls.ranged(shift_s=(-max_shift_s, max_shift_s))
 
     def applied_to(self, rig: Rig) -> Rig:
         sensor = rig.force_sensor

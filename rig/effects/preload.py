@@ -22,8 +22,8 @@ class Preload(Effect, frozen=True):
     @classmethod
     def parameters(cls, scale: Scale) -> ParameterSet:
         """Up to twice the root mean square of the exciting force, either way."""
-        most_n = 2 * scale.force_rms_n
-        return cls.ranged_along_body(scale, force_n=(-most_n, most_n))
+        max_force_n = 2 * scale.force_rms_n
+        return cls.ranged_along_body(scale, force_n=(-max_force_n, max_force_n))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:

@@ -10,7 +10,7 @@ from rig.model.description import PointSpring, Rig, Station, Support
 from rig.model.parameters import Parameter, ParameterSet
 
 Holding = TypeVar("Holding", Support, PointSpring)
-LARGEST_SHIFT_SHARE = 0.1
+MAX_SHIFT_SHARE = 0.1
 """Largest shift, as a share of the body's length."""
 
 
@@ -32,14 +32,14 @@ class SupportPosition(Effect, frozen=True):
         body_name = cls(body=scale.place.get("body")).supported_body(scale.rig)
         length_m = scale.rig.body(body_name).length_m
         positions_m = [support.station.position_m for support in _supports(scale.rig, body_name)]
-        most_m = LARGEST_SHIFT_SHARE * length_m
-        return cls.ranged(shift_m=(max(-most_m, -min(positions_m)), min(most_m, length_m - max(positions_m))))
+        max_shift_m = MAX_SHIFT_SHARE * length_m
+        return cls.ranged(shift_m=(max(-max_shift_m, -min(positions_m)), min(max_shift_m, length_m - max(positions_m))))
 
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         """A hundredth of the body, towards the side with more room."""
         shift = cls.parameters(scale)["shift_m"]
-        return cls.placed(scale, shift_m=LARGEST_SHIFT_SHARE * (shift.high if shift.high >= -shift.low else shift.low))
+        return cls.placed(scale, shift_m=MAX_SHIFT_SHARE * (shift.high if shift.high >= -shift.low else shift.low))
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
@@ -57,11 +57,11 @@ class SupportPosition(Effect, frozen=True):
         )
 
     def applied_to(self, rig: Rig) -> Rig:
-        moved = _supports(rig, self.supported_body(rig))
+        shifted_supports = _supports(rig, self.supported_body(rig))
         return replace(
             rig,
-            supports=tuple(self._shifted(s) if s in moved else s for s in rig.supports),
-            springs=tuple(self._shifted(s) if s in moved else s for s in rig.springs),
+            supports=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.supports),
+            springs=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.springs),
         )
 
     def _shifted(self, support: Holding) -> Holding:

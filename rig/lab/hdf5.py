@@ -18,7 +18,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
-from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME
+from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH
 
 NAME_ATTRIBUTES, UNIT_ATTRIBUTES, RATE_ATTRIBUTES = ("name",), ("unit", "units"), ("sample_rate_hz", "fs")
 """Attributes for the name, the unit and the rate of a dataset; one without a name is called by its path."""
@@ -80,8 +80,10 @@ def members(group: Any, prefix: str, depth: int) -> Iterator[tuple[str, Any]]:
     """
     import h5py
 
-    if len(prefix) > MAX_NAME or depth > MAX_DEPTH:
-        raise UnreadableError(f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters")
+    if len(prefix) > MAX_NAME_LENGTH or depth > MAX_DEPTH:
+        raise UnreadableError(
+            f"its groups are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
+        )
     for member_name in sorted(group):
         link_type = group.id.links.get_info(member_name.encode("utf-8", "surrogateescape")).type
         if link_type == h5py.h5l.TYPE_EXTERNAL:

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.files import check_target
 from rig.lab.csv_text import TextForm
 from rig.model.description import Rig, Sensor, Station, read_rig
@@ -140,7 +140,7 @@ def _mapped_sensor(sensor_name: str, source: Source, rig: Rig) -> Sensor:
         return replace(known_sensor, station=station or known_sensor.station)
     if station is None:
         raise RigError(
-            f"sensor {sensor_name!r} is no sensor of the rig{meant(sensor_name, [s.name for s in rig.sensors])}, and "
+            f"sensor {sensor_name!r} is no sensor of the rig{hint(sensor_name, [s.name for s in rig.sensors])}, and "
             "has no place; give it body, position_m and quantity"
         )
     if source.quantity is None:

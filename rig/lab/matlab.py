@@ -18,7 +18,7 @@ import numpy as np
 
 from rig.lab.column import Blocks, Column, ColumnBlock, Refused, UnreadableError, decode_text
 from rig.lab.hdf5 import attribute_text, check_stored, dataset_blocks, elsewhere_sentence, is_new, members, open_hdf5
-from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
+from rig.limits import MAX_DEPTH, MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 _HEADER_BYTES = 128
 _HEAD_BYTES = 8192
@@ -137,9 +137,9 @@ class _Version5:
             return
         array_head = self._head(array_bytes)
         array_name = enclosing_name or array_head.name
-        if depth > MAX_DEPTH or len(array_name) > MAX_NAME:
+        if depth > MAX_DEPTH or len(array_name) > MAX_NAME_LENGTH:
             raise UnreadableError(
-                f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME} characters"
+                f"its structs are more than {MAX_DEPTH} deep, or have names of over {MAX_NAME_LENGTH} characters"
             )
         if array_head.array_class == _CELL:
             cell_names = (

@@ -14,7 +14,7 @@ from rig.lab.hdf5 import hdf5_blocks
 from rig.lab.matlab import matlab_blocks
 from rig.lab.tdms import tdms_blocks
 from rig.lab.uff import uff_blocks
-from rig.limits import MAX_ITEMS, MAX_NAME, PROGRAM_BYTES, check_decoded_size
+from rig.limits import MAX_ITEMS, MAX_NAME_LENGTH, PROGRAM_BYTES, check_decoded_size
 
 Result = TypeVar("Result")
 Key = str | int
@@ -104,8 +104,10 @@ def _read_blocks(path: Path, blocks: Blocks, column_keys: Collection[Key] | None
                 raise RigError(f"{path}: {block.sentence}")
             continue
         column_names += block.names
-        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME:
-            raise UnreadableError(f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME} characters")
+        if len(column_names) > MAX_ITEMS or max(map(len, block.names)) > MAX_NAME_LENGTH:
+            raise UnreadableError(
+                f"it has more than {MAX_ITEMS} columns, or names of over {MAX_NAME_LENGTH} characters"
+            )
         chosen_indices = [
             k
             for k, column_name in enumerate(block.names)

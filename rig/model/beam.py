@@ -81,8 +81,8 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
     def bending_stiffness_n_m2(self) -> float:
         """E I for bending in y, over the thickness, N m^2."""
         if self.outer_diameter_m:
-            ring = np.pi / 64 * (self.outer_diameter_m**4 - self.inner_diameter_m**4)
-            return float(self.youngs_modulus_pa * ring)
+            second_moment_m4 = np.pi / 64 * (self.outer_diameter_m**4 - self.inner_diameter_m**4)
+            return float(self.youngs_modulus_pa * second_moment_m4)
         return self.youngs_modulus_pa * self.width_m * self.thickness_m**3 / 12
 
     @property
@@ -91,7 +91,7 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
         return (self.outer_diameter_m or self.thickness_m) / 2
 
     @property
-    def seen_from_above(self) -> "Beam":
+    def bending_in_z(self) -> "Beam":
         """Beam as it bends in z: a rectangle over its width."""
         return msgspec.structs.replace(self, width_m=self.thickness_m, thickness_m=self.width_m)
 
@@ -183,11 +183,11 @@ class Beam(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
 @lru_cache
 def _roots(end_condition: str) -> tuple[float, ...]:
     """Roots beta l of cos(b) cosh(b) = -1 (clamped-free) or +1 (free-free, after two zeros)."""
-    sign, first = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
+    sign, first_centre_over_pi = (1.0, 0.5) if end_condition == "clamped-free" else (-1.0, 1.5)
 
     def characteristic(beta: float) -> float:
         return float(np.cos(beta) + sign / np.cosh(beta))
 
-    centres = (first + np.arange(MAX_MODES)) * np.pi
+    centres = (first_centre_over_pi + np.arange(MAX_MODES)) * np.pi
     elastic = [scipy.optimize.brentq(characteristic, c - 0.4, c + 0.4, xtol=1e-14, rtol=1e-15) for c in centres]
     return tuple(([] if end_condition == "clamped-free" else [0.0, 0.0]) + elastic)

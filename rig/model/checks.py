@@ -31,7 +31,7 @@ def check_components(rig: "Rig") -> None:
     for contact in rig.contacts:
         for station in contact_stations(contact):
             _check_station(rig, f"contact {contact.name!r}", station)
-    for kind, attached in (
+    for kind, components in (
         ("point mass", rig.masses),
         ("point spring", rig.springs),
         ("support", rig.supports),
@@ -39,8 +39,8 @@ def check_components(rig: "Rig") -> None:
         ("point damper", rig.dampers),
         ("tone", rig.tones),
     ):
-        for item in attached:
-            _check_station(rig, f"a {kind}", item.station)
+        for component in components:
+            _check_station(rig, f"a {kind}", component.station)
     _check_held(rig)
     _check_directions(rig)
     if not abs(rig.gravity_m_per_s2) < np.inf:
@@ -116,7 +116,7 @@ def _check_support(rig: "Rig", support: Support) -> None:
         )
     if body.clamped and position_m == 0:
         raise RigError(f"a support stands at the clamped end of {body.name!r}, which is held there; leave it out")
-    if sum(other.station == support.station for other in rig.supports) > 1:
+    if sum(other_support.station == support.station for other_support in rig.supports) > 1:
         raise RigError(f"more than one support stands at {position_m} m of {body.name!r}; give one")
 
 
@@ -132,8 +132,8 @@ def _check_names(owner: str, kind: str, names: Sequence[str]) -> None:
         raise RigError(f"{owner}: has {len(names)} times a {kind}; give at most {MAX_PER_KIND}")
     for name in names:
         check_name(kind, name)
-    if doubled := sorted({n for n in names if names.count(n) > 1}):
-        raise RigError(f"{owner}: more than one {kind} is named {doubled[0]!r}; names must differ")
+    if duplicates := sorted({n for n in names if names.count(n) > 1}):
+        raise RigError(f"{owner}: more than one {kind} is named {duplicates[0]!r}; names must differ")
 
 
 def _check_carried(body: "Body") -> None:

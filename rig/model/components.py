@@ -13,7 +13,7 @@ from rig.errors import RigError, is_plain
 from rig.model.contact_laws import AnyLaw, DeadZone
 from rig.model.quantities import QUANTITIES, Quantity, QuantityName
 
-LONGEST_DELAY_S = 1.0
+MAX_DELAY_S = 1.0
 RISE_S = 0.5
 """Duration over which base motions and tones set in, so that a simulation begins at rest."""
 MAX_NAME_LENGTH = 200
@@ -102,7 +102,7 @@ class Sensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):
             raise RigError(f"sensor {self.name!r}: gain is {self.gain}; give a finite value other than zero")
-        if not abs(self.delay_s) <= LONGEST_DELAY_S:
+        if not abs(self.delay_s) <= MAX_DELAY_S:
             raise RigError(f"sensor {self.name!r}: delay_s is {self.delay_s}; give a finite value, -1 to 1 s")
         if not 0 <= self.high_pass_hz < np.inf:
             raise RigError(f"sensor {self.name!r}: high_pass_hz is {self.high_pass_hz}; give zero or above")
@@ -225,9 +225,9 @@ class Tone(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             raise RigError(f"tone: frequency_hz is {self.frequency_hz}; give a finite value above zero")
 
     def force_n(self, time_s: Float[np.ndarray, " times"]) -> Float[np.ndarray, " times"]:
-        s, angle = np.clip(time_s / RISE_S, 0, 1), 2 * np.pi * self.frequency_hz * time_s
-        rise = s**3 * (10 - 15 * s + 6 * s**2)
-        return np.asarray(rise * (self.cosine_n * np.cos(angle) + self.sine_n * np.sin(angle)))
+        rise_share, phase = np.clip(time_s / RISE_S, 0, 1), 2 * np.pi * self.frequency_hz * time_s
+        rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
+        return np.asarray(rise * (self.cosine_n * np.cos(phase) + self.sine_n * np.sin(phase)))
 
 
 class BaseMotion(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -263,7 +263,7 @@ class ForceSensor(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     def __post_init__(self) -> None:
         if not _is_gain(self.gain):
             raise RigError(f"force sensor: gain is {self.gain}; give a finite value other than zero")
-        if not abs(self.lag_s) <= LONGEST_DELAY_S:
+        if not abs(self.lag_s) <= MAX_DELAY_S:
             raise RigError(f"force sensor: lag_s is {self.lag_s}; give a finite value, -1 to 1 s")
 
 

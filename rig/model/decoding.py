@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 import msgspec
 from msgspec import inspect
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 
 T = TypeVar("T")
-OTHER_NAMES = {
+SYNONYMS = {
     "cantilever": "clamped-free",
     "clamped": "clamped-free",
     "fixed-free": "clamped-free",
@@ -56,12 +56,12 @@ def explained(error: msgspec.ValidationError, decoded: Any, kind: Any) -> str:
     info, value = _type_and_value_at(inspect.type_info(kind), decoded, path)
     quoted = _QUOTED.findall(text)
     if text.startswith("Invalid ") and (allowed := _values(info)):
-        return f"{place or 'it'} is {value!r}{nearest(value, allowed)}; give {_listed(allowed)}"
+        return f"{place or 'it'} is {value!r}{nearest(value, allowed)}; give {_comma_separated(allowed)}"
     if text.startswith("Object "):
         return _about_fields(_owner(place, info), info, text, quoted[0])
     if text.startswith("Expected ") and len(quoted) == 2:
-        expected, given = (" or ".join(_WORDS.get(word, word) for word in side.split(" | ")) for side in quoted)
-        return f"{place or 'it'} is {given}; give {expected}"
+        expected, given_value = (" or ".join(_WORDS.get(word, word) for word in side.split(" | ")) for side in quoted)
+        return f"{place or 'it'} is {given_value}; give {expected}"
     return f"{place}: {text}" if place else text
 
 
@@ -71,15 +71,15 @@ def _about_fields(owner: str, info: Any, text: str, field: str) -> str:
     if "unknown" in text:
         return f"{owner} has no field {field!r}{nearest(field, fields)}; it has {', '.join([*tags, *fields])}"
     if field in tags:
-        return f"{owner} lacks {field!r}; give {_listed(tags[field])}"
+        return f"{owner} lacks {field!r}; give {_comma_separated(tags[field])}"
     return f"{owner} lacks {field!r}; it needs {', '.join(_fields(info, required=True))}"
 
 
 def nearest(word: Any, candidates: Iterable[str]) -> str:
-    """Suggestion as `rig.errors.meant` gives it, also for a word that other programs use."""
+    """Suggestion as `rig.errors.hint` gives it, also for a word that other programs use."""
     names = [str(c) for c in candidates]
-    synonym = OTHER_NAMES.get(str(word).lower(), "")
-    return f" (did you mean {synonym!r}?)" if synonym in names else meant(str(word), names)
+    synonym = SYNONYMS.get(str(word).lower(), "")
+    return f" (did you mean {synonym!r}?)" if synonym in names else hint(str(word), names)
 
 
 def _owner(place: str, info: Any) -> str:
@@ -90,7 +90,7 @@ def _owner(place: str, info: Any) -> str:
 def _type_and_value_at(info: Any, value: Any, path: str) -> tuple[Any, Any]:
     """Type and value at a path as msgspec writes it, such as .bodies[0].ends."""
     for key, number in _STEP.findall(path):
-        info = _chosen(info, value)
+        info = _union_member(info, value)
         if key and key in _tags(info):
             return _Tags(_tags(info)[key]), value.get(key)
         if isinstance(info, inspect.StructType):
@@ -100,7 +100,7 @@ def _type_and_value_at(info: Any, value: Any, path: str) -> tuple[Any, Any]:
             info, value = info.value_type, next(iter(value.values()), None)
         else:
             info, value = _item(info, number), value[int(number)]
-    return _chosen(info, value), value
+    return _union_member(info, value), value
 
 
 class _Tags(msgspec.Struct, frozen=True):
@@ -113,7 +113,7 @@ def _item(info: Any, number: str) -> Any:
     return info.item_types[int(number)] if isinstance(info, inspect.TupleType) else info.item_type
 
 
-def _chosen(info: Any, value: Any) -> Any:
+def _union_member(info: Any, value: Any) -> Any:
     """Member of a union that a value belongs to; the union itself where no tag or kind of value tells."""
     if not isinstance(info, inspect.UnionType):
         return info
@@ -143,5 +143,5 @@ def _fields(info: Any, required: bool = False) -> tuple[str, ...]:
     return tuple(f.encode_name for f in fields if f.required or not required)
 
 
-def _listed(words: Iterable[str]) -> str:
+def _comma_separated(words: Iterable[str]) -> str:
     return " or ".join(repr(w) for w in words)

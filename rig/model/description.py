@@ -62,8 +62,8 @@ __all__ = [
     "Station",
     "Support",
     "Tone",
-    "check_given",
     "check_name",
+    "check_shapes_known",
     "contact_rows",
     "contact_stations",
     "force_names",
@@ -75,7 +75,7 @@ __all__ = [
 
 Body = Beam | Oscillator | Structure
 UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
-UNWRITTEN = (
+UNWRITTEN_DEFAULTS = (
     b',"direction":"y"',
     b',"gravity_m_per_s2":0.0',
     b',"outer_diameter_m":0.0,"inner_diameter_m":0.0',
@@ -253,7 +253,7 @@ def _component(contact: Contact, direction: Direction) -> Contact:
     return replace(contact, name=f"{contact.name}_{direction}", at=at, against=against)
 
 
-def check_given(rig: Rig, source: str) -> None:
+def check_shapes_known(rig: Rig, source: str) -> None:
     """Raise RigError if a sensor, contact or force is at a place where a structure's modal basis gives no shapes.
 
     Interpolated shapes are for effects and perturbed rigs only.
@@ -266,17 +266,17 @@ def check_given(rig: Rig, source: str) -> None:
             continue
         body = rig.body(station.body)
         if isinstance(body, Structure) and not body.has_shapes_at(station.position_m):
-            named = " or give a station by its node" if any(row.node for row in body.rows) else ""
+            node_note = " or give a station by its node" if any(row.node for row in body.rows) else ""
             raise RigError(
                 f"{source}: {label} stands at {station.position_m} m of {body.name!r}, where its modal basis gives no "
-                f"shapes; add a row for that place{named}"
+                f"shapes; add a row for that place{node_note}"
             )
 
 
 def to_json(rig: Rig) -> bytes:
-    """JSON text of a rig, without the fields of `UNWRITTEN` at their defaults."""
+    """JSON text of a rig, without the fields of `UNWRITTEN_DEFAULTS` at their defaults."""
     text = msgspec.json.encode(rig)
-    for field in UNWRITTEN:
+    for field in UNWRITTEN_DEFAULTS:
         text = text.replace(field, b"")
     return msgspec.json.format(text, indent=2)
 
@@ -290,16 +290,16 @@ def from_json(text: bytes, source: str) -> Rig:
         raise RigError(f"{source}: not a rig description: it is no JSON ({error}); correct it there") from error
     check_schema_version(decoded, source)
     check_largest(decoded, source)
-    wrong = f"{source}: not a rig description"
+    invalid = f"{source}: not a rig description"
     try:
         in_types = json_in_types(decoded)
     except RigError as error:
-        raise RigError(f"{wrong}: {error}") from error
-    return converted(in_types, Rig, wrong)
+        raise RigError(f"{invalid}: {error}") from error
+    return converted(in_types, Rig, invalid)
 
 
 def read_rig(path: Path) -> Rig:
-    """Rig in a JSON file; raises RigError if it cannot be read, is invalid, or lacks shapes (`check_given`)."""
+    """Rig in a JSON file; raises RigError if it cannot be read, is invalid, or lacks shapes (`check_shapes_known`)."""
     rig = from_json(contents(path), str(path))
-    check_given(rig, str(path))
+    check_shapes_known(rig, str(path))
     return rig

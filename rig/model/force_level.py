@@ -21,7 +21,7 @@ FARTHEST_STOP_M = 0.1
 either side."""
 FAR_STOP_RATIO = 10.0
 """So does the farther stop of a contact whose nearer one is so many times nearer, and met long before."""
-MODES, LINES, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
+MODE_COUNT, LINE_COUNT, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
 
 
 @dataclass(frozen=True)
@@ -29,10 +29,10 @@ class Level:
     """Level of a force, N rms, and why it was chosen."""
 
     rms_n: float
-    why: str
+    reason: str
 
 
-def rattling(rig: Rig, low_hz: float, high_hz: float) -> Level:
+def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
     """Force (N rms, flat from low to high) that would move the least moved contact, without stops, by 4 clearances rms.
 
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
@@ -42,22 +42,22 @@ def rattling(rig: Rig, low_hz: float, high_hz: float) -> Level:
     """
     if rig.in_space:
         driven = {station.direction for station in rig.forces}
-        levels = [rattling(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven]
+        levels = [rattling_level(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven]
         return max(levels, key=lambda level: level.rms_n)
-    omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINES)
-    squares = np.sum([_squares_by(rig, station, omega) for station in rig.forces], axis=0)
-    needed: list[tuple[float, str, float]] = []
-    for contact, square in zip(rig.contacts, squares, strict=True):
-        rms_m_per_n, clearance_m = float(np.sqrt(square)), reachable_clearance_m(contact.law)
+    omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
+    mean_squares = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)
+    levels_n: list[tuple[float, str, float]] = []
+    for contact, mean_square in zip(rig.contacts, mean_squares, strict=True):
+        rms_m_per_n, clearance_m = float(np.sqrt(mean_square)), reachable_clearance_m(contact.law)
         if rms_m_per_n > 0 and clearance_m:
-            needed.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
-    largest_n, name, clearance_m = max(needed, default=(np.inf, "", 0.0))
+            levels_n.append((RMS_TO_CLEARANCE * clearance_m / rms_m_per_n, contact.name, clearance_m))
+    largest_n, name, clearance_m = max(levels_n, default=(np.inf, "", 0.0))
     if not np.isfinite(largest_n):
-        why = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
-        return Level(1.0, why if rig.contacts else "as there is no contact")
-    least = ", which moves least," if len(needed) > 1 else ""
-    motion = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
-    return Level(float(f"{largest_n:.1g}"), f"by which {name!r}{least} would move by {motion}")
+        reason = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
+        return Level(1.0, reason if rig.contacts else "as there is no contact")
+    least_note = ", which moves least," if len(levels_n) > 1 else ""
+    motion_note = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
+    return Level(float(f"{largest_n:.1g}"), f"by which {name!r}{least_note} would move by {motion_note}")
 
 
 def reachable_clearance_m(law: ContactLaw) -> float:
@@ -68,25 +68,25 @@ def reachable_clearance_m(law: ContactLaw) -> float:
     return sum(in_reach_m) / len(in_reach_m) if in_reach_m else 0.0
 
 
-def _squares_by(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
+def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"]) -> Float[np.ndarray, " contacts"]:
     """Mean square receptance over the lines from a force at a station to every relative displacement, m^2/N^2.
 
     With G the receptances of the bodies without contacts, to the relative displacements eta from a force F and from the
     forces D eta of the springs, D = k + i w c, the springs hold eta = (1 + G D)^-1 G_F F.
     """
-    places = [(force_at, None), *((contact.at, contact.against) for contact in rig.contacts)]
-    receptances = np.zeros((len(places), len(places), omega.size), dtype=complex)
+    station_pairs = [(force_at, None), *((contact.at, contact.against) for contact in rig.contacts)]
+    receptances = np.zeros((len(station_pairs), len(station_pairs), omega.size), dtype=complex)
     for body in rig.bodies:
-        modes, count = modes_of(rig, body), mode_count(body, MODES)
-        natural = 2 * np.pi * modes.frequencies_hz(count)[:, None]
+        modes, count = modes_of(rig, body), mode_count(body, MODE_COUNT)
+        natural_rad_per_s = 2 * np.pi * modes.frequencies_hz(count)[:, None]
         ratios = np.maximum(modes.damping_ratios(count), MIN_DAMPING_RATIO)[:, None]
-        shapes = np.zeros((len(places), count))
-        for i, place in enumerate(places):
-            for sign, station in zip((1, -1), place, strict=True):
+        shapes = np.zeros((len(station_pairs), count))
+        for i, station_pair in enumerate(station_pairs):
+            for sign, station in zip((1, -1), station_pair, strict=True):
                 if station is not None and station.body == body.name:
                     shapes[i] += sign * modes.shapes(np.array([station.position_m]), count)[0]
-        modal = 1 / (natural**2 - omega**2 + 2j * ratios * natural * omega)
-        receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal)
+        modal_receptances = 1 / (natural_rad_per_s**2 - omega**2 + 2j * ratios * natural_rad_per_s * omega)
+        receptances += np.einsum("pm,qm,ml->pql", shapes, shapes, modal_receptances)
     springs = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
     by_force, by_springs = receptances[1:, 0], receptances[1:][:, springs]
     if springs:

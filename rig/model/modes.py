@@ -115,7 +115,7 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     mass, stiffness = matrices(rig, body, nodes_m)
     held = held_coordinates(rig, body)
     _check_stable(rig, body, stiffness[held:, held:])
-    floating = _floating(body, nodes_m, stiffness)
+    floating = _floating_count(body, nodes_m, stiffness)
     natural_hz, free = _natural_modes(body, stiffness[held:, held:], mass[held:, held:], floating)
     vectors = np.concatenate([np.zeros((held, free.shape[1])), free])
     return FiniteElementModes(body, nodes_m, natural_hz, vectors)
@@ -139,8 +139,8 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     if isinstance(modes, Oscillator):
         return modes
     if isinstance(body, Structure):
-        stiff = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
-        count = max(1, count - len(stiff))
+        stiff_supports = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
+        count = max(1, count - len(stiff_supports))
     stations = [s.position_m for s in (*stations_of(rig), *rig.forces) if s.body == body.name]
     positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
@@ -164,8 +164,8 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
     places = body.positions_m
-    after = int(np.searchsorted(places, position_m))
-    return tuple(float(x) for x in places[max(after - 1, 0) : after + 1])
+    index_after = int(np.searchsorted(places, position_m))
+    return tuple(float(x) for x in places[max(index_after - 1, 0) : index_after + 1])
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
@@ -176,14 +176,14 @@ def coupled(rig: Rig, body: Structure) -> CoupledModes:
     count = body.max_modes
     mass = np.eye(count)
     attached_stiffness = np.zeros((count, count))
-    for point in rig.masses:
-        if point.station.body == body.name:
-            row = body.shapes(np.array([point.station.position_m]), count)[0]
-            mass += point.mass_kg * np.outer(row, row)
+    for mass_point in rig.masses:
+        if mass_point.station.body == body.name:
+            row = body.shapes(np.array([mass_point.station.position_m]), count)[0]
+            mass += mass_point.mass_kg * np.outer(row, row)
     for spring in attached_springs(rig):
         if spring.station.body == body.name:
-            place = np.array([spring.station.position_m])
-            row, slope = (body.shapes(place, count, order)[0] for order in (0, 1))
+            position_m = np.array([spring.station.position_m])
+            row, slope = (body.shapes(position_m, count, order)[0] for order in (0, 1))
             attached_stiffness += spring.stiffness_n_per_m * np.outer(row, row)
             attached_stiffness += spring.rotational_n_m_per_rad * np.outer(slope, slope)
     rigid = body.rigid_modes
@@ -203,14 +203,14 @@ def _natural_modes(
     """
     message = f"the modes of {body.name!r} are lost in rounding; check it and the masses, springs and clamps it carries"
     try:
-        squares, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
+        omega_squared, vectors = scipy.linalg.eigh(stiffness, mass, subset_by_index=[0, body.max_modes - 1])
     except np.linalg.LinAlgError as error:
         raise RigError(message) from error
-    squares[:floating] = 0.0  # rounding would give them a frequency
-    squares[(squares < 0) & (squares > -ROUNDING * squares[-1])] = 0.0
-    if not (squares >= 0).all():
+    omega_squared[:floating] = 0.0  # rounding would give them a frequency
+    omega_squared[(omega_squared < 0) & (omega_squared > -ROUNDING * omega_squared[-1])] = 0.0
+    if not (omega_squared >= 0).all():
         raise RigError(message)
-    return np.sqrt(squares) / (2 * np.pi), vectors
+    return np.sqrt(omega_squared) / (2 * np.pi), vectors
 
 
 def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
@@ -261,7 +261,7 @@ def matrices(
 
     The only coordinate of a single mass is its displacement.
     """
-    mass, stiffness = _bare(body, nodes_m)
+    mass, stiffness = _bare_matrices(body, nodes_m)
     for point in rig.masses:
         if point.station.body == body.name:
             row = hermite(nodes_m, point.station.position_m)
@@ -292,43 +292,43 @@ def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int 
     """
     if len(nodes_m) == 1:
         return np.full(1, float(order == 0))
-    i = int(np.clip(np.searchsorted(nodes_m, position_m, side="right") - 1, 0, len(nodes_m) - 2))
-    h = nodes_m[i + 1] - nodes_m[i]
-    s = (position_m - nodes_m[i]) / h
+    element = int(np.clip(np.searchsorted(nodes_m, position_m, side="right") - 1, 0, len(nodes_m) - 2))
+    h = nodes_m[element + 1] - nodes_m[element]
+    xi = (position_m - nodes_m[element]) / h
     weights = np.zeros(2 * len(nodes_m))
-    weights[2 * i : 2 * i + 4] = (
-        (1 - 3 * s**2 + 2 * s**3, h * (s - 2 * s**2 + s**3), 3 * s**2 - 2 * s**3, h * (s**3 - s**2)),
-        (6 * (s**2 - s) / h, 1 - 4 * s + 3 * s**2, 6 * (s - s**2) / h, 3 * s**2 - 2 * s),
-        ((12 * s - 6) / h**2, (6 * s - 4) / h, (6 - 12 * s) / h**2, (6 * s - 2) / h),
+    weights[2 * element : 2 * element + 4] = (
+        (1 - 3 * xi**2 + 2 * xi**3, h * (xi - 2 * xi**2 + xi**3), 3 * xi**2 - 2 * xi**3, h * (xi**3 - xi**2)),
+        (6 * (xi**2 - xi) / h, 1 - 4 * xi + 3 * xi**2, 6 * (xi - xi**2) / h, 3 * xi**2 - 2 * xi),
+        ((12 * xi - 6) / h**2, (6 * xi - 4) / h, (6 - 12 * xi) / h**2, (6 * xi - 2) / h),
     )[order]
     return weights
 
 
-def _bare(
+def _bare_matrices(
     body: Meshed, nodes_m: Float[np.ndarray, " nodes"]
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     if isinstance(body, Oscillator):
         return np.full((1, 1), body.mass_kg), np.full((1, 1), body.stiffness_n_per_m)
     size = 2 * len(nodes_m)
     mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
-    for i, h in enumerate(np.diff(nodes_m)):
+    for element, h in enumerate(np.diff(nodes_m)):
         scale = np.diag([1, h, 1, h])
-        coordinates = slice(2 * i, 2 * i + 4)
+        coordinates = slice(2 * element, 2 * element + 4)
         mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _MASS @ scale
         stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _STIFFNESS @ scale
     return mass, stiffness
 
 
-def _floating(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
+def _floating_count(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness: Float[np.ndarray, "n n"]) -> int:
     """Number of rigid motions of a free beam that no spring resists; rounding would give them a frequency."""
     if beam.ends != "free-free":
         return 0
     turning = (nodes_m - beam.length_m / 2) / beam.length_m
     slopes = np.full(len(nodes_m), 1 / beam.length_m)
-    rigid = np.stack([np.tile([1.0, 0.0], len(nodes_m)), np.stack([turning, slopes], axis=1).ravel()])
-    resisted = rigid @ stiffness @ rigid.T
-    scale = beam.bending_stiffness_n_m2 / beam.length_m**3
-    return 2 - int(np.linalg.matrix_rank(resisted, tol=1e-6 * scale))
+    rigid_motions = np.stack([np.tile([1.0, 0.0], len(nodes_m)), np.stack([turning, slopes], axis=1).ravel()])
+    rigid_stiffness = rigid_motions @ stiffness @ rigid_motions.T
+    stiffness_scale = beam.bending_stiffness_n_m2 / beam.length_m**3
+    return 2 - int(np.linalg.matrix_rank(rigid_stiffness, tol=1e-6 * stiffness_scale))
 
 
 _MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])

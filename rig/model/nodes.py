@@ -8,11 +8,11 @@ from 0, which stand for the names alone: `has_axis` of such a structure is false
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.structure import Structure
 
 NODE, POSITION = "node", "position_m"
-MOST_LISTED = 12
+MAX_LISTED = 12
 """Nodes that an error lists where no name is near."""
 
 
@@ -24,9 +24,9 @@ def with_positions(decoded: Mapping[str, Any]) -> None:
     """
     bodies = decoded.get("bodies")
     places: dict[str, dict[str, float]] = {}
-    for number, body in enumerate(bodies if isinstance(bodies, list) else []):
+    for body_number, body in enumerate(bodies if isinstance(bodies, list) else []):
         if isinstance(body, dict) and body.get("type") == Structure.__struct_config__.tag:
-            places[str(body.get("name"))] = _nodes(f"bodies[{number}]", body)
+            places[str(body.get("name"))] = _nodes(f"bodies[{body_number}]", body)
     for place, station in _stations({key: value for key, value in decoded.items() if key != "bodies"}, ""):
         _set_position(place, station, places)
 
@@ -39,14 +39,15 @@ def _nodes(place: str, body: dict[str, Any]) -> dict[str, float]:
     for row in rows:
         _name_as_text(row)
     if rows and all(NODE in row and POSITION not in row for row in rows):
-        for k, row in enumerate(rows):
-            row[POSITION] = float(k)
+        for index, row in enumerate(rows):
+            row[POSITION] = float(index)
         body["length_m"] = max(float(len(rows) - 1), 1.0)
         body["has_axis"] = False
-    named = [row for row in rows if isinstance(row.get(NODE), str) and POSITION in row]
-    if doubled := [row[NODE] for k, row in enumerate(named) if row[NODE] in [n[NODE] for n in named[:k]]]:
-        raise RigError(f"{place}.shapes: more than one node is named {doubled[0]!r}; names must differ")
-    return {row[NODE]: row[POSITION] for row in named}
+    named_rows = [row for row in rows if isinstance(row.get(NODE), str) and POSITION in row]
+    names = [row[NODE] for row in named_rows]
+    if duplicates := [name for name in names if names.count(name) > 1]:
+        raise RigError(f"{place}.shapes: more than one node is named {duplicates[0]!r}; names must differ")
+    return {row[NODE]: row[POSITION] for row in named_rows}
 
 
 def _stations(value: Any, place: str, depth: int = 4) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -56,11 +57,11 @@ def _stations(value: Any, place: str, depth: int = 4) -> Iterator[tuple[str, dic
     if not depth:
         return
     if isinstance(value, dict):
-        for key, item in value.items():
-            yield from _stations(item, f"{place}.{key}" if place else str(key), depth - 1)
+        for key, child in value.items():
+            yield from _stations(child, f"{place}.{key}" if place else str(key), depth - 1)
     elif isinstance(value, list):
-        for number, item in enumerate(value):
-            yield from _stations(item, f"{place}[{number}]", depth - 1)
+        for index, child in enumerate(value):
+            yield from _stations(child, f"{place}[{index}]", depth - 1)
 
 
 def _set_position(place: str, station: dict[str, Any], places: Mapping[str, Mapping[str, float]]) -> None:
@@ -72,8 +73,8 @@ def _set_position(place: str, station: dict[str, Any], places: Mapping[str, Mapp
     if not nodes:
         raise RigError(f"{place}.node is {name!r}, and {body!r} has no nodes with names; give position_m")
     if name not in nodes:
-        listed = ", ".join(list(nodes)[:MOST_LISTED]) + (", ..." if len(nodes) > MOST_LISTED else "")
-        raise RigError(f"{place}.node is {name!r}{meant(name, nodes)}; the modal basis of {body!r} has {listed}")
+        listed = ", ".join(list(nodes)[:MAX_LISTED]) + (", ..." if len(nodes) > MAX_LISTED else "")
+        raise RigError(f"{place}.node is {name!r}{hint(name, nodes)}; the modal basis of {body!r} has {listed}")
     if station.setdefault(POSITION, nodes[name]) != nodes[name]:
         raise RigError(
             f"{place} gives node {name!r}, which stands at {nodes[name]} m, and position_m {station[POSITION]}; "
@@ -85,9 +86,3 @@ def _name_as_text(value: dict[str, Any]) -> None:
     """Take a node's number as its name."""
     if isinstance(value.get(NODE), int) and not isinstance(value[NODE], bool):
         value[NODE] = str(value[NODE])
-
-
-def place_name(body: Any, position_m: float) -> str:
-    """Position on a body in words; the name of the node where the places of a modal basis have no axis."""
-    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(position_m)
-    return f"{position_m:g} m" if node is None else f"node {node}"

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.components import GROUND
 from rig.model.contact_laws.base import CLEARANCES
 from rig.model.nodes import with_positions
@@ -41,7 +41,7 @@ def _is_ground_word(value: Any, key: str) -> bool:
     """True for the word "ground" in place of a station; raises RigError for another word."""
     if isinstance(value, str) and value != GROUND:
         raise RigError(
-            f"{key} is {value!r}{meant(value, [GROUND])}; give a station, "
+            f"{key} is {value!r}{hint(value, [GROUND])}; give a station, "
             f'{{"body": ..., "position_m": ...}}, or {GROUND!r}'
         )
     return isinstance(value, str)

@@ -27,7 +27,7 @@ def in_plane(rig: Rig, direction: Direction) -> Rig:
     }
     return replace(
         rig,
-        bodies=tuple(b.seen_from_above if direction == "z" and isinstance(b, Beam) else b for b in rig.bodies),
+        bodies=tuple(b.bending_in_z if direction == "z" and isinstance(b, Beam) else b for b in rig.bodies),
         contacts=tuple(_plane_contact(c) for c in rig.contacts if c.law.spatial or c.at.direction == direction),
         force_at=forces if len(forces) > 1 else forces[0],
         gravity_m_per_s2=rig.gravity_m_per_s2 if direction == "y" else 0.0,

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 
 SAME_PLACE_M = 1e-9
-LARGEST = 1e9
+MAX_VALUE = 1e9
 """Largest frequency (Hz) and shape value (1/sqrt(kg)); larger ones would overflow."""
 MAX_TRANSLATION_ERROR = 1e-2
 """Largest error with which rigid-body modes may represent a unit translation."""
@@ -50,49 +50,49 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.length_m) and self.length_m > 0):
-            raise self._wrong(f"length_m is {self.length_m}; give a finite value above zero")
+            raise self._error(f"length_m is {self.length_m}; give a finite value above zero")
         if not self.natural_hz:
-            raise self._wrong("frequencies_hz is empty; give at least one mode")
+            raise self._error("frequencies_hz is empty; give at least one mode")
         if len(self.ratios) != len(self.natural_hz):
-            raise self._wrong(
+            raise self._error(
                 f"there are {len(self.ratios)} damping_ratios for {len(self.natural_hz)} frequencies_hz; give one each"
             )
         for hz in self.natural_hz:
-            if not 0 <= hz <= LARGEST:
-                raise self._wrong(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {LARGEST:g} Hz")
+            if not 0 <= hz <= MAX_VALUE:
+                raise self._error(f"a frequency is {hz} Hz; give 0 (a rigid-body mode) to {MAX_VALUE:g} Hz")
         if any(np.diff(self.natural_hz) < 0):
-            raise self._wrong("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
+            raise self._error("frequencies_hz do not ascend; sort the modes by frequency, rigid-body modes first")
         for ratio in self.ratios:
             if not (np.isfinite(ratio) and ratio >= 0):
-                raise self._wrong(f"a damping ratio is {ratio}; give finite values, zero or above")
+                raise self._error(f"a damping ratio is {ratio}; give finite values, zero or above")
         if self.participations and len(self.participations) != len(self.natural_hz):
-            raise self._wrong(
+            raise self._error(
                 f"there are {len(self.participations)} participations for {len(self.natural_hz)} frequencies_hz; give "
                 "one each, or none"
             )
-        if any(not abs(value) <= LARGEST for value in self.participations):
-            raise self._wrong(f"participations are {self.participations}; give finite values in sqrt(kg)")
+        if any(not abs(value) <= MAX_VALUE for value in self.participations):
+            raise self._error(f"participations are {self.participations}; give finite values in sqrt(kg)")
         self._check_rows()
 
     def _check_rows(self) -> None:
         if not self.rows:
-            raise self._wrong("shapes is empty; give the shapes at the contacts, the sensors and the force")
+            raise self._error("shapes is empty; give the shapes at the contacts, the sensors and the force")
         for row in self.rows:
             if not 0 <= row.position_m <= self.length_m:
-                raise self._wrong(f"shapes are given at {row.position_m} m; give places from 0 to {self.length_m} m")
+                raise self._error(f"shapes are given at {row.position_m} m; give places from 0 to {self.length_m} m")
             if len(row.values) != len(self.natural_hz):
-                raise self._wrong(
+                raise self._error(
                     f"there are {len(row.values)} shape values at {row.position_m} m for {len(self.natural_hz)} modes; "
                     "give one each"
                 )
             for value in row.values:
-                if not abs(value) <= LARGEST:
-                    raise self._wrong(
+                if not abs(value) <= MAX_VALUE:
+                    raise self._error(
                         f"a shape value at {row.position_m} m is {value}; give finite values in 1/sqrt(kg), "
-                        f"{LARGEST:g} at most"
+                        f"{MAX_VALUE:g} at most"
                     )
         if any(np.diff(self.positions_m) <= SAME_PLACE_M):
-            raise self._wrong("the positions of shapes do not ascend; sort them, each place once")
+            raise self._error("the positions of shapes do not ascend; sort them, each place once")
 
     @property
     def positions_m(self) -> Float[np.ndarray, " places"]:
@@ -146,10 +146,10 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
 
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
-        root = float(np.sqrt(factor))
-        rows = (msgspec.structs.replace(r, values=tuple(v / root for v in r.values)) for r in self.rows)
+        sqrt_factor = float(np.sqrt(factor))
+        rows = (msgspec.structs.replace(r, values=tuple(v / sqrt_factor for v in r.values)) for r in self.rows)
         return msgspec.structs.replace(
-            self, rows=tuple(rows), participations=tuple(root * p for p in self.participations)
+            self, rows=tuple(rows), participations=tuple(sqrt_factor * p for p in self.participations)
         )
 
     def shapes(
@@ -181,11 +181,11 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
         rigid = self.rigid_modes
         coordinates = np.zeros(self.max_modes)
         shapes = np.array([row.values for row in self.rows])[:, :rigid]
-        unit = np.ones(len(self.rows))
-        if 0 < rigid <= len(unit):
-            coordinates[:rigid] = np.linalg.lstsq(shapes, unit, rcond=None)[0]
-        if np.max(np.abs(shapes @ coordinates[:rigid] - unit)) > MAX_TRANSLATION_ERROR:
-            raise self._wrong(
+        unit_motion = np.ones(len(self.rows))
+        if 0 < rigid <= len(unit_motion):
+            coordinates[:rigid] = np.linalg.lstsq(shapes, unit_motion, rcond=None)[0]
+        if np.max(np.abs(shapes @ coordinates[:rigid] - unit_motion)) > MAX_TRANSLATION_ERROR:
+            raise self._error(
                 "its modal basis does not say how its mass follows a moving base; give participations, in sqrt(kg), or "
                 "the rigid-body modes (0 Hz) of a free body"
             )
@@ -194,28 +194,28 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def _interpolated(
         self, positions_m: Float[np.ndarray, " stations"], order: int
     ) -> Float[np.ndarray, "stations all"]:
-        positions, places = np.asarray(positions_m, dtype=float), self.positions_m
+        x_m, given_m = np.asarray(positions_m, dtype=float), self.positions_m
         values = np.array([row.values for row in self.rows])
-        if len(places) == 1 or not self.has_axis:
-            nearest = values[np.abs(positions[:, None] - places[None, :]).argmin(axis=1)]
-            return nearest if order == 0 else np.zeros_like(nearest)
+        if len(given_m) == 1 or not self.has_axis:
+            nearest_shapes = values[np.abs(x_m[:, None] - given_m[None, :]).argmin(axis=1)]
+            return nearest_shapes if order == 0 else np.zeros_like(nearest_shapes)
         spline = _spline(self.rows)
-        inside = np.clip(positions, places[0], places[-1])
+        clipped_m = np.clip(x_m, given_m[0], given_m[-1])
         if order:
-            return np.asarray(spline(inside, order))
-        shapes = np.asarray(spline(inside) + spline(inside, 1) * (positions - inside)[:, None])
-        if positions.size:
-            distances = np.abs(positions[:, None] - places[None, :])
-            exact = distances.min(axis=1) <= SAME_PLACE_M
-            shapes[exact] = values[distances.argmin(axis=1)[exact]]
+            return np.asarray(spline(clipped_m, order))
+        shapes = np.asarray(spline(clipped_m) + spline(clipped_m, 1) * (x_m - clipped_m)[:, None])
+        if x_m.size:
+            distances = np.abs(x_m[:, None] - given_m[None, :])
+            is_given = distances.min(axis=1) <= SAME_PLACE_M
+            shapes[is_given] = values[distances.argmin(axis=1)[is_given]]
         return shapes
 
     def _checked(self, count: int) -> int:
         if not 1 <= count <= self.max_modes:
-            raise self._wrong(f"{count} modes asked for; its modal basis has 1 to {self.max_modes}")
+            raise self._error(f"{count} modes asked for; its modal basis has 1 to {self.max_modes}")
         return count
 
-    def _wrong(self, sentence: str) -> RigError:
+    def _error(self, sentence: str) -> RigError:
         return RigError(f"structure {self.name!r}: {sentence}")
 
 

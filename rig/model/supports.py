@@ -6,7 +6,7 @@ from rig.errors import RigError
 from rig.model.components import PointSpring, Support
 from rig.model.description import Body, Rig
 
-STIFF = 1e7
+RIGID_SUPPORT_RATIO = 1e7
 """Static stiffness of a support that is not given, over that of its body there: its first twelve modes are those of a
 rigid support within 1e-4."""
 
@@ -22,18 +22,19 @@ def attached_springs(rig: Rig) -> tuple[PointSpring, ...]:
 def _spring(body: Body, support: Support) -> PointSpring:
     stiffness = support.stiffness_n_per_m
     return PointSpring(
-        station=support.station, stiffness_n_per_m=_stiff_n_per_m(body, support) if stiffness is None else stiffness
+        station=support.station,
+        stiffness_n_per_m=_rigid_support_n_per_m(body, support) if stiffness is None else stiffness,
     )
 
 
-def _stiff_n_per_m(body: Body, support: Support) -> float:
-    """Stiffness that holds a body, N/m: `STIFF` times 1 / sum phi^2 / omega^2 over its elastic modes there."""
+def _rigid_support_n_per_m(body: Body, support: Support) -> float:
+    """Stiffness of a rigid support, N/m: RIGID_SUPPORT_RATIO / sum phi^2 / omega^2 over the elastic modes there."""
     omega = 2 * np.pi * body.frequencies_hz(body.max_modes)
     shapes = body.shapes(np.array([support.station.position_m]), body.max_modes)[0]
     compliance_m_per_n = float(np.sum(shapes[omega > 0] ** 2 / omega[omega > 0] ** 2))
-    if not compliance_m_per_n * STIFF > np.finfo(float).tiny:
+    if not compliance_m_per_n * RIGID_SUPPORT_RATIO > np.finfo(float).tiny:
         raise RigError(
             f"a support stands at {support.station.position_m} m of {body.name!r}, which does not bend there; leave "
             "it out, or give stiffness_n_per_m"
         )
-    return STIFF / compliance_m_per_n
+    return RIGID_SUPPORT_RATIO / compliance_m_per_n

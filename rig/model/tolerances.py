@@ -113,13 +113,13 @@ EXACT = Tolerances(
     contact_damping_s=0.0,
 )
 """For a simulation of exactly this rig."""
-NAMED = {"laboratory": LABORATORY, "exact": EXACT}
+TOLERANCES_BY_NAME = {"laboratory": LABORATORY, "exact": EXACT}
 
 
 def tolerances_named(text: str) -> Tolerances:
     """`laboratory`, `exact`, or those of a TOML file; raises RigError for anything else."""
-    if text in NAMED:
-        return NAMED[text]
+    if text in TOLERANCES_BY_NAME:
+        return TOLERANCES_BY_NAME[text]
     if not Path(text).exists():
-        raise RigError(f"{text}: no tolerances can be read there; give {', '.join(NAMED)} or a TOML file")
+        raise RigError(f"{text}: no tolerances can be read there; give {', '.join(TOLERANCES_BY_NAME)} or a TOML file")
     return read_toml(Path(text), Tolerances, "file of tolerances", "identify/README.md")

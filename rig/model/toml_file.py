@@ -21,32 +21,36 @@ DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
 def read_toml(
-    path: Path, kind: type[T], called: str, described_in: str, check: Callable[[dict[str, Any]], None] = lambda _: None
+    path: Path,
+    kind: type[T],
+    content_name: str,
+    described_in: str,
+    check: Callable[[dict[str, Any]], None] = lambda _: None,
 ) -> T:
     """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key.
 
     `check` sees the values first, and may raise a RigError of its own.
     """
-    wrong = f"{path}: is no {called}"
+    invalid = f"{path}: is no {content_name}"
     try:
         content = contents(path)
         if len(content) > MAX_TOML_BYTES:
-            raise RigError(f"{wrong}: it has more than {MAX_TOML_BYTES // 1000} kB; see {described_in}")
+            raise RigError(f"{invalid}: it has more than {MAX_TOML_BYTES // 1000} kB; see {described_in}")
         text = content.decode()
         if DEEP_KEY.search(text):
-            raise RigError(f"{wrong}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
+            raise RigError(f"{invalid}: it has a key of more than {MAX_DEPTH} parts; see {described_in}")
         decoded = tomllib.loads(text)
         check(decoded)
         return msgspec.convert(decoded, kind)
     except RigError:
         raise
     except UnicodeDecodeError as error:
-        raise RigError(f"{wrong}: it is not text in UTF-8; save it so") from error
+        raise RigError(f"{invalid}: it is not text in UTF-8; save it so") from error
     except RecursionError as error:
-        raise RigError(f"{wrong}: its values are nested too deep; see {described_in}") from error
+        raise RigError(f"{invalid}: its values are nested too deep; see {described_in}") from error
     except msgspec.ValidationError as error:
-        raise RigError(f"{wrong} ({explained(error, decoded, kind)})") from error
+        raise RigError(f"{invalid} ({explained(error, decoded, kind)})") from error
     except tomllib.TOMLDecodeError as error:
-        raise RigError(f"{wrong} ({error}); see {described_in}") from error
+        raise RigError(f"{invalid} ({error}); see {described_in}") from error
     except ValueError as error:
-        raise RigError(f"{wrong}: it has a number of too many digits; see {described_in}") from error
+        raise RigError(f"{invalid}: it has a number of too many digits; see {described_in}") from error

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from rig.errors import RigError
-from rig.limits import LARGEST
+from rig.limits import MAX_NUMBER
 from rig.recording.channels import Channels
 from rig.recording.messages import Block
 
@@ -16,12 +16,12 @@ class Assembly:
     """Array of a group's samples that grows block by block; a block that comes early is kept until its turn."""
 
     def __init__(
-        self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, room_samples: int = 0
+        self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, reserved_samples: int = 0
     ) -> None:
         """Start at sample `first_sample`, with memory for `room_samples`."""
         self._path, self._group_name, self._channels = path, group_name, channels
         self._first_sample = self._end_sample = first_sample
-        self._values = np.empty((len(channels.names), room_samples))
+        self._values = np.empty((len(channels.names), reserved_samples))
         self._early_blocks: list[Block] = []
         self._start_ns = 0
         self._suspect_spans: list[slice] = []
@@ -42,7 +42,7 @@ class Assembly:
     def finish(self) -> tuple[float, Float[np.ndarray, "channels samples"]]:
         """Time of the first sample (s), and the values (channels x samples).
 
-        Raises RigError if there are none, there is a gap, or a value is not finite or beyond LARGEST.
+        Raises RigError if there are none, there is a gap, or a value is not finite or beyond MAX_NUMBER.
         """
         for block in sorted(self._early_blocks, key=lambda b: b.first_sample):
             if block.first_sample != self._end_sample:
@@ -67,14 +67,14 @@ class Assembly:
         stored_values = self._values[:, start_index:stop_index]
         stored_values[:] = block.values
         square_sum = np.einsum("ij,ij->", stored_values, stored_values)  # the fastest sum, without warnings
-        if not square_sum < LARGEST**2:  # or only together
+        if not square_sum < MAX_NUMBER**2:  # or only together
             self._suspect_spans.append(slice(start_index, stop_index))
         if self._end_sample == self._first_sample:
             self._start_ns = block.time_ns
         self._end_sample += stop_index - start_index
 
     def _check_finite(self, suspect_span: slice) -> None:
-        faulty_indices = np.argwhere(~(np.abs(self._values[:, suspect_span]) <= LARGEST))
+        faulty_indices = np.argwhere(~(np.abs(self._values[:, suspect_span]) <= MAX_NUMBER))
         if faulty_indices.size:
             sample = self._first_sample + suspect_span.start + faulty_indices[0, 1]
             value = self._values[faulty_indices[0, 0], suspect_span.start + faulty_indices[0, 1]]
@@ -89,7 +89,9 @@ def assemble(
     path: Path, group_name: str, channels: Channels, blocks: list[Block], first_sample: int = 0
 ) -> Float[np.ndarray, "channels samples"]:
     """Samples of a group from its blocks in any order."""
-    assembly = Assembly(path, group_name, channels, first_sample, room_samples=sum(b.values.shape[1] for b in blocks))
+    assembly = Assembly(
+        path, group_name, channels, first_sample, reserved_samples=sum(b.values.shape[1] for b in blocks)
+    )
     for block in blocks:
         assembly.add(block)
     return assembly.finish()[1]

@@ -16,7 +16,7 @@ from mcap.records import Channel as ChannelRecord
 from numpy.typing import DTypeLike
 
 from rig.errors import RigError
-from rig.model.description import UNITS, Rig, Sensor, Station, check_given, contact_rows, from_json, stations_of
+from rig.model.description import UNITS, Rig, Sensor, Station, check_shapes_known, contact_rows, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
 from rig.recording.assembly import Assembly
@@ -188,7 +188,7 @@ def read(path: Path) -> Recording:
     channel, has a gap in its samples, or holds values that are not finite.
     """
     recording = _load(path)
-    check_given(recording.rig, f"{path}: {RIG_NAME}")
+    check_shapes_known(recording.rig, f"{path}: {RIG_NAME}")
     check_channels(
         path, recording.rig, {n: s.channels for n, s in recording.signals.items()}, channel_groups(recording.rig)
     )
@@ -283,9 +283,9 @@ def _load(path: Path) -> Recording:
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             if group_name not in assemblies:
-                room_samples = most_values // sum(len(channels.names) for channels in contents.groups.values())
+                reserved_samples = most_values // sum(len(channels.names) for channels in contents.groups.values())
                 assemblies[group_name] = Assembly(
-                    path, group_name, contents.groups[group_name], room_samples=room_samples
+                    path, group_name, contents.groups[group_name], reserved_samples=reserved_samples
                 )
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)

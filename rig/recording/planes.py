@@ -23,9 +23,9 @@ def plane_recording(recording: Recording, direction: Direction) -> Recording:
     for name, channels in groups.items():
         space = recording.signals[name]
         if name == "force":
-            rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
+            sensor_rows = [k for k, station in enumerate(rig.forces) if station.direction == direction]
         else:
-            rows = [space.channels.names.index(sensor) for sensor in channels.names]
-        values = space.values[rows] if rows else np.zeros((1, space.values.shape[1]))
+            sensor_rows = [space.channels.names.index(sensor) for sensor in channels.names]
+        values = space.values[sensor_rows] if sensor_rows else np.zeros((1, space.values.shape[1]))
         signals[name] = Signals(channels, space.start_s, values)
     return replace(recording, rig=plane, signals=signals)

@@ -97,10 +97,12 @@ def _undisputed_blocks(blocks: list[Block]) -> dict[int, Block]:
     block_by_start: dict[int, Block] = {}
     disputed_starts = set()
     for block in blocks:
-        earlier = block_by_start.setdefault(block.first_sample, block)
-        if not np.array_equal(earlier.values, block.values):
+        earlier_block = block_by_start.setdefault(block.first_sample, block)
+        if not np.array_equal(earlier_block.values, block.values):
             disputed_starts.add(block.first_sample)
-    return {first: block for first, block in block_by_start.items() if first not in disputed_starts}
+    return {
+        first_sample: block for first_sample, block in block_by_start.items() if first_sample not in disputed_starts
+    }
 
 
 def _unbroken_count(block_by_start: dict[int, Block]) -> int:

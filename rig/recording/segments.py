@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rig.errors import RigError
-from rig.model.description import Rig, check_given
+from rig.model.description import Rig, check_shapes_known
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
@@ -36,7 +36,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
         ):
             rig = rig or _checked_rig(path, contents)
             blocks_by_group[group_name].append(block.with_copied_values())
-            length_samples, overlap_samples = (round(s * rig.sample_rate_hz) for s in (length_s, overlap_s))
+            length_samples, overlap_samples = (round(x_s * rig.sample_rate_hz) for x_s in (length_s, overlap_s))
             if (
                 min(_stop_sample(blocks_by_group[group_name]) for group_name in contents.groups)
                 >= start_sample + length_samples + length_samples // 2
@@ -72,7 +72,7 @@ def _checked_rig(path: Path, contents: Contents) -> Rig:
     rig = rig_of(path, contents)
     if "force" not in contents.groups:
         raise RigError(f"{path}: has no channel /rig/force/block in front; record the exciting force too")
-    check_given(rig, f"{path}: {RIG_NAME}")
+    check_shapes_known(rig, f"{path}: {RIG_NAME}")
     check_channels(path, rig, contents.groups, channel_groups(rig))
     return rig
 

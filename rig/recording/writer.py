@@ -16,7 +16,7 @@ from mcap.records import Attachment, Metadata, Schema
 from mcap.records import Channel as ChannelRecord
 
 from rig.errors import CutOffError
-from rig.files import reserved, settle
+from rig.files import locked_part, sync_and_rename
 from rig.model.description import Rig, to_json
 from rig.recording import messages
 from rig.recording.channels import Channels, to_metadata
@@ -164,7 +164,7 @@ def writing(
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
     interruption = None
-    with reserved(path) as part_path:
+    with locked_part(path) as part_path:
         try:
             with part_path.open("wb") as stream:
                 writer = RecordingWriter(stream, rig, groups, provenance, foreign)
@@ -173,7 +173,7 @@ def writing(
                 except KeyboardInterrupt as error:
                     interruption = error
                 writer.finish()
-            settle(part_path, path)
+            sync_and_rename(part_path, path)
         except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
             reason = error.strerror or str(error)
             raise CutOffError(

@@ -1,7 +1,7 @@
 """True motion of a rig, as a plant delivers it block by block."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -77,7 +77,7 @@ class Motion:
     sensed has one row per sensor of the rig, in the sensor's quantity, before any instrument; displacement one row per
     station of `stations_of(rig)`, both in space, also where the base moves; eta (relative displacement) and
     contact_force one row per contact. forces are the measured ones. A plant may compute displacement and eta on
-    demand: ask for a slice, `motion.eta_m[:, ::4]`. After `joined` they are arrays.
+    demand: ask for a slice, `motion.eta_m[:, ::4]`. After `concatenated` they are arrays.
     """
 
     start_s: float
@@ -102,18 +102,11 @@ class Plant(Protocol):
     def __call__(self, rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) -> Iterator[Motion]: ...
 
 
-def joined(blocks: Iterator[Motion]) -> Motion:
-    """All blocks of a run concatenated."""
+def concatenated(blocks: Iterator[Motion]) -> Motion:
+    """Blocks of a run as one."""
     segments = list(blocks)
     rows = {
         name: np.concatenate([getattr(segment, name)[:, :] for segment in segments], axis=1)
         for name in ("forces_n", "sensed", "displacement_m", "eta_m", "contact_force_n")
     }
     return Motion(start_s=segments[0].start_s, step_s=segments[0].step_s, **rows)
-
-
-def sensed_alone(blocks: Iterator[Motion]) -> Iterator[Motion]:
-    """Motion without stations and contacts, for consumers of the sensors only: the rest is never computed."""
-    for block in blocks:
-        no_rows = np.zeros((0, block.forces_n.shape[1]))
-        yield replace(block, displacement_m=no_rows, eta_m=no_rows, contact_force_n=no_rows)

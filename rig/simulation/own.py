@@ -6,10 +6,10 @@ from functools import cached_property
 import msgspec
 import numpy as np
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.decoding import explained
 from rig.model.description import Rig
-from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, Level, rattling
+from rig.model.force_level import BAND_TO_SAMPLE_RATE, LOWEST_HZ, Level, rattling_level
 from rig.simulation.excitation import Excitation, excitation_of
 
 MIN_STEP_RATE_HZ = 2.0**14
@@ -21,7 +21,7 @@ SHAKER_EXCITATIONS = ("gaussian", "burst", "sweep", "multisine", "stepped_sine")
 """Excitations that a shaker gives; a blow's peak is not so limited."""
 
 
-class Drive(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class OwnRigSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Settings of a recording of a user's rig; None stands for a value that follows from the rig."""
 
     duration_s: float = 60.0
@@ -38,26 +38,26 @@ class OwnRig:
     """A user's rig with force, duration and step; the interface is that of the reference rigs."""
 
     machine: Rig
-    drive: Drive
+    settings: OwnRigSettings
 
     @property
     def duration_s(self) -> float:
-        return self.drive.duration_s
+        return self.settings.duration_s
 
     @property
     def step_s(self) -> float:
         rate_hz = self.machine.sample_rate_hz
-        return self.drive.step_s or 1 / (rate_hz * max(1, int(np.ceil(MIN_STEP_RATE_HZ / rate_hz))))
+        return self.settings.step_s or 1 / (rate_hz * max(1, int(np.ceil(MIN_STEP_RATE_HZ / rate_hz))))
 
     def rig(self) -> Rig:
         return self.machine
 
     @property
     def high_hz(self) -> float:
-        return self.drive.high_hz or BAND_TO_SAMPLE_RATE * self.machine.sample_rate_hz
+        return self.settings.high_hz or BAND_TO_SAMPLE_RATE * self.machine.sample_rate_hz
 
     def force(self) -> Excitation:
-        settings = self.drive
+        settings = self.settings
         unscaled_excitation = excitation_of(
             settings.excitation, rms_n=0.0, low_hz=settings.low_hz, high_hz=self.high_hz, seed=settings.seed
         )
@@ -68,15 +68,15 @@ class OwnRig:
         """Level of the force, chosen unless it is given; none where the base alone shakes."""
         if self.machine.is_on_ground(self.machine.forces[0]):
             return Level(0.0, "as the base alone shakes the rig")
-        if self.drive.rms_n is not None:
-            return Level(self.drive.rms_n, "as set")
-        return rattling(self.machine, self.drive.low_hz, self.high_hz)
+        if self.settings.rms_n is not None:
+            return Level(self.settings.rms_n, "as set")
+        return rattling_level(self.machine, self.settings.low_hz, self.high_hz)
 
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentence on a force that is beyond a shaker; none otherwise."""
         rms_n = self.level.rms_n
-        if rms_n <= SHAKER_N or self.drive.excitation not in SHAKER_EXCITATIONS:
+        if rms_n <= SHAKER_N or self.settings.excitation not in SHAKER_EXCITATIONS:
             return ()
         return (
             f"{rms_n:g} N rms is more than a large laboratory shaker gives (about {SHAKER_N:g} N rms); check the "
@@ -86,16 +86,18 @@ class OwnRig:
 
 def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
     """User's rig with settings given as text; raises RigError for an unknown setting or an invalid value."""
-    if unknown_settings := sorted(set(settings) - set(Drive.__struct_fields__)):
-        setting_names = Drive.__struct_fields__
+    if unknown_settings := sorted(set(settings) - set(OwnRigSettings.__struct_fields__)):
+        setting_names = OwnRigSettings.__struct_fields__
         raise RigError(
-            f"no setting {unknown_settings[0]!r}{meant(unknown_settings[0], setting_names)} for a rig of one's own, "
+            f"no setting {unknown_settings[0]!r}{hint(unknown_settings[0], setting_names)} for a rig of one's own, "
             f"only {', '.join(setting_names)}; change the rest in its file"
         )
     try:
-        return OwnRig(rig, msgspec.convert(settings, Drive, strict=False))
+        return OwnRig(rig, msgspec.convert(settings, OwnRigSettings, strict=False))
     except msgspec.ValidationError as error:
-        raise RigError(f"{explained(error, settings, Drive)}; see `rig record --help` for the settings") from error
+        raise RigError(
+            f"{explained(error, settings, OwnRigSettings)}; see `rig record --help` for the settings"
+        ) from error
 
 
 def plant_for(rig: Rig) -> str:

@@ -23,7 +23,7 @@ def modal(
     first_samples: Int[np.ndarray, " windows"],
     sample_count: int,
     stations: tuple[Station, ...],
-    station_states: Float[np.ndarray, "windows 2 stations"],
+    states: Float[np.ndarray, "windows 2 stations"],
 ) -> Float[np.ndarray, "windows 2 stations times"]:
     """Displacement (m) and velocity (m/s) at stations over each window, from their states at its first sample.
 
@@ -42,9 +42,7 @@ def modal(
     model, body_modes = model_of(rig_without_base, False, MODE_COUNT), body_modes_of(rig_without_base, MODE_COUNT)
     constants = constants_of(model, step_s)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
-    modes_by_stations = modal_inverse(
-        shapes, [(body.name, mode_count) for body, _, mode_count, _ in body_modes], stations
-    )
+    modes_by_stations = modal_inverse(shapes, [(b.body.name, b.mode_count) for b in body_modes], stations)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory, contact_n = (
@@ -52,9 +50,7 @@ def modal(
         np.empty((2, len(model.eta_rows), step_count)),
     )
     with threadpool_limits(1):  # the matrices are small
-        for window_states, first_sample, state in zip(
-            predicted_states, first_samples.tolist(), station_states, strict=True
-        ):
+        for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
             start_step = first_sample * steps_per_sample
             inputs, input_bends = applied_inputs(
                 rig_without_base, step_forces, (), step_s, slice(start_step + 1, start_step + 1 + step_count)

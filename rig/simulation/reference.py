@@ -4,7 +4,7 @@ from typing import Literal
 
 import msgspec
 
-from rig.errors import RigError, meant
+from rig.errors import RigError, hint
 from rig.model.beam import Beam
 from rig.model.components import DIRECTIONS
 from rig.model.contact_laws.annular import Annular
@@ -321,7 +321,7 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
     if unknown_settings := sorted(set(settings) - set(settings_type.__struct_fields__)):
         setting_names = settings_type.__struct_fields__
         raise RigError(
-            f"{scenario} has no setting {unknown_settings[0]!r}{meant(unknown_settings[0], setting_names)}; it has "
+            f"{scenario} has no setting {unknown_settings[0]!r}{hint(unknown_settings[0], setting_names)}; it has "
             f"{', '.join(setting_names)}"
         )
     try:

@@ -3,7 +3,8 @@
 `modal` and `ancf` are the simulators that the package registers as entry points.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from rig.model.description import Rig
 from rig.model.sensing import quantities_of
 from rig.recording import Recording, Signals, channel_groups
-from rig.simulation.motion import Forces, Plant, Progress, sensed_alone
+from rig.simulation.motion import Forces, Motion, Plant, Progress
 from rig.simulation.sensors import digitise, needed_duration_s
 
 
@@ -65,7 +66,7 @@ def replayed_recording(
         forces_n, rate_hz, step_s, round(needed_duration_s(actual_rig, sample_count / rate_hz) / step_s)
     )
     with threadpool_limits(1):  # the matrices are small
-        motion_blocks = sensed_alone(plant(actual_rig, step_forces, step_s, progress))
+        motion_blocks = _sensors_only(plant(actual_rig, step_forces, step_s, progress))
         sample_blocks = list(digitise(actual_rig, motion_blocks, np.random.default_rng([seed, 1])))
     channels_by_group = channel_groups(believed_rig)
     signals = {"force": Signals(channels_by_group["force"], 0.0, forces_n)}
@@ -94,3 +95,10 @@ def ancf(believed_rig: Rig, actual_rig: Rig, force_n: Float[np.ndarray, "*forces
 def step_s_of(rig: Rig, min_rate_hz: float) -> float:
     """Time step of a plant, s: its rate is the lowest multiple of the sampling rate not below least_hz."""
     return 1 / (rig.sample_rate_hz * max(1, int(np.ceil(min_rate_hz / rig.sample_rate_hz))))
+
+
+def _sensors_only(blocks: Iterator[Motion]) -> Iterator[Motion]:
+    """Motion without stations and contacts, for consumers of the sensors only: the rest is never computed."""
+    for block in blocks:
+        no_rows = np.zeros((0, block.forces_n.shape[1]))
+        yield replace(block, displacement_m=no_rows, eta_m=no_rows, contact_force_n=no_rows)

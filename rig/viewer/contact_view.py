@@ -43,7 +43,7 @@ LawSource = Literal["true", "identified", "believed"]
 class ContactMotion:
     """Motion of a contact over the record: eta_m is its relative displacement. Its law is drawn as walls and defines
     closure; wall_source is the law's. Of an annular contact, which has an orbit, eta_m is the distance from its centre,
-    force_n the size of the force, and the laws are `radial_law`.
+    force_n the size of the force, and the laws are those over the radius.
 
     overlaid_laws are drawn over it, by source; force_n is the contact force where it is known. The samples may be a
     part of the record: identified motion, for which is_identified is true, begins later and ends at until_s.

@@ -49,8 +49,8 @@ class Deflection:
         """Displacement at a station, m: as measured there, else from the body's modes."""
         if station in self.stations:
             return self.displacement_m[self.stations.index(station)]
-        place = np.array([station.position_m])
-        return self.of_body(self.rig.body(station.body), place, direction=station.direction)[0]
+        position_m = np.array([station.position_m])
+        return self.of_body(self.rig.body(station.body), position_m, direction=station.direction)[0]
 
     def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m (`contact_rows`)."""
@@ -92,14 +92,14 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
 
 
 def _integrate(
-    samples: Float[np.ndarray, " samples"], order: int, sample_rate_hz: float
+    samples: Float[np.ndarray, " samples"], integrations: int, sample_rate_hz: float
 ) -> Float[np.ndarray, " samples"]:
     """Record, tapered at both ends, divided by (i omega)^times; zero below CORNER_HZ."""
-    if not order:
+    if not integrations:
         return samples
     omega = 2 * np.pi * np.fft.rfftfreq(samples.size, 1 / sample_rate_hz)
     tapered_spectrum = np.fft.rfft(samples * tukey(samples.size, min(1.0, 2 * TAPER_S * sample_rate_hz / samples.size)))
     is_passed = omega >= 2 * np.pi * CORNER_HZ
     integration_factor = np.zeros(omega.size, dtype=complex)
-    integration_factor[is_passed] = (1j * omega[is_passed]) ** -order
+    integration_factor[is_passed] = (1j * omega[is_passed]) ** -integrations
     return np.fft.irfft(tapered_spectrum * integration_factor, samples.size)

@@ -7,8 +7,7 @@ import numpy as np
 import rerun as rr
 from jaxtyping import Float
 
-from rig.model.contact_laws import ContactLaw, DeadZone
-from rig.model.contact_laws.annular import Annular
+from rig.model.contact_laws import ContactLaw
 from rig.viewer.drawing import pixels, send_labels, send_static
 from rig.viewer.palette import SOURCES
 
@@ -33,24 +32,6 @@ class Orbit:
     def angle_deg(self, sample: int) -> float:
         """Angle of the motion, from y towards z."""
         return float(np.degrees(np.arctan2(self.eta_m[1, sample], self.eta_m[0, sample])))
-
-
-def centre_of(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
-    """Centre of the ring of the first annular law, m."""
-    law = next(law for law in laws if isinstance(law, Annular))
-    return np.array([[law.center_y_m], [law.center_z_m]])
-
-
-def radial_law(law: ContactLaw) -> DeadZone:
-    """Law of an annular contact over the distance from its centre: one stop, at the radial clearance."""
-    return DeadZone(
-        lower_clearance_m=np.inf,
-        upper_clearance_m=law.clearance_m,
-        stiffness_n_per_m=law.stiffness_n_per_m,
-        damping_n_s_per_m=law.damping_n_s_per_m,
-        wear_m_per_s=law.wear_m_per_s,
-        pulls=False,
-    )
 
 
 def send_rings(

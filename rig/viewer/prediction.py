@@ -95,20 +95,6 @@ def predicted_motion(
     )
 
 
-def summary_text(prediction: PredictedMotion, window_s: float) -> str:
-    """Median errors of both rigs over the windows, in Markdown."""
-    believed_mm, corrected_mm = (
-        1e3 * float(np.median(prediction.window_errors_m(displacement_m)))
-        for displacement_m in (prediction.believed_m, prediction.corrected_m)
-    )
-    change_text = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
-    return (
-        f"Every {window_s:.2g} s both rigs start anew from the measured motion and continue under the measured force. "
-        f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} "
-        f"mm**{change_text}."
-    )
-
-
 def _station_row(rig: Rig, motion: Deflection, place_name: str) -> int:
     station = station_named(rig, place_name)
     if station not in motion.stations:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from rig.viewer.blueprint import PREDICTED_RIGS
 from rig.viewer.drawing import PREDICTION, TIMELINE, entity, pixels, send, send_legend, send_lines, send_static
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE, Colour
-from rig.viewer.prediction import PredictedMotion, summary_text
+from rig.viewer.prediction import PredictedMotion
 from rig.viewer.stage import Stage
 
 
@@ -48,6 +48,20 @@ def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, sce
     for source_name in ("believed", "corrected"):
         displacement_m, colour = displacement_by_source[source_name]
         _send_ghosts(stream, f"{PREDICTED_RIGS}/{source_name}", prediction, displacement_m, colour, scene)
+
+
+def summary_text(prediction: PredictedMotion, window_s: float) -> str:
+    """Median errors of both rigs over the windows, in Markdown."""
+    believed_mm, corrected_mm = (
+        1e3 * float(np.median(prediction.window_errors_m(displacement_m)))
+        for displacement_m in (prediction.believed_m, prediction.corrected_m)
+    )
+    change_text = "" if not np.isfinite(believed_mm) else f", {100 * (1 - corrected_mm / believed_mm):.0f} % less"
+    return (
+        f"Every {window_s:.2g} s both rigs start anew from the measured motion and continue under the measured force. "
+        f"Median error of the displacement: **believed {believed_mm:.2g} mm, corrected {corrected_mm:.2g} "
+        f"mm**{change_text}."
+    )
 
 
 def _send_ghosts(

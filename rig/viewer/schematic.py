@@ -10,8 +10,8 @@ from rig.model.contact_laws import walls_m
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
-from rig.model.nodes import place_name
 from rig.model.space import plane_rigs
+from rig.model.structure import Structure
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
@@ -77,7 +77,7 @@ class _SchematicLayout:
         items = self.slot_items.get(station.body)
         if items is None:
             return left_px + self.px_per_m * station.position_m
-        return left_px + SLOT_PX * (next(k for k, other in enumerate(items) if other is item) + 0.5)
+        return left_px + SLOT_PX * (next(slot for slot, other_body in enumerate(items) if other_body is item) + 0.5)
 
     def half_px(self, body: str) -> float:
         return MASS_HALF_PX if body in self.slot_items else BODY_HALF_PX
@@ -90,13 +90,13 @@ class _SchematicLayout:
 
 
 def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
-    lefts_m = left_ends(rig)
-    extent_m = max(lefts_m[b.name] + b.length_m for b in rig.bodies) - min(lefts_m.values())
+    left_ends_m = left_ends(rig)
+    extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
     px_per_m = DRAWING_PX / extent_m if extent_m > 0 else 1.0
     top_px = TITLE_PX - title_px - LEVEL_STEP_PX * (len(rig.bodies) - 1)
-    level_px = {body.name: -LEVEL_STEP_PX * k - top_px for k, body in enumerate(rig.bodies)}
+    level_px = {body.name: -LEVEL_STEP_PX * level_index - top_px for level_index, body in enumerate(rig.bodies)}
     slot_items = {body.name: tuple(_items_on(rig, body)) for body in rig.bodies if body.is_mass}
-    left_px = {name: px_per_m * (left_m - min(lefts_m.values())) for name, left_m in lefts_m.items()}
+    left_px = {name: px_per_m * (left_m - min(left_ends_m.values())) for name, left_m in left_ends_m.items()}
     return _SchematicLayout(rig, left_px, px_per_m, level_px, slot_items, title_px)
 
 
@@ -151,8 +151,8 @@ def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
     stations += [
         item.station
-        for group in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
-        for item in group
+        for position_group in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
+        for item in position_group
     ]
     places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
     drawing.line((left_px, y), (left_px + layout.px_per_m * body.length_m, y), colour=GREY, width=1.0)
@@ -253,7 +253,7 @@ def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
         place = (
             ""
             if station.body in layout.slot_items
-            else f"  {place_name(layout.rig.body(station.body), station.position_m)}"
+            else f"  {_place_name(layout.rig.body(station.body), station.position_m)}"
         )
         drawing.text(
             x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
@@ -311,3 +311,9 @@ def _grounded(
     drawing.ground(x, bottom + ATTACHED_PX)
     for k, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
         drawing.text(x + 12, bottom + ATTACHED_PX - 8 - 14 * k, words, size=11)
+
+
+def _place_name(body: Body, position_m: float) -> str:
+    """Position on a body in words; the name of the node where the places of a modal basis have no axis."""
+    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(position_m)
+    return f"{position_m:g} m" if node is None else f"node {node}"

@@ -18,7 +18,7 @@ from rig.viewer.palette import FORCE, SENSOR, shades
 
 BLOCK_S = 4.0
 """Length of the averaged blocks, s (lines 0.25 Hz apart); at most a quarter of the record."""
-MOST_DECADES = 6
+MAX_DECADES = 6
 """Largest range of densities that is shown."""
 
 
@@ -59,7 +59,7 @@ def send_spectra(stream: rr.RecordingStream, spectra: ShownSpectra, sample_rate_
     """Send the amplitude density over frequency of every signal, on logarithmic axes."""
     frequency_hz, density = densities(np.array([*spectra.signals.values()]), sample_rate_hz)
     highest_density = 10.0 ** np.ceil(np.log10(density.max() or 1.0))
-    lowest_density = 10.0 ** np.floor(np.log10(max(density.min(), highest_density / 10.0**MOST_DECADES)))
+    lowest_density = 10.0 ** np.floor(np.log10(max(density.min(), highest_density / 10.0**MAX_DECADES)))
     density_name = f"amplitude density, {spectra.unit}/√Hz"
     axes = Axes(
         (frequency_hz[0], frequency_hz[-1]),

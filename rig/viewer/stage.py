@@ -195,20 +195,20 @@ class Stage:
 
     def ring(self, contact: Contact) -> Float[np.ndarray, "frames corners 3"]:
         """Ring of an annular contact about the point that moves in it, and the line to its carrier."""
-        turn = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNERS)
+        angle_rad = np.linspace(-np.pi / 2, 1.5 * np.pi, RING_CORNERS)
         radius = self.magnification * contact.law.clearance_m + self._half_size_m(self.rig.body(contact.at.body))
-        middle = np.zeros((self.frame_samples.size, 3))
-        middle[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
-        corners = radius * np.stack([0 * turn, -np.sin(turn), np.cos(turn)], axis=1)
-        carriers = middle[:, None]
+        centres = np.zeros((self.frame_samples.size, 3))
+        centres[:, 0] = self.left_ends_m[contact.at.body] + contact.at.position_m
+        corners = radius * np.stack([0 * angle_rad, -np.sin(angle_rad), np.cos(angle_rad)], axis=1)
+        carriers = centres[:, None]
         if contact.against is not None:
             carriers = self.point(contact.against)[:, None]
-            middle[:, 1:] = carriers[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
-        middle[:, 1] += self.depth_m(contact.at.body)
+            centres[:, 1:] = carriers[:, 0, 1:] - [self.depth_m(contact.against.body), 0.0]
+        centres[:, 1] += self.depth_m(contact.at.body)
         law = self.rig.contact(contact.name).law
         if isinstance(law, Annular):
-            middle[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
-        ring_points = middle[:, None] + corners
+            centres[:, 1:] += self.magnification * np.array([-law.center_z_m, law.center_y_m])
+        ring_points = centres[:, None] + corners
         return ring_points if contact.against is None else np.concatenate([ring_points, carriers], axis=1)
 
     def _between(self, body_name: str, other_name: str) -> tuple[float, float]:

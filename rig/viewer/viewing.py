@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import rerun as rr
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from msgspec.structs import replace
 
 from rig.errors import RigError
 from rig.files import write_bytes
-from rig.model.contact_laws import ContactLaw
+from rig.model.contact_laws import ContactLaw, DeadZone
+from rig.model.contact_laws.annular import Annular
 from rig.model.description import Rig, Station
 from rig.model.sensing import sensors_of
 from rig.recording import Recording
@@ -33,14 +34,14 @@ from rig.viewer.gap import ShownGap
 from rig.viewer.gap_view import send_gap
 from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
-from rig.viewer.orbit import Orbit, centre_of, radial_law
+from rig.viewer.orbit import Orbit
 from rig.viewer.palette import FORCE, SENSOR, Colour, shades
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of
 from rig.viewer.stage import stage
 
-MOST_SCALARS = 1_000_000
+MAX_SCALARS = 1_000_000
 """Number of plotted values above which the time series are decimated away from contacts."""
 
 
@@ -73,7 +74,7 @@ def write_rrd(
         raise RigError("the truth file has other samples, contacts or groups than the recording; take it away")
     motion = deflection(recording, truth)
     scene = stage(motion, recording.rig.sample_rate_hz, magnification)
-    stride = max(1, -(-_series_scalars(recording, truth) // MOST_SCALARS))
+    stride = max(1, -(-_series_scalars(recording, truth) // MAX_SCALARS))
     contact_motions = _contact_motions(recording, truth, motion, identified_contacts, scene.frame_samples, stride)
     layout = Layout(
         rig=recording.rig if truth is None else truth.rig,
@@ -167,9 +168,9 @@ def _contact_motions(
         law_by_source["believed"] = believed_contact.law
         wall_source = next(iter(law_by_source))
         eta_m, contact_n = relative_displacement_m[rows], None if force_n is None else force_n[rows]
-        orbit = Orbit(eta_m - centre_of(law_by_source[wall_source], believed_contact.law)) if is_annular else None
+        orbit = Orbit(eta_m - _centre_of(law_by_source[wall_source], believed_contact.law)) if is_annular else None
         if is_annular:
-            law_by_source = {source_name: radial_law(law) for source_name, law in law_by_source.items()}
+            law_by_source = {source_name: _radial_law(law) for source_name, law in law_by_source.items()}
         overlaid_laws = {
             source_name: contact_law
             for source_name, contact_law in law_by_source.items()
@@ -195,6 +196,24 @@ def _contact_motions(
         )
         contact_motions.append(contact_motion)
     return contact_motions
+
+
+def _centre_of(*laws: ContactLaw) -> Float[np.ndarray, "2 1"]:
+    """Centre of the ring of the first annular law, m."""
+    law = next(law for law in laws if isinstance(law, Annular))
+    return np.array([[law.center_y_m], [law.center_z_m]])
+
+
+def _radial_law(law: ContactLaw) -> DeadZone:
+    """Law of an annular contact over the distance from its centre: one stop, at the radial clearance."""
+    return DeadZone(
+        lower_clearance_m=np.inf,
+        upper_clearance_m=law.clearance_m,
+        stiffness_n_per_m=law.stiffness_n_per_m,
+        damping_n_s_per_m=law.damping_n_s_per_m,
+        wear_m_per_s=law.wear_m_per_s,
+        pulls=False,
+    )
 
 
 def open_viewer(path: Path) -> None:

@@ -17,7 +17,7 @@ from rich.table import Table
 from rig.commands.command_line import progress_bar, run
 from rig.model.description import Station
 from rig.simulation.excitation import QUIET_S, force_history
-from rig.simulation.motion import Forces, Motion, Plant, joined
+from rig.simulation.motion import Forces, Motion, Plant, concatenated
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle
 from rig.simulation.sensors import digitise
@@ -57,7 +57,7 @@ def young_motion(plant: Plant, step_s: float, scale: float = SMALL, beside: Stat
         excitations.append(msgspec.structs.replace(settings.force(), seed=2))
     begun = slice(round(QUIET_S / step_s), None)
     forces_n = Forces(tuple(scale * force_history(one, QUIET_S + 0.5, step_s)[begun] for one in excitations))
-    return joined(plant(rig, forces_n, step_s, lambda _: None))
+    return concatenated(plant(rig, forces_n, step_s, lambda _: None))
 
 
 def tip_difference(motion: Motion, reference: Motion) -> dict[str, float]:

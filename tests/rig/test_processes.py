@@ -10,7 +10,7 @@ from rig.processes import mapped
 
 
 def test_results_come_in_order_from_other_processes_where_the_work_is_worth_it(monkeypatch):
-    monkeypatch.setattr("rig.processes.WORTH_S", 0.1)
+    monkeypatch.setattr("rig.processes.MIN_REMAINING_S", 0.1)
     finished = []
 
     def run(number):
@@ -30,7 +30,7 @@ def test_little_work_stays_in_this_process():
 
 
 def test_an_error_in_a_process_is_that_of_the_run(monkeypatch):
-    monkeypatch.setattr("rig.processes.WORTH_S", 0.01)
+    monkeypatch.setattr("rig.processes.MIN_REMAINING_S", 0.01)
 
     def run(number):
         time.sleep(0.1)

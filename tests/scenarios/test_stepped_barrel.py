@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rig.errors import RigError
-from rig.model.description import check_given
+from rig.model.description import check_shapes_known
 from rig.simulation.motion import joined
 from rig.simulation.plants import modal
 from rig.simulation.plants.basis import modal_basis
@@ -25,7 +25,7 @@ def test_without_sections_the_basis_is_that_of_the_beam(body):
 
 
 def test_the_stepped_barrel_has_its_mass_and_its_centre_of_mass():
-    check_given(BELIEVED, "rig.json")
+    check_shapes_known(BELIEVED, "rig.json")
     basis = BELIEVED.body("barrel")
     shares = np.array([THICKNESS_RATIO * BREECH_M, 1 - BREECH_M])  # of the uniform beam's mass
     assert np.sum(basis.translation() ** 2) == pytest.approx(UNIFORM.mass_kg * shares.sum(), rel=1e-6)

@@ -19,7 +19,7 @@ from rig.lab.matlab import matlab_blocks
 from rig.lab.recorded import recorded_date
 from rig.lab.tables import with_blocks
 from rig.lab.units import canonical_unit, quantity_of
-from rig.limits import MAX_NAME
+from rig.limits import MAX_NAME_LENGTH
 from rig.model.description import Rig
 from rig.recording import RIG_NAME
 
@@ -102,7 +102,7 @@ def _key_by_number(file: SeenFile) -> dict[int, str | int]:
         if name_counts[c.name] == 1
         and is_plain(c.name)
         and c.name == c.name.strip()
-        and 0 < len(c.name) <= MAX_NAME
+        and 0 < len(c.name) <= MAX_NAME_LENGTH
         and c.name != PLACEHOLDER
         else c.number
         for c in file.columns

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from rig.errors import RigError
 from rig.extras import needs_extra
 from rig.model.components import DIRECTIONS
-from rig.model.description import Rig, Station, contact_rows, stations_of
+from rig.model.description import Rig, Sensor, Station, contact_rows, stations_of
 from rig.model.quantities import Quantity
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_of
 from rig.simulation.plants.connectors import ChangingModulus, Extra, Section, modulus_change
@@ -23,7 +23,7 @@ from rig.simulation.plants.loading import (
     softening_limits_m,
     true_force,
 )
-from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, sensor_row, station_row
+from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, station_row
 
 ELEMENTS = 20
 BLOCK_STEPS = 4096
@@ -64,10 +64,10 @@ def simulate(
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
         settings, step_count = _settings(exu, step_s), len(force_n) - 1
         for first_step in range(0, step_count, BLOCK_STEPS):
-            end_step = min(first_step + BLOCK_STEPS, step_count)
-            _advance(exu, mbs, settings, first_step, end_step, step_s)
-            yield _motion(rig, mbs, instruments, excitation, first_step, end_step, step_s)
-            progress(end_step / step_count)
+            steps = range(first_step, min(first_step + BLOCK_STEPS, step_count))
+            _advance(exu, mbs, settings, steps, step_s)
+            yield _motion(rig, mbs, instruments, excitation, steps, step_s)
+            progress(steps.stop / step_count)
     finally:
         container.Reset()
 
@@ -160,29 +160,22 @@ def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: l
             for c, contact in zip(connectors, contact_rows(rig), strict=False)
         ],
         stations={s: station_row(meshes, s) for s in {*stations_of(rig), *(c.at for c in connections(rig))}},
-        sensors=[(s.measures, sensor_row(rig, meshes, s)) for s in rig.sensors],
+        sensors=[(s.measures, _sensor_row(rig, meshes, s)) for s in rig.sensors],
         limits_m=softening_limits_m(rig),
     )
 
 
 def _motion(
-    rig: Rig,
-    mbs: Any,
-    instruments: _Instruments,
-    excitation: _Excitation,
-    first_step: int,
-    end_step: int,
-    step_s: float,
+    rig: Rig, mbs: Any, instruments: _Instruments, excitation: _Excitation, steps: range, step_s: float
 ) -> Motion:
     """Motion of the segment just solved; raises RigError if it diverged or a softening spring let go."""
-    repeated_samples = int(first_step > 0)  # the first sample of a segment is the last of the one before
-    coordinates = {order: read()[:, repeated_samples:] for order, read in instruments.coordinates.items()}
+    repeated = int(steps.start > 0)  # the first sample of a segment is the last of the one before
+    coordinates = {order: read()[:, repeated:] for order, read in instruments.coordinates.items()}
     if not all(np.isfinite(derivative).all() for derivative in coordinates.values()):
-        raise RigError(
-            f"the ancf plant diverged before {end_step * step_s:.3f} s at step {step_s} s; use a smaller step"
-        )
+        end_s = steps.stop * step_s
+        raise RigError(f"the ancf plant diverged before {end_s:.3f} s at step {step_s} s; use a smaller step")
     sample_count = coordinates[0].shape[1]
-    span = slice(end_step + 1 - sample_count, end_step + 1)
+    span = slice(steps.stop + 1 - sample_count, steps.stop + 1)
     displacement_m = {s: row @ coordinates[0] for s, row in instruments.stations.items()}
     relative_m = [displacement_m[c.at] - (displacement_m[c.against] if c.against else 0) for c in connections(rig)]
     check_softening(instruments.limits_m, _stack(relative_m, sample_count))
@@ -192,32 +185,29 @@ def _motion(
         for derivative, row in instruments.sensors
     ]
     return Motion(
-        start_s=(first_step + repeated_samples) * step_s,
+        start_s=(steps.start + repeated) * step_s,
         step_s=step_s,
         forces_n=excitation.measured_n[span],
         sensed=_stack(sensed, sample_count),
         displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], sample_count),
         eta_m=_stack(relative_m[: len(instruments.contact_forces)], sample_count),
         contact_force_n=_stack(
-            [mbs.GetSensorStoredData(s)[repeated_samples:, column] for s, column in instruments.contact_forces],
-            sample_count,
+            [mbs.GetSensorStoredData(s)[repeated:, column] for s, column in instruments.contact_forces], sample_count
         ),
     )
 
 
 def _read_nodes(exu: Any, mbs: Any, meshes: list[Mesh], order: int) -> Callable[[], Float[np.ndarray, "rows samples"]]:
     """Add sensors of one time derivative on every node; return a function that reads all transverse coordinates."""
-    output_type = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
-    node_sensors = [
-        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output_type)), mesh)
+    output = getattr(exu.OutputVariableType, ("Coordinates", "Coordinates_t", "Coordinates_tt")[order])
+    sensors = [
+        (mbs.AddSensor(item("SensorNode")(nodeNumber=node, storeInternal=True, outputVariableType=output)), mesh)
         for mesh in meshes
         for node in mesh.nodes
     ]
 
     def read() -> Float[np.ndarray, "rows samples"]:
-        rows = [
-            np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in node_sensors
-        ]
+        rows = [np.asarray(mbs.GetSensorStoredData(s))[:, [1 + c for c in mesh.transverse]].T for s, mesh in sensors]
         return np.concatenate(rows)
 
     return read
@@ -238,13 +228,13 @@ def _settings(exu: Any, step_s: float) -> Any:
     return settings
 
 
-def _advance(exu: Any, mbs: Any, settings: Any, first_step: int, end_step: int, step_s: float) -> None:
+def _advance(exu: Any, mbs: Any, settings: Any, steps: range, step_s: float) -> None:
     integration = settings.timeIntegration
-    integration.startTime = first_step * step_s
-    integration.endTime = end_step * step_s
-    integration.numberOfSteps = end_step - first_step
-    integration.generalizedAlpha.computeInitialAccelerations = first_step == 0
-    integration.generalizedAlpha.resetAccelerations = first_step == 0
+    integration.startTime = steps.start * step_s
+    integration.endTime = steps.stop * step_s
+    integration.numberOfSteps = len(steps)
+    integration.generalizedAlpha.computeInitialAccelerations = steps.start == 0
+    integration.generalizedAlpha.resetAccelerations = steps.start == 0
     try:
         is_solved = mbs.SolveDynamic(settings, updateInitialValues=True)
     except exu.SolverError as error:
@@ -253,10 +243,16 @@ def _advance(exu: Any, mbs: Any, settings: Any, first_step: int, end_step: int, 
         reason = "no reason given"
     if not is_solved:
         raise RigError(
-            f"the ancf plant failed between {first_step * step_s:.3f} and {end_step * step_s:.3f} s at step {step_s} s "
-            f"({reason}); use a smaller step or a softer contact"
+            f"the ancf plant failed between {steps.start * step_s:.3f} and {steps.stop * step_s:.3f} s at step "
+            f"{step_s} s ({reason}); use a smaller step or a softer contact"
         )
 
 
 def _stack(rows: list[Float[np.ndarray, " samples"]], sample_count: int) -> Float[np.ndarray, "rows samples"]:
     return np.stack(rows) if rows else np.zeros((0, sample_count))
+
+
+def _sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray, " rows"]:
+    """Measurement operator of a sensor over all transverse coordinates; the curvature is that of the elements."""
+    derivatives = np.array([station_row(meshes, sensor.station, order) for order in range(3)])
+    return sensor.measures.operator(derivatives, rig.fibre_m(sensor))

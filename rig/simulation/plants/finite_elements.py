@@ -114,7 +114,7 @@ def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, s
             mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground, marker]))
 
     positions, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
-    if rig.in_space and body.bending_stiffness_n_m2 != body.seen_from_above.bending_stiffness_n_m2:
+    if rig.in_space and body.bending_stiffness_n_m2 != body.bending_in_z.bending_stiffness_n_m2:
         raise RigError(
             f"the ancf plant bends beams in space alike in y and z, and {body.name!r} is wider than thick; give a tube "
             "or a square, or simulate it with modal"

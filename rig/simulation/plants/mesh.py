@@ -8,7 +8,7 @@ import scipy
 from jaxtyping import Float, Int
 
 from rig.model.beam import Beam
-from rig.model.description import Direction, Rig, Sensor, Station, contact_stations
+from rig.model.description import Direction, Rig, Station, contact_stations
 from rig.model.modes import Meshed, held_coordinates, hermite, matrices
 from rig.model.space import plane_rigs
 from rig.model.supports import attached_springs
@@ -95,12 +95,6 @@ def station_row(meshes: list[Mesh], station: Station, order: int = 0) -> Float[n
             for mesh in meshes
         ]
     )
-
-
-def sensor_row(rig: Rig, meshes: list[Mesh], sensor: Sensor) -> Float[np.ndarray, " rows"]:
-    """Measurement operator of a sensor over all transverse coordinates; the curvature is that of the elements."""
-    derivatives = np.array([station_row(meshes, sensor.station, order) for order in range(3)])
-    return sensor.measures.operator(derivatives, rig.fibre_m(sensor))
 
 
 def static_load(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:

@@ -293,9 +293,8 @@ def _bends(inputs: Float[np.ndarray, "inputs samples"]) -> Float[np.ndarray, "in
         size_n = np.abs(curvature_n)
         is_corner = size_n[:, 1:-1] > 4 * np.maximum(size_n[:, :-2], size_n[:, 2:])
         at_start, at_end = curvature_n[:, 1:-2], curvature_n[:, 2:-1]
-        bends[:, 1:-2] = (
-            -(np.where(is_corner[:, :-1], at_end, at_start) + np.where(is_corner[:, 1:], at_start, at_end)) / 24
-        )
+        curvature_sum_n = np.where(is_corner[:, :-1], at_end, at_start) + np.where(is_corner[:, 1:], at_start, at_end)
+        bends[:, 1:-2] = -curvature_sum_n / 24
     return bends
 
 

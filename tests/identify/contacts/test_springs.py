@@ -10,7 +10,7 @@ from identify.contacts.identification import identify_contact
 from identify.contacts.report import write_results
 from identify.pages.wording import COVERED, interval
 from rig.model.contact_laws.spring import Spring
-from rig.model.force_level import rattling
+from rig.model.force_level import rattling_level
 from rig.recording import read
 from tests.campaigns.topologies import Topology, chain, one_mass, progressive_stop, recorded
 
@@ -122,8 +122,8 @@ def test_a_spring_hands_the_force_on_to_a_stop_behind_it():
         replace(rig, contacts=(replace(rig.contacts[0], law=Spring(stiffness_n_per_m=k)), rig.contacts[1]))
         for k in (1e8, 0.0)
     )
-    assert 1.0 < rattling(rigid, 0.5, 25.0).rms_n < 100.0
-    assert "no contact has a clearance" in rattling(loose, 0.5, 25.0).why
+    assert 1.0 < rattling_level(rigid, 0.5, 25.0).rms_n < 100.0
+    assert "no contact has a clearance" in rattling_level(loose, 0.5, 25.0).reason
 
 
 @pytest.mark.study

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import binom
 
 from identify.linear.modal import ModalEquation
-from identify.paper.surface import LEAST_CONTACT_SHARE, Stops, clearance_from_occurrence, fit_surface, restoring_force
+from identify.paper.surface import MIN_CONTACT_SHARE, Stops, clearance_from_occurrence, fit_surface, restoring_force
 from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
 from rig.simulation.motion import joined
@@ -124,7 +124,7 @@ def test_a_contact_that_never_closes_has_no_stops(started):
 
 def test_a_contact_that_hardly_closes_has_no_stops():
     _, _, eta = equation_and_force()
-    for share, is_determined in ((LEAST_CONTACT_SHARE / 2, False), (4 * LEAST_CONTACT_SHARE, True)):
+    for share, is_determined in ((MIN_CONTACT_SHARE / 2, False), (4 * MIN_CONTACT_SHARE, True)):
         both = float(np.quantile(np.abs(eta[1]), 1 - share))
         stops = (STOPS_M[0], (both, both))
         equation, force, _ = equation_and_force(stops=stops)

@@ -24,7 +24,7 @@ from rig.model.description import (
     stations_of,
     to_json,
 )
-from rig.model.force_level import rattling
+from rig.model.force_level import rattling_level
 from rig.model.space import check_plane, in_plane, plane_rigs
 from rig.simulation.plants.compiled_laws import law_records, vector_force_n
 from rig.simulation.plants.stepwise import Stepwise
@@ -250,8 +250,8 @@ def test_what_takes_plane_rigs_alone_says_why_not():
 def test_the_level_of_the_force_is_the_larger_one_of_both_directions():
     """A spring in z holds the barrel there, so that more is needed."""
     hold = PointSpring(station=Station("barrel", 1.0, "z"), stiffness_n_per_m=1e6)
-    free, held = (rattling(replace(RIG, springs=s), 0.5, 100.0).rms_n for s in ((), (hold,)))
-    assert free == rattling(in_plane(RIG, "y"), 0.5, 100.0).rms_n
+    free, held = (rattling_level(replace(RIG, springs=s), 0.5, 100.0).rms_n for s in ((), (hold,)))
+    assert free == rattling_level(in_plane(RIG, "y"), 0.5, 100.0).rms_n
     assert held > free
     y_alone = replace(RIG, springs=(hold,), force_at=RIG.forces[0])
-    assert rattling(y_alone, 0.5, 100.0).rms_n == free
+    assert rattling_level(y_alone, 0.5, 100.0).rms_n == free

@@ -14,7 +14,7 @@ from rig.model.description import (
     PointSpring,
     Sensor,
     Station,
-    check_given,
+    check_shapes_known,
     from_json,
     to_json,
 )
@@ -122,8 +122,8 @@ def test_what_is_measured_must_stand_where_shapes_are_given():
     ):
         machine = as_data(msgspec.structs.replace(MACHINE, **changes))
         with pytest.raises(RigError, match=f"rig.json: {label} stands at 0.3333 m of 'barrel', where its modal basis"):
-            check_given(machine, "rig.json")
-    check_given(as_data(MACHINE), "rig.json")
+            check_shapes_known(machine, "rig.json")
+    check_shapes_known(as_data(MACHINE), "rig.json")
 
 
 @pytest.mark.parametrize("body", MACHINE.bodies, ids=lambda b: b.name)

@@ -16,7 +16,8 @@ from rig.simulation.reference import Sdof
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.gap import read_corrected
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE
-from rig.viewer.prediction import predicted_motion, summary_text
+from rig.viewer.prediction import predicted_motion
+from rig.viewer.prediction_view import summary_text
 from rig.viewer.viewing import write_rrd
 from tests.rig.viewer.test_viewing import column, series, static
 

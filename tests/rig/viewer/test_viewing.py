@@ -222,7 +222,7 @@ def test_the_chosen_magnification_is_round_and_keeps_the_largest_deflection_in_t
 def test_a_long_recording_is_thinned_out_but_not_near_contacts(mass, tmp_path, monkeypatch):
     recording, truth = mass
     monkeypatch.setattr(
-        rig.viewer.viewing, "MOST_SCALARS", 4 * recording.samples // 8
+        rig.viewer.viewing, "MAX_SCALARS", 4 * recording.samples // 8
     )  # force, acceleration, two of the contact
     monkeypatch.setattr(rig.viewer.stage, "FRAME_RATES_HZ", (32.0, 32.0))
     write_rrd(recording, truth, tmp_path / "r.rrd")

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 import identify
 from rig.effects import effect_named, effects
 from rig.model.beam import Beam
-from rig.model.description import check_given, from_json, to_json
+from rig.model.description import check_shapes_known, from_json, to_json
 from rig.model.modes import modes_of as believed_modes
 from rig.model.oscillator import Oscillator
 from rig.recording import read
@@ -34,7 +34,7 @@ def test_a_rig_json_describes_the_machine(name):
     one = bench(name)
     rig = described(one.nominal, one.name, one.sample_rate_hz)
     assert from_json(to_json(rig), "test") == rig
-    check_given(rig, "test")
+    check_shapes_known(rig, "test")
     believed = [believed_modes(rig, body).frequencies_hz(min(body.max_modes, 5)) for body in rig.bodies]
     model = model_of(one.nominal)
     own = np.sort(model.omega)[: sum(len(f) for f in believed)] / (2 * np.pi)
