@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 from rich.text import Text
 
 import identify
@@ -21,6 +20,7 @@ from rig.commands.command_line import (
     Force,
     Json,
     Version,
+    console_table,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -122,10 +122,8 @@ def print_laws(report: LawReport, console: Console) -> None:
     for law_estimate in report.laws:
         console.print(Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."), soft_wrap=True)
         console.print(f"  formula found: {law_estimate.formula}", soft_wrap=True)
-        candidate_table = Table("law", "rms left of held-out data, N")
-        for candidate in law_estimate.candidates:
-            candidate_table.add_row(candidate.law, f"{candidate.held_out_error_n:.3g}")
-        console.print(candidate_table)
+        rows = ((candidate.law, f"{candidate.held_out_error_n:.3g}") for candidate in law_estimate.candidates)
+        console.print(console_table("", ("law", "rms left of held-out data, N"), rows=rows))
         console.print(
             f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
             f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"

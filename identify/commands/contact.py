@@ -16,7 +16,7 @@ from identify.commands.options import ExportOption, TolerancesOption, UseOption,
 from identify.contacts.results import ContactReport, Estimate
 from identify.pages.wording import interval, number
 from identify.signals.spectra import WINDOW_POWERS, Averaging
-from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
+from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 from rig.model.tolerances import tolerances_named
 
@@ -102,10 +102,9 @@ def contact(
 def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
     """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
     print_findings(report.findings, console)
-    contact_table = Table(title=f"Contacts of {report.rig}, ± 95 %")
     rubs = any(estimate.friction_coefficient for estimate in report.contacts)
-    for heading in ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else [])):
-        contact_table.add_column(heading, justify="left" if heading == "contact" else "right")
+    headings = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else []))
+    contact_table = console_table(f"Contacts of {report.rig}, ± 95 %", headings)
     for estimate in report.contacts:
         contact_table.add_row(
             estimate.name,
@@ -131,11 +130,8 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
 
 
 def _nifo_table(report: ContactReport) -> Table:
-    nifo_table = Table(
-        title="NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
-    )
-    for heading in ("equation", "contact", "stiffness, N/m", "spread, %", ""):
-        nifo_table.add_column(heading)
+    title = "NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
+    nifo_table = console_table(title, ("equation", "contact", "stiffness, N/m", "spread, %", ""), 2)
     for equation_result in report.nifo:
         for stiffness in equation_result.stiffness:
             nifo_table.add_row(

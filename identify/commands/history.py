@@ -4,14 +4,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from identify.api import compare as compare_recordings
 from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
 from identify.history.observations import sources_in
 from identify.history.page import quantity_rows
-from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
+from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
 
@@ -65,10 +63,8 @@ def _compare_and_print(
         print_json(result.to_dict())
         return
     say(result.sentence)
-    table = Table("", "mean", "first to last, ± 95 %", "p, trend", "p, differences", box=SIMPLE_HEAD)
-    for row in quantity_rows(result.report):
-        table.add_row(*row)
-    literal_console().print(table)
+    headings = ("", "mean", "first to last, ± 95 %", "p, trend", "p, differences")
+    literal_console().print(console_table("", headings, rows=quantity_rows(result.report)))
     for observation in result.report.observations:
         if observation.report is None:
             say(f"left out: {observation.name}: {observation.reason}")

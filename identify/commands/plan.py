@@ -1,19 +1,16 @@
 """The command `identify plan`."""
 
 import os
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 
 from identify.api import plan as plan_test
 from identify.commands.options import TolerancesOption, print_json
 from identify.planning import page
 from identify.planning.ranking import MAX_CHANGES
-from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing, say
+from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 SHOWN_CHANGES = 8
 """Number of ranked changes on the terminal."""
@@ -77,23 +74,16 @@ def plan(
     report, console = plan_result.report, literal_console()
     say(f"Planned: {page.test_sentence(report)}.")
     if report.contacts:
-        console.print(
-            _console_table(page.CONTACT_HEAD, page.contact_rows(report), f"Contacts of {report.rig}, expected, ± 95 %")
-        )
+        title = f"Contacts of {report.rig}, expected, ± 95 %"
+        console.print(console_table(title, page.CONTACT_HEAD, rows=page.contact_rows(report)))
     for contact in report.undetermined:
         say(f"{contact.name}: will not be told: {contact.reason}; {contact.remedy}")
     if report.changes:
         change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
-        console.print(_console_table(page.CHANGE_HEAD, change_rows, "What would help, ranked by the widest interval"))
+        title = "What would help, ranked by the widest interval"
+        console.print(console_table(title, page.CHANGE_HEAD, rows=change_rows))
     if report.effects:
-        table_title = "Effects that identify gap would name, over all their places"
-        console.print(_console_table(page.KIND_HEAD, page.kind_rows(report.effects), table_title))
+        title = "Effects that identify gap would name, over all their places"
+        console.print(console_table(title, page.KIND_HEAD, rows=page.kind_rows(report.effects)))
     for sentence in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
         say(sentence)
-
-
-def _console_table(headings: tuple[str, ...], rows: Iterable[Sequence[str]], table_title: str) -> Table:
-    table = Table(*headings, title=table_title, box=SIMPLE_HEAD)
-    for row in rows:
-        table.add_row(*row)
-    return table

@@ -4,7 +4,7 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from io import TextIOWrapper
@@ -117,11 +117,15 @@ def literal_console() -> Console:
     return Console(markup=False, emoji=False, highlight=False)
 
 
-def console_table(title: str, headings: Sequence[str], text_column_count: int = 1) -> Table:
-    """Empty table for a console: its first columns hold texts, those behind them numbers, aligned right."""
+def console_table(
+    title: str, headings: Sequence[str], text_columns: int = 1, rows: Iterable[Sequence[str]] = ()
+) -> Table:
+    """Table for a console: so many columns of text, then numbers, aligned right."""
     table = Table(title=title)
     for number, heading in enumerate(headings):
-        table.add_column(heading, justify="left" if number < text_column_count else "right")
+        table.add_column(heading, justify="left" if number < text_columns else "right")
+    for row in rows:
+        table.add_row(*row)
     return table
 
 

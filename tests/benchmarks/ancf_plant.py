@@ -18,7 +18,7 @@ import numpy as np
 
 from rig.model.contact_laws import DeadZone
 from rig.simulation.excitation import QUIET_S, force_history
-from rig.simulation.motion import Motion, joined
+from rig.simulation.motion import Motion, concatenated
 from rig.simulation.plants import ancf, finite_elements
 from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure
@@ -59,7 +59,7 @@ def _run(power: int, changed: dict[str, Any]) -> tuple[Motion, float]:
         for name, value in changed.items():
             changes.enter_context(patch.object(WHERE[name], name, value))
         blocks = ancf.simulate(SETTINGS.rig(), SMALL * force_n[:: 2 ** (FINE - power)], step_s, lambda _: None)
-        return joined(blocks), spent
+        return concatenated(blocks), spent
 
 
 def _error(motion: Motion, true: Motion) -> float:

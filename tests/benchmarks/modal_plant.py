@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 
 from rig.simulation.excitation import QUIET_S, force_history
-from rig.simulation.motion import Motion, joined
+from rig.simulation.motion import Motion, concatenated
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure, least_cpu_s
@@ -35,7 +35,7 @@ def figures() -> Iterator[Figure]:
         yield Figure(f"error at a step of 2^-{power} s", found)
     power = next(p for p in errors if max(errors[q] for q in errors if q >= p) <= ERROR)
     force_n = force_history(SETTINGS.force(), LONG_S, 2.0**-power)
-    motion = joined(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None))
+    motion = concatenated(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None))
     cpu_s = least_cpu_s(lambda: _run_through(force_n, 2.0**-power), times=10)
     yield Figure(f"simulated s per CPU s at 2^-{power} s", LONG_S / cpu_s, at_least=300)
     steps = force_n.size
@@ -67,7 +67,7 @@ def _force_n(seed: int) -> Float[np.ndarray, " samples"]:
 @cache
 def young(power: int, seed: int) -> Motion:
     force_n = _force_n(seed)[:: 2 ** (FINE - power)]
-    return joined(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None, modes_per_beam=MODES))
+    return concatenated(modal.simulate(RIG, force_n, 2.0**-power, lambda _: None, modes_per_beam=MODES))
 
 
 def _contact_s(seed: int) -> float:

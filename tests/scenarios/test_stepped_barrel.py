@@ -5,7 +5,7 @@ import pytest
 
 from rig.errors import RigError
 from rig.model.description import check_shapes_known
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.plants.basis import modal_basis
 from rig.simulation.reference import BarrelCradle
@@ -40,8 +40,8 @@ def test_the_finite_elements_move_as_their_modes():
     step_s = 2.0**-14
     time_s = np.arange(820) * step_s
     force_n = 5 * np.sin(np.pi * np.minimum(time_s / 0.01, 1.0)) ** 2
-    elements = joined(meshed(BELIEVED, force_n, step_s, lambda _: None))
-    modes = joined(modal.simulate(BELIEVED, force_n, step_s, lambda _: None))
+    elements = concatenated(meshed(BELIEVED, force_n, step_s, lambda _: None))
+    modes = concatenated(modal.simulate(BELIEVED, force_n, step_s, lambda _: None))
     assert not np.any(elements.contact_force_n)
     np.testing.assert_allclose(
         elements.displacement_m, modes.displacement_m, atol=2e-3 * np.abs(modes.displacement_m).max()

@@ -8,7 +8,7 @@ from identify.linear.modal import ModalEquation
 from identify.paper.surface import MIN_CONTACT_SHARE, Stops, clearance_from_occurrence, fit_surface, restoring_force
 from rig.model.contact_laws import penetration_m
 from rig.simulation.excitation import QUIET_S, force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.reference import Sdof
 
@@ -160,7 +160,7 @@ def test_clearance_from_the_occurrence_of_a_randomly_shaken_mass():
     for seed in range(1, 9):
         settings = Sdof(high_hz=200.0, rms_n=1.8, seed=seed)
         force_n = force_history(settings.force(), duration_s, step_s)
-        eta = joined(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
+        eta = concatenated(modal.simulate(settings.rig(), force_n, step_s, lambda _: None)).eta_m[0]
         estimates.append(clearance_from_occurrence(eta[round((QUIET_S + 1) / step_s) :: 8]))
     values, errors = (np.array(x) for x in zip(*((f.clearance_m, f.clearance_error_m) for f in estimates), strict=True))
     assert np.abs((values - settings.clearance_m) / errors).max() < 3

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import PLANTS, plant_named
 
 
@@ -12,6 +12,6 @@ def run(request):
     """Simulates a rig with one plant."""
 
     def simulate(rig, force_n, step_s):
-        return joined(plant_named(request.param)(rig, np.asarray(force_n, dtype=float), step_s, lambda _: None))
+        return concatenated(plant_named(request.param)(rig, np.asarray(force_n, dtype=float), step_s, lambda _: None))
 
     return simulate

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from rig.effects import effect_named, effects
 from rig.model.description import PointSpring, Station
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -48,7 +48,7 @@ def motion_of(plant, machine):
     time_s = np.arange(round(0.12 / STEP_S)) * STEP_S
     lines_hz = (7, 19, 31, 55, 80)
     force_n = AMPLITUDE * 20 * np.sum([np.sin(2 * np.pi * f * time_s + k) for k, f in enumerate(lines_hz)], axis=0)
-    return joined(plant.simulate(machine, force_n * np.clip(time_s / 0.05, 0, 1), STEP_S, lambda _: None))
+    return concatenated(plant.simulate(machine, force_n * np.clip(time_s / 0.05, 0, 1), STEP_S, lambda _: None))
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from rig.model.description import (
 from rig.model.modes import CoupledModes, modes_of, participation
 from rig.model.structure import ShapeRow, Structure, structure_of
 from rig.recording import channel_groups, read, writing
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import ancf, modal
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -205,7 +205,7 @@ def test_the_plant_moves_a_basis_as_the_beam(text):
     machine = effect_named(text).applied_to(MACHINE) if text else MACHINE
     basis_machine = effect_named(text).applied_to(as_data(MACHINE)) if text else as_data(MACHINE)
     force_n = np.concatenate([[0.0], np.random.default_rng(1).standard_normal(600)])
-    beam, basis = (joined(modal.simulate(m, force_n, 2.0**-14, lambda _: None)) for m in (machine, basis_machine))
+    beam, basis = (concatenated(modal.simulate(m, force_n, 2.0**-14, lambda _: None)) for m in (machine, basis_machine))
     scale = np.abs(beam.displacement_m).max()
     rough = 5e-3 if text.startswith("added_mass") else 1e-9
     np.testing.assert_allclose(basis.displacement_m, beam.displacement_m, atol=rough * scale)
@@ -214,7 +214,8 @@ def test_the_plant_moves_a_basis_as_the_beam(text):
 def test_the_plant_takes_no_more_modes_than_there_are():
     machine = as_data(MACHINE, modes=6)
     signals = [
-        joined(modal.simulate(machine, np.ones(50), 2.0**-14, lambda _: None, modes_per_beam=m)).sensed for m in (6, 16)
+        concatenated(modal.simulate(machine, np.ones(50), 2.0**-14, lambda _: None, modes_per_beam=m)).sensed
+        for m in (6, 16)
     ]
     np.testing.assert_array_equal(*signals)
 

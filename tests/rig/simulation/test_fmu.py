@@ -9,7 +9,7 @@ from rig.errors import RigError
 from rig.model.description import BaseMotion, to_json
 from rig.simulation.excitation import force_history
 from rig.simulation.fmu import export_fmu
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.reference import Sdof
 from tests.running import exit_status
@@ -45,7 +45,7 @@ def test_it_moves_as_the_plant_over_a_fifth_of_a_second_of_contact(written):
     rig, path = written
     force_n = force_history(Sdof(rms_n=2.0).force(), 8.0, STEP_S)
     force_n[0] = 0.0
-    motion = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
+    motion = concatenated(modal.simulate(rig, force_n, STEP_S, lambda _: None))
     closed = np.cumsum(np.abs(motion.contact_force_n[0]) > 0) * STEP_S
     until = int(np.argmax(closed > 0.2))
     assert until

@@ -9,7 +9,7 @@ from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import BaseMotion, Station
 from rig.model.modes import modes_of
 from rig.simulation.excitation import force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants.modal import simulate
 from rig.simulation.prediction import modal
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -74,7 +74,7 @@ def test_a_prediction_goes_on_as_the_simulation_does_whose_states_it_was_given()
     force_n = force_history(settings.force(), 5.0, 1 / rig.sample_rate_hz)
     fine = np.repeat(force_n, factor)  # any force at all: the same is predicted with, below
     fine = np.interp(np.arange(fine.size) / factor, np.arange(force_n.size), force_n)
-    run = joined(simulate(rig, fine, step_s, lambda _: None))
+    run = concatenated(simulate(rig, fine, step_s, lambda _: None))
     truth_m = run.displacement_m[0, ::factor]
     velocity = np.gradient(run.displacement_m[0], step_s)[::factor]
     first = np.array([100, 300, 411])

@@ -6,7 +6,7 @@ import pytest
 from rig.errors import RigError
 from rig.model.description import Station
 from rig.simulation.excitation import FreeDecay, force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof, reference
 
@@ -56,7 +56,7 @@ def test_the_mass_meets_its_stops_hard_enough():
     settings = Sdof(duration_s=100.0, sensors="displacement")
     rig = settings.rig()
     force = force_history(settings.force(), settings.duration_s, settings.step_s)
-    motion = joined(modal.simulate(rig, force, settings.step_s, lambda _: None))
+    motion = concatenated(modal.simulate(rig, force, settings.step_s, lambda _: None))
     linear = rig.bodies[0].stiffness_n_per_m * motion.sensed[0]
     assert np.std(motion.contact_force_n) >= 0.15 * np.std(linear)
 

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from rig.model.description import BaseMotion, StaticLoad, Station, stations_of
 from rig.simulation import replay
 from rig.simulation.excitation import force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle
@@ -51,7 +51,7 @@ def test_a_recording_is_the_motion_of_every_step_filtered_row_by_row(rig, monkey
     monkeypatch.setattr(modal, "BLOCK", 5003)  # which no sampling interval divides
     duration_s = 1.5
     force_n = force_history(SETTINGS.force(), needed_duration_s(rig, duration_s), STEP_S)
-    motion = joined(modal.simulate(rig, force_n, STEP_S, lambda _: None))
+    motion = concatenated(modal.simulate(rig, force_n, STEP_S, lambda _: None))
     assert motion.contact_force_n.any()
     segments = list(digitise(rig, modal.simulate(rig, force_n, STEP_S, lambda _: None), np.random.default_rng(1)))
     for quantity in ("displacement", "acceleration"):
@@ -81,7 +81,7 @@ def test_a_replay_holds_what_the_sensors_make_of_the_plant_under_that_force():
     step_s = 2.0**-15
     time_s = np.arange(round(needed_duration_s(BURDENED, 1.5) / step_s)) * step_s
     fine = CubicSpline(np.arange(force_n.size) / RATE_HZ, force_n)(np.minimum(time_s, (force_n.size - 1) / RATE_HZ))
-    motion = joined(modal.simulate(BURDENED, fine, step_s, lambda _: None, modes_per_beam=24))
+    motion = concatenated(modal.simulate(BURDENED, fine, step_s, lambda _: None, modes_per_beam=24))
     for quantity in ("displacement", "acceleration"):
         rows = [k for k, s in enumerate(BURDENED.sensors) if s.quantity == quantity]
         for k, row in zip(rows, made.signals[quantity].values, strict=True):

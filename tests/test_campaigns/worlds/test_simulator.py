@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from scipy.linalg import expm
 
 from rig.simulation.excitation import BandLimitedGaussian, force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from tests.campaigns.worlds.believed import believed_rig, nominal_machine
 from tests.campaigns.worlds.laws import StopLaw, energy_j
@@ -136,7 +136,7 @@ def test_a_falling_modulus_lowers_the_frequency():
 @pytest.fixture(scope="module")
 def of_the_modal_plant():
     force = force_history(FORCE, 2.0, STEP_S)
-    return force, joined(modal.simulate(RIG, force, STEP_S, lambda _: None, modes_per_beam=24))
+    return force, concatenated(modal.simulate(RIG, force, STEP_S, lambda _: None, modes_per_beam=24))
 
 
 def test_the_modal_plant_moves_alike(of_the_modal_plant):

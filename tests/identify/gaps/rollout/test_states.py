@@ -8,7 +8,7 @@ from identify.signals.kinematics import kinematics
 from rig.model.description import stations_of
 from rig.model.modes import modes_of
 from rig.simulation import prediction
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants.modal import simulate
 from rig.simulation.replay import forces_at_steps, step_s_of
 from tests.identify.gaps.rollout.conftest import BELIEVED, Case, recorded
@@ -25,7 +25,7 @@ def exact():
     blocks = list(simulate(BELIEVED, fine, step_s, lambda _: None, modes_per_beam=24))
     coordinates_m = np.concatenate([b.displacement_m.coordinates for b in blocks])[::factor].T
     rows = [stations_of(BELIEVED).index(s.station) for s in BELIEVED.sensors]
-    return case, joined(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
+    return case, concatenated(iter(blocks)).displacement_m[rows, ::factor], coordinates_m
 
 
 def modal(displacements_m):

@@ -5,14 +5,14 @@ import pytest
 from scipy.signal import find_peaks
 
 from rig.errors import RigError
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import ancf
 from rig.simulation.reference import BarrelCradle
 from tests.rig.simulation.plants.test_finite_elements import one_beam
 
 
 def simulated(rig, force_n, step_s):
-    return joined(ancf.simulate(rig, force_n, step_s, lambda _: None))
+    return concatenated(ancf.simulate(rig, force_n, step_s, lambda _: None))
 
 
 @pytest.mark.parametrize("damping_ratio", [0.005, 0.02])
@@ -50,7 +50,7 @@ def test_segments_hardly_show(monkeypatch):
     monkeypatch.setattr(ancf, "BLOCK_STEPS", 128)
     blocks = list(ancf.simulate(rig, force_n, step_s, lambda _: None))
     assert [round(b.start_s / step_s) for b in blocks] == [0, 129, 257, 385, 513, 641]
-    pieces = joined(iter(blocks))
+    pieces = concatenated(iter(blocks))
     np.testing.assert_array_equal(pieces.force_n, force_n)
     for name, tolerance in (("displacement_m", 1e-6), ("sensed", 1e-3)):  # displacements and accelerations
         expected, joined_pieces = getattr(single_run, name), getattr(pieces, name)

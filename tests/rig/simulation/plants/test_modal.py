@@ -7,7 +7,7 @@ import pytest
 from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.description import Rig, Sensor, Station
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -20,7 +20,7 @@ FREE = msgspec.structs.replace(
 
 
 def simulated(rig, force_n, step_s, **options):
-    return joined(modal.simulate(rig, force_n, step_s, lambda _: None, **options))
+    return concatenated(modal.simulate(rig, force_n, step_s, lambda _: None, **options))
 
 
 def triangle(samples, step_s):
@@ -92,7 +92,7 @@ def test_blocks_do_not_show(monkeypatch):
     monkeypatch.setattr(modal, "BLOCK", 700)
     blocks = list(modal.simulate(settings.rig(), force_n, 2.0**-14, lambda _: None))
     assert [round(b.start_s / b.step_s) for b in blocks] == list(range(0, 6000, 700))
-    pieces = joined(iter(blocks))
+    pieces = concatenated(iter(blocks))
     for name in ("force_n", "sensed", "displacement_m", "eta_m", "contact_force_n"):
         expected, joined_blocks = getattr(single_run, name), getattr(pieces, name)
         np.testing.assert_allclose(

@@ -14,14 +14,14 @@ from rig.model.contact_laws.spring import Spring
 from rig.model.description import Contact, Rig, Sensor, Station, contact_stations
 from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import QUIET_S, BandLimitedGaussian, force_history
-from rig.simulation.motion import Forces, joined
+from rig.simulation.motion import Forces, concatenated
 from rig.simulation.plants import PLANTS, ancf, modal, plant_named
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.engines import tip_difference, young_motion
 
 
 def simulated(plant, rig, force_n, step_s):
-    return joined(plant(rig, force_n, step_s, lambda _: None))
+    return concatenated(plant(rig, force_n, step_s, lambda _: None))
 
 
 @pytest.fixture(params=PLANTS)

@@ -10,7 +10,7 @@ from rig.model.contact_laws import DeadZone
 from rig.model.description import ON_GROUND, BaseMotion, Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import ancf, modal
 from rig.simulation.plants.loading import base_motion
 
@@ -28,7 +28,7 @@ def rig_on(base, *bodies, contacts=(), quantities=("acceleration",)):
 
 
 def moved(rig, plant, duration_s):
-    return joined(PLANTS[plant](rig, np.zeros(round(duration_s / STEP_S)), STEP_S, lambda _: None))
+    return concatenated(PLANTS[plant](rig, np.zeros(round(duration_s / STEP_S)), STEP_S, lambda _: None))
 
 
 @pytest.mark.parametrize("plant", PLANTS)

@@ -25,7 +25,7 @@ from rig.model.description import (
 )
 from rig.model.oscillator import Oscillator
 from rig.simulation.excitation import force_history
-from rig.simulation.motion import Forces, joined
+from rig.simulation.motion import Forces, concatenated
 from rig.simulation.plants import PLANTS, ancf, modal, plant_named
 from rig.simulation.reference import BarrelCradleAnnular
 
@@ -35,7 +35,7 @@ YZ = ("y", "z")
 
 
 def simulated(plant, rig, forces_n, step_s, **settings):
-    return joined(plant(rig, Forces(tuple(forces_n)), step_s, lambda _: None, **settings))
+    return concatenated(plant(rig, Forces(tuple(forces_n)), step_s, lambda _: None, **settings))
 
 
 @pytest.fixture(params=PLANTS)

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from rig.errors import RigError
 from rig.model.description import BaseMotion, PointMass, StaticLoad, Station, Tone
 from rig.simulation.excitation import force_history
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import modal
 from rig.simulation.plants.stepwise import Stepwise
 from rig.simulation.reference import BarrelCradle, Sdof
@@ -36,7 +36,7 @@ def test_the_motion_is_that_under_the_whole_force_until_contacts_were_closed_for
     rig, force = RIGS[name]
     force_n = force_history(force, 4.0, STEP_S)[: 2**15]
     force_n[0] = 0.0
-    motion = joined(modal.simulate(one_step_later(rig), force_n, STEP_S, lambda _: None))
+    motion = concatenated(modal.simulate(one_step_later(rig), force_n, STEP_S, lambda _: None))
     first_contact = int(np.argmax(np.abs(motion.contact_force_n).sum(axis=0) > 0))
     until = first_contact + round(0.2 / STEP_S)
     stepwise, rows = Stepwise(rig, STEP_S), []

@@ -6,7 +6,7 @@ import pytest
 from rig.model.beam import Beam
 from rig.model.description import BaseMotion, Clamp, PointMass, Rig, Sensor, StaticLoad, Station
 from rig.model.structure import structure_of
-from rig.simulation.motion import joined
+from rig.simulation.motion import concatenated
 from rig.simulation.plants import PLANTS, plant_named
 
 STEP_S = 2.0**-12
@@ -33,7 +33,7 @@ def machine(**changes):
 
 
 def strains(plant, rig, force_n):
-    return joined(plant_named(plant)(rig, force_n, STEP_S, lambda _: None)).sensed
+    return concatenated(plant_named(plant)(rig, force_n, STEP_S, lambda _: None)).sensed
 
 
 def tone(samples):
