@@ -74,7 +74,7 @@ def contact(
         tolerances=_tolerances(tolerances),
         progress=progress,
     )
-    laws = {c.name: c.law for c in record.rig.contacts}
+    laws = {contact.name: contact.law for contact in record.rig.contacts}
     return ContactResult(identification, _title([recording], record), laws, sources=_files([recording]))
 
 

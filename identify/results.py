@@ -49,7 +49,7 @@ class CheckResult(Summarized):
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary with `sound` and the findings."""
-        fields = {"sound": self.sound, "findings": [_finding_fields(f) for f in self.findings]}
+        fields = {"sound": self.sound, "findings": [_finding_fields(finding) for finding in self.findings]}
         return fields | ({"notes": list(self.notes)} if self.notes else {})
 
     def table(self) -> list[Row]:
@@ -137,10 +137,10 @@ class ContactResult(Summarized):
 
     def summary(self) -> Summary:
         """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""
-        laws = [f"{sentence}." for c in self.report.contacts if (sentence := c.law_sentence)]
+        laws = [f"{sentence}." for contact in self.report.contacts if (sentence := contact.law_sentence)]
         return Summary(
             tuple(contact.cells for contact in self.contacts),
-            above=tuple(f"not to be relied on: {f.sentence}" for f in self.report.findings),
+            above=tuple(f"not to be relied on: {finding.sentence}" for finding in self.report.findings),
             below=(*laws, *_unanswered_lines(self.report.unanswered)),
         )
 
@@ -273,7 +273,7 @@ class HistoryResult(Summarized):
     @property
     def changed(self) -> bool:
         """Whether a quantity changed by more than chance."""
-        return any(q.changed for q in self.report.quantities)
+        return any(quantity.changed for quantity in self.report.quantities)
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary as in history.json."""

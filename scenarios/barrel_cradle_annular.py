@@ -42,7 +42,7 @@ def barrel_cradle_annular(
     path = record_reference_rig(settings, plant, out / "barrel_cradle_annular.mcap")
     with progress_bar(f"identifying {path.name}") as progress:
         identification = identify_in_space(read(path), tolerances=tolerances_named(tolerances), progress=progress)
-    true_laws = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
+    true_laws = {contact.name: contact.law for contact in read_truth(truth_path(path)).rig.contacts}
     write_space_results(
         identification, out / "contact", f"{identification.rig.name}: {path.name}", true_laws, "true", (path,)
     )

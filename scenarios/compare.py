@@ -97,7 +97,7 @@ def identify_against_truth(path: Path, *, use: Use, out: Path, equation: str | N
     """Identify a recording, take the true laws from its truth file, and write contact.json, page and figures."""
     with progress_bar(f"identifying {path.name} ({use})") as progress:
         identification = identify_contact(read(path), use=use, equation=equation, progress=progress)
-        true_laws = {c.name: c.law for c in read_truth(truth_path(path)).rig.contacts}
+        true_laws = {contact.name: contact.law for contact in read_truth(truth_path(path)).rig.contacts}
         write_results(identification, out, f"{identification.rig.name}: {path.name}, {use}", true_laws, "true")
     return Comparison(identification, true_laws)
 

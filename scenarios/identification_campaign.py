@@ -86,7 +86,7 @@ def campaign(
         for jitter in (False, True):
             case = f"{stations}{', jitter' if jitter else ''}"
             errors: list[EstimateErrors] = [
-                getattr(o, f"{stations}_stations") for o in outcomes if o.task.jitter == jitter
+                getattr(outcome, f"{stations}_stations") for outcome in outcomes if outcome.task.jitter == jitter
             ]
             all_errors += errors
             for quantity in QUANTITIES:
@@ -137,13 +137,13 @@ def identify_random_rig(task: Task) -> RigOutcome:
     true_laws = [(c.name, c.law.clearance_m, c.law.stiffness_n_per_m, c.law.damping_n_s_per_m) for c in actual.contacts]
     recordings = (_with_sensors_of(recording, rig) for rig in (six_stations, four_stations))
     contacts = (find_contacts(r, "acceleration", tolerances) for r in recordings)
-    return RigOutcome(task, rms_n, *(estimate_errors(c, true_laws) for c in contacts))
+    return RigOutcome(task, rms_n, *(estimate_errors(contact, true_laws) for contact in contacts))
 
 
 def _with_sensors_of(recording: Recording, rig: Rig) -> Recording:
     """Recording with the accelerometers of this rig alone."""
     signals = recording.signals["acceleration"]
-    rows = [signals.channels.names.index(s.name) for s in rig.sensors]
+    rows = [signals.channels.names.index(sensor.name) for sensor in rig.sensors]
     channels = channel_groups(rig)["acceleration"]
     kept = Signals(channels, signals.start_s, signals.values[rows])
     return Recording(rig, {**recording.signals, "acceleration": kept}, recording.provenance)

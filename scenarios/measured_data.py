@@ -40,7 +40,7 @@ def simulated(nominal: Rig, actual: Rig, force_n: Float[np.ndarray, " samples"],
 
 def free_run(rig: Rig, force_n: Float[np.ndarray, " samples"]) -> Recording:
     """Recording of a rig from rest under a measured force, without the sensors' noise."""
-    silent = replace(rig, sensors=tuple(replace(s, noise_density=0.0) for s in rig.sensors))
+    silent = replace(rig, sensors=tuple(replace(sensor, noise_density=0.0) for sensor in rig.sensors))
     return simulated(silent, silent, force_n, 1)
 
 

@@ -105,7 +105,7 @@ def nifo_sweep(
         for value, outcome in zip(values, outcomes, strict=True)
         for estimate in outcome.estimates
     ]
-    noisy = [p for p in points if p.estimate.noise_density]
+    noisy = [point for point in points if point.estimate.noise_density]
     ideal = ideal_range(noisy) if noisy else None
     print_and_draw(f"NIFO against {sweep.quantity}", sweep.axis, points, folder / f"{varied}.png", ideal)
     if ideal:
@@ -154,7 +154,7 @@ def _rms_over_records(
     points: Sequence[Point], values: Sequence[float], error_of: Callable[[NifoEstimate], float]
 ) -> Float[np.ndarray, " values"]:
     """Root mean square of an error over the points at each value."""
-    errors = ([error_of(p.estimate) for p in points if p.value == value] for value in values)
+    errors = ([error_of(point.estimate) for point in points if point.value == value] for value in values)
     return np.array([np.sqrt(np.mean(np.square(row))) for row in errors])
 
 
@@ -184,7 +184,7 @@ def print_and_draw(
 
 def _table(title: str, quantity: str, points: Sequence[Point]) -> Table:
     """Table with a row for each record and a column for each form and contact."""
-    columns = dict.fromkeys((p.estimate.form, p.estimate.contact) for p in points)
+    columns = dict.fromkeys((point.estimate.form, point.estimate.contact) for point in points)
     headings = (quantity, "closed, %", "free, %", *(f"{FORM_NAMES[form]}\n{contact}" for form, contact in columns))
     table = console_table(title, [heading.replace("_", " ") for heading in headings], 0)
     table.caption = (
@@ -196,14 +196,14 @@ def _table(title: str, quantity: str, points: Sequence[Point]) -> Table:
         rows.setdefault((point.case, point.value), []).append(point)
     for (case, value), row_points in rows.items():
         closed_shares = [
-            np.mean([p.closed_share for p in row_points if p.estimate.contact == contact])
+            np.mean([point.closed_share for point in row_points if point.estimate.contact == contact])
             for contact in dict.fromkeys(contact for _, contact in columns)
         ]
         closed_text = ", ".join(f"{100 * share:.0f}" for share in closed_shares)
         cells = (
             "\n".join(
                 f"{e.mean_error_percent:.4f} ± {COVERED * e.standard_error_percent:.4f} ({e.spread_percent:.3g})"
-                for e in (p.estimate for p in row_points)
+                for e in (point.estimate for point in row_points)
                 if (e.form, e.contact) == column
             )
             for column in columns
@@ -215,10 +215,10 @@ def _table(title: str, quantity: str, points: Sequence[Point]) -> Table:
 
 def _draw_lines(axes: Axes, points: Sequence[Point], error_of: Callable[[NifoEstimate], float]) -> None:
     """Draw a line for each form, contact and case: the root mean square of an error over the records."""
-    cases = list(dict.fromkeys(p.case for p in points))
-    for line in dict.fromkeys(p.line for p in points):
-        line_points = [p for p in points if p.line == line]
-        values = sorted({p.value for p in line_points})
+    cases = list(dict.fromkeys(point.case for point in points))
+    for line in dict.fromkeys(point.line for point in points):
+        line_points = [point for point in points if point.line == line]
+        values = sorted({point.value for point in line_points})
         axes.loglog(
             values,
             _rms_over_records(line_points, values, error_of),
@@ -228,7 +228,7 @@ def _draw_lines(axes: Axes, points: Sequence[Point], error_of: Callable[[NifoEst
             ms=4,
             label=line,
         )
-    values = sorted({p.value for p in points})
+    values = sorted({point.value for point in points})
     axes.set_xticks(values, [f"{float(f'{value:.3g}'):g}" for value in values])
     axes.set_xticks([], minor=True)
 

@@ -86,7 +86,7 @@ def _frame(displacements: Deflection, sample: int, time_s: float, largest_mm: fl
         is_closed = relative_m > law.upper_clearance_m, relative_m < -law.lower_clearance_m
         _draw_stops(axes, x_on_drawing_m, carrier_mm, stops_mm, is_closed)
     axes.set(
-        xlim=(-0.03, max(left_m[b.name] + b.length_m for b in rig.bodies) + 0.03),
+        xlim=(-0.03, max(left_m[body.name] + body.length_m for body in rig.bodies) + 0.03),
         ylim=(-1.3 * largest_mm, 1.3 * largest_mm),
         xlabel="along the bodies, m",
         ylabel="displacement, mm",

@@ -181,9 +181,9 @@ def error_table(result: SilverboxDiagnosis) -> Table:
         ("diagnosed", result.diagnosed, result.diagnosed_mv),
         ("identified again", result.corrected, result.corrected_mv),
     ):
-        body, cubic_n_per_m3 = mass_of(rig), sum(s.cubic_n_per_m3 for s in rig.springs)
+        body, cubic_n_per_m3 = mass_of(rig), sum(spring.cubic_n_per_m3 for spring in rig.springs)
         (natural_hz,) = modes_of(rig, body).frequencies_hz(1)
-        mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses)
+        mass_kg = body.mass_kg + sum(mass.mass_kg for mass in rig.masses)
         cells = (error_mv, natural_hz, body.damping_ratio, mass_kg, cubic_n_per_m3)
         table.add_row(rig_name, *(f"{cell:.4g}" for cell in cells))
     return table
@@ -246,7 +246,7 @@ def _force_over_displacement(recording: Recording, corrected: Rig, figure: Figur
     (x,), (v,), (a,) = motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2
     remaining_n = motion.force_n - body.mass_kg * a - body.damping_n_s_per_m * v - body.stiffness_n_per_m * x
     grid_m = np.linspace(x.min(), x.max(), 200)
-    cubic_n_per_m3 = sum(s.cubic_n_per_m3 for s in corrected.springs)
+    cubic_n_per_m3 = sum(spring.cubic_n_per_m3 for spring in corrected.springs)
     edges_m = np.quantile(x, np.linspace(0, 1, 31))
     centres_m, means_n = (binned_statistic(x, values, bins=edges_m).statistic for values in (x, remaining_n))
     axes = figure.subplots()

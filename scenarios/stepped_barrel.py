@@ -78,7 +78,7 @@ def with_basis(rig: Rig) -> Rig:
     barrel = rig.body("barrel")
     assert isinstance(barrel, Beam)
     basis = modal_basis(barrel, breech(barrel), POSITIONS_M, MODES)
-    return replace(rig, bodies=tuple(basis if b is barrel else b for b in rig.bodies))
+    return replace(rig, bodies=tuple(basis if body is barrel else body for body in rig.bodies))
 
 
 def breech(barrel: Beam) -> tuple[Section, ...]:
@@ -90,7 +90,7 @@ def meshed(rig: Rig, force_n: ForceSignal, step_s: float, progress: Progress) ->
     """Plant that simulates a mesh of 20 elements in place of the barrel's modal basis."""
     barrel = BarrelCradle().rig().body("barrel")
     assert isinstance(barrel, Beam)
-    beams = replace(rig, bodies=tuple(barrel if b.name == barrel.name else b for b in rig.bodies))
+    beams = replace(rig, bodies=tuple(barrel if body.name == barrel.name else body for body in rig.bodies))
     return ancf.simulate(beams, force_n, step_s, progress, extra=breech(barrel))
 
 

@@ -97,7 +97,7 @@ def tour(
 
     # 7. Correct. The diagnosis gives the rig with the effect in it, ready to be believed from now on.
     write_bytes(to_json(corrected), out / "rig.json")
-    added_kg = sum(m.mass_kg for m in corrected.masses)
+    added_kg = sum(mass.mass_kg for mass in corrected.masses)
     print(f"7. corrected by {1e3 * added_kg:.1f} g, in {out / 'rig.json'}")
 
 

@@ -73,7 +73,7 @@ class History(msgspec.Struct, frozen=True):
 
     @property
     def used(self) -> tuple[Observation, ...]:
-        return tuple(o for o in self.observations if o.report is not None)
+        return tuple(observation for observation in self.observations if observation.report is not None)
 
 
 def history_of(observations: Sequence[Observation]) -> History:
@@ -81,9 +81,9 @@ def history_of(observations: Sequence[Observation]) -> History:
 
     Raises RigError if fewer than two recordings have a report, or they are of different rigs.
     """
-    reports = [o.report for o in observations if o.report is not None]
+    reports = [observation.report for observation in observations if observation.report is not None]
     if len(reports) < 2:
-        reason_text = "".join(f"; {o.reason}" for o in observations if o.reason)
+        reason_text = "".join(f"; {observation.reason}" for observation in observations if observation.reason)
         raise RigError(
             f"{len(reports)} of {len(observations)} recordings can be compared; give two or more{reason_text}"
         )
@@ -96,7 +96,7 @@ def history_of(observations: Sequence[Observation]) -> History:
 
 def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of the quantities of every contact that any report has."""
-    contacts_by_name = [{c.name: c for c in r.contacts} for r in reports]
+    contacts_by_name = [{contact.name: contact for contact in report.contacts} for report in reports]
     contact_names = list(dict.fromkeys(contact_name for by_name in contacts_by_name for contact_name in by_name))
     return [
         quantity_of(
@@ -115,7 +115,7 @@ def _contact_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory
 
 def _mode_histories(reports: Sequence[ContactReport]) -> list[QuantityHistory]:
     """Histories of frequency and damping of the modes that all reports have, without known errors."""
-    modes_by_name = [{f"mode {m.index} of {m.beam}": m for m in r.modes} for r in reports]
+    modes_by_name = [{f"mode {m.index} of {m.beam}": m for m in report.modes} for report in reports]
     common_mode_names = [
         mode_name for mode_name in modes_by_name[0] if all(mode_name in by_name for by_name in modes_by_name)
     ]
@@ -219,7 +219,7 @@ def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHisto
         for field_name in ("p_different", "p_trend")
         if (p_value := getattr(q, field_name)) is not None
     ]
-    adjusted_by_field: list[dict[str, float]] = [{} for _ in quantities]
+    adjusted_by_field: list[dict[str, float]] = [{} for quantity in quantities]
     adjusted_p = 0.0
     for rank, (p_value, quantity_index, field_name) in enumerate(sorted(p_values)):
         adjusted_p = max(adjusted_p, min(1.0, (len(p_values) - rank) * p_value))

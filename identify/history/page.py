@@ -110,7 +110,7 @@ def history_figure(history: History) -> Picture:
     from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
     colours = (BLUE, RED, GREEN, GREY)
-    contact_names = list(dict.fromkeys(q.of for q in history.quantities if q.quantity in UNITS))
+    contact_names = list(dict.fromkeys(quantity.of for quantity in history.quantities if quantity.quantity in UNITS))
     recording_positions, axis_label = _axis_positions(history)
 
     def draw(figure: Any) -> None:
@@ -153,7 +153,7 @@ def history_figure(history: History) -> Picture:
 
 def write_page(history: History, figure: Picture, path: Path) -> None:
     """Write history.html."""
-    has_changes = any(q.changed for q in history.quantities)
+    has_changes = any(quantity.changed for quantity in history.quantities)
     has_findings = any(o.report.findings for o in history.used if o.report)
     page.write(
         path,
@@ -195,7 +195,7 @@ def _recording_rows(history: History) -> Iterator[Sequence[str]]:
         number_text, remark = "", f"left out: {observation.reason}"
         if observation.report is not None:
             used_count += 1
-            findings = "; ".join(f.sentence for f in observation.report.findings)
+            findings = "; ".join(finding.sentence for finding in observation.report.findings)
             number_text, remark = str(used_count), f"not to be relied on: {findings}" if findings else "used"
         date_text = f"{observation.recorded:%Y-%m-%d %H:%M}" if observation.recorded else ""
         yield number_text, observation.name, observation.sha256[: page.SHOWN_DIGITS], date_text, remark

@@ -113,7 +113,7 @@ def identify_law(
     """
     if not (np.isfinite(seconds) and seconds >= 1):
         raise RigError(f"seconds is {seconds}; give 1 or more")
-    contact_names = [c.name for c in recording.rig.contacts]
+    contact_names = [contact.name for contact in recording.rig.contacts]
     if contact is not None and contact not in contact_names:
         raise RigError(f"no contact {contact!r} in the recording; there are {', '.join(contact_names)}")
     pyoperon()  # raises before the long computation if it is missing

@@ -58,7 +58,7 @@ def write_page(
         ),
         sections=[
             *(
-                [("What speaks against it", page.list_html(f.sentence for f in report.findings))]
+                [("What speaks against it", page.list_html(finding.sentence for finding in report.findings))]
                 if report.findings
                 else []
             ),

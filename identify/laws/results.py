@@ -94,7 +94,7 @@ def verdict_sentence(
             f"leaves {best_law.held_out_error_n:.3g} N rms of held-out data"
         )
     if best_law.law != PIECEWISE:
-        piecewise_error_n = next(c.held_out_error_n for c in candidates if c.law == PIECEWISE)
+        piecewise_error_n = next(candidate.held_out_error_n for candidate in candidates if candidate.law == PIECEWISE)
         formula_note = f", {formula}" if best_law.law == FORMULA else ""
         return (
             f"a freely fitted piecewise-linear law is not the best: it leaves {piecewise_error_n:.3g} N rms of "

@@ -80,7 +80,7 @@ class Scale:
         shapes, omega = self._shapes_and_frequencies()
         is_elastic = omega > 0
         if not np.any(is_elastic):
-            return max((c.law.stiffness_n_per_m for c in self.rig.contacts), default=self._body().mass_kg)
+            return max((contact.law.stiffness_n_per_m for contact in self.rig.contacts), default=self._body().mass_kg)
         return float(1 / statistic((shapes[:, is_elastic] ** 2) @ (1 / omega[is_elastic] ** 2)))
 
     def length_m(self) -> float:
@@ -98,7 +98,7 @@ class Scale:
         """
         body = self._body()
         touching_contacts = [c for c in self.rig.contacts if any(s.body == body.name for s in contact_stations(c))]
-        clearances_m = [c.law.clearance_m for c in touching_contacts if c.law.sides]
+        clearances_m = [contact.law.clearance_m for contact in touching_contacts if contact.law.sides]
         return max(self.force_rms_n / self.stiffness_n_per_m(statistic), *clearances_m, 0.0)
 
     @property
@@ -157,11 +157,11 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:
         """Places to try: every contact, body, beam or sensor; with several contacts also all of them, tied."""
-        contact_names: list[str | None] = [c.name for c in rig.contacts]
+        contact_names: list[str | None] = [contact.name for contact in rig.contacts]
         targets_by_field: dict[str, list[str | None]] = {
             "contact": [*contact_names, None] if len(contact_names) > 1 else contact_names,
-            "body": [b.name for b in rig.bodies],
-            "beam": [b.name for b in rig.beams],
+            "body": [body.name for body in rig.bodies],
+            "beam": [beam.name for beam in rig.beams],
             "sensor": list(sensors),
         }
         place_fields = [t for t in targets_by_field if t in cls.__struct_fields__]
@@ -242,7 +242,7 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
     def with_sensor(self, rig: Rig, sensor_name: str | None, change_sensor: Callable[[Sensor], Sensor]) -> Rig:
         """Rig with one sensor changed, the last if none is named."""
-        chosen_sensors = [s for s in rig.sensors if sensor_name in (None, s.name)][-1:]
+        chosen_sensors = [sensor for sensor in rig.sensors if sensor_name in (None, sensor.name)][-1:]
         if not chosen_sensors:
             raise self.missing_place(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
         return replace(rig, sensors=tuple(change_sensor(s) if s in chosen_sensors else s for s in rig.sensors))

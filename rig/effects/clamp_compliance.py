@@ -26,8 +26,8 @@ class ClampCompliance(Effect, frozen=True):
             raise RigError(f"effect {self.name}: compliance is {self.compliance}; give a value above zero")
         beams = self.beams_of(rig, self.beam, "clamped-free")
         compliant_clamps = tuple(
-            Clamp(body=b.name, rotational_n_m_per_rad=b.bending_stiffness_n_m2 / b.length_m / self.compliance)
-            for b in beams
+            Clamp(body=beam.name, rotational_n_m_per_rad=beam.bending_stiffness_n_m2 / beam.length_m / self.compliance)
+            for beam in beams
         )
-        other_clamps = tuple(c for c in rig.clamps if c.body not in {b.name for b in beams})
+        other_clamps = tuple(clamp for clamp in rig.clamps if clamp.body not in {beam.name for beam in beams})
         return replace(rig, clamps=other_clamps + compliant_clamps)

@@ -20,4 +20,4 @@ class CommonGain(Effect, frozen=True):
     def applied_to(self, rig: Rig) -> Rig:
         if len(rig.sensors) < 2:  # of one it is its gain
             raise self.missing_place(rig, "second sensor")
-        return replace(rig, sensors=tuple(replace(s, gain=s.gain * self.factor) for s in rig.sensors))
+        return replace(rig, sensors=tuple(replace(sensor, gain=sensor.gain * self.factor) for sensor in rig.sensors))

@@ -33,7 +33,7 @@ class ContactPosition(Effect, frozen=True):
 
     def applied_to(self, rig: Rig) -> Rig:
         self.beams_of(rig, None)
-        return replace(rig, contacts=tuple(self._shifted_contact(rig, c) for c in rig.contacts))
+        return replace(rig, contacts=tuple(self._shifted_contact(rig, contact) for contact in rig.contacts))
 
     def _shifted_contact(self, rig: Rig, contact: Contact) -> Contact:
         """A contact at one beam's end stays there and moves along the other; between the ends it stays on `at`."""
@@ -53,4 +53,4 @@ class ContactPosition(Effect, frozen=True):
 
 
 def _shortest_m(rig: Rig) -> float:
-    return min((b.length_m for b in rig.beams), default=0.0)
+    return min((beam.length_m for beam in rig.beams), default=0.0)

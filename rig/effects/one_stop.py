@@ -48,4 +48,4 @@ class OneStop(Effect, frozen=True):
 
 def _stop_sides(rig: Rig, contact_name: str | None) -> set[int]:
     """Sides on which the contact of that name, or any contact, has a stop."""
-    return {side for c in rig.contacts if contact_name in (None, c.name) for side in c.law.sides}
+    return {side for contact in rig.contacts if contact_name in (None, contact.name) for side in contact.law.sides}

@@ -61,7 +61,7 @@ class SupportPosition(Effect, frozen=True):
         return replace(
             rig,
             supports=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.supports),
-            springs=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.springs),
+            springs=tuple(self._shifted(spring) if spring in shifted_supports else spring for spring in rig.springs),
         )
 
     def _shifted(self, support: Holding) -> Holding:

@@ -23,4 +23,4 @@ class YoungsModulus(Effect, frozen=True):
     def applied_to(self, rig: Rig) -> Rig:
         beam = self.beams_of(rig, self.beam)[-1]
         scaled_beam = replace(beam, youngs_modulus_pa=beam.youngs_modulus_pa * self.factor)
-        return replace(rig, bodies=tuple(scaled_beam if b is beam else b for b in rig.bodies))
+        return replace(rig, bodies=tuple(scaled_beam if body is beam else body for body in rig.bodies))

@@ -20,9 +20,9 @@ def check_components(rig: "Rig") -> None:
     """Raise RigError if a name, place or direction is wrong, or nothing could hold or drive a body so."""
     check_name("rig", rig.name)
     for kind, names in (
-        ("body", [b.name for b in rig.bodies]),
-        ("contact", [c.name for c in rig.contacts]),
-        ("sensor", [s.name for s in rig.sensors]),
+        ("body", [body.name for body in rig.bodies]),
+        ("contact", [contact.name for contact in rig.contacts]),
+        ("sensor", [sensor.name for sensor in rig.sensors]),
     ):
         _check_names(f"rig {rig.name!r}", kind, names)
     _check_forces(rig)
@@ -56,7 +56,7 @@ def _check_forces(rig: "Rig") -> None:
                 f"rig {rig.name!r}: force_at is a list of {len(rig.force_at)}; give the place of one force by "
                 f"itself, those of several as a list of 2 to {MAX_PER_KIND}"
             )
-        _check_names(f"rig {rig.name!r}", "channel", [*rig.force_names, *(s.name for s in rig.sensors)])
+        _check_names(f"rig {rig.name!r}", "channel", [*rig.force_names, *(sensor.name for sensor in rig.sensors)])
     for name, station in zip(rig.force_names, rig.forces, strict=True):
         if not rig.is_on_ground(station):
             _check_station(rig, f"the {name}", station)
@@ -87,7 +87,7 @@ def _check_directions(rig: "Rig") -> None:
             raise RigError(f"contact {contact.name!r} is annular, in both directions; give its stations none")
         if len(directions) > 1:
             raise RigError(f"contact {contact.name!r} has stations in y and in z; give both the same direction")
-    for station in (*(m.station for m in rig.masses), *(s.station for s in rig.supports)):
+    for station in (*(mass.station for mass in rig.masses), *(support.station for support in rig.supports)):
         if station.direction != "y":
             raise RigError(f"rig {rig.name!r}: a mass or support is in both directions; give its station none")
     if rig.in_space and (rig.base_motion or rig.base_sensors):
@@ -103,7 +103,7 @@ def _check_held(rig: "Rig") -> None:
     for clamp in rig.clamps:
         if getattr(rig.body(clamp.body), "ends", None) != "clamped-free":
             raise RigError(f"a clamp holds {clamp.body!r}, which is no clamped beam; name one that is")
-    if len({c.body for c in rig.clamps}) < len(rig.clamps):
+    if len({clamp.body for clamp in rig.clamps}) < len(rig.clamps):
         raise RigError(f"rig {rig.name!r}: more than one clamp holds the same beam; give one")
 
 

@@ -77,7 +77,7 @@ def _about_fields(owner: str, info: Any, text: str, field: str) -> str:
 
 def nearest(word: Any, candidates: Iterable[str]) -> str:
     """Suggestion as `rig.errors.hint` gives it, also for a word that other programs use."""
-    names = [str(c) for c in candidates]
+    names = [str(candidate) for candidate in candidates]
     synonym = SYNONYMS.get(str(word).lower(), "")
     return f" (did you mean {synonym!r}?)" if synonym in names else hint(str(word), names)
 

@@ -140,11 +140,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def base_sensors(self) -> tuple[Sensor, ...]:
         """Sensors on the ground, which measure how the base shakes."""
-        return tuple(s for s in self.sensors if self.is_on_ground(s.station))
+        return tuple(sensor for sensor in self.sensors if self.is_on_ground(sensor.station))
 
     def is_on_ground(self, station: Station) -> bool:
         """True for a station on the ground, not on a body of that name."""
-        return station.body == GROUND and all(b.name != GROUND for b in self.bodies)
+        return station.body == GROUND and all(body.name != GROUND for body in self.bodies)
 
     @property
     def directions(self) -> tuple[Direction, ...]:
@@ -192,7 +192,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         for body in self.bodies:
             if body.name == name:
                 return body
-        raise RigError(f"rig {self.name!r} has no body {name!r}; it has {', '.join(b.name for b in self.bodies)}")
+        raise RigError(f"rig {self.name!r} has no body {name!r}; it has {', '.join(body.name for body in self.bodies)}")
 
     def fibre_m(self, sensor: Sensor) -> float:
         """Distance of a strain gauge from the neutral fibre, m; zero for other sensors.
@@ -217,11 +217,11 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def beams(self) -> tuple[Beam, ...]:
         """The bodies that are uniform beams."""
-        return tuple(b for b in self.bodies if isinstance(b, Beam))
+        return tuple(body for body in self.bodies if isinstance(body, Beam))
 
     def contact(self, name: str) -> Contact:
         """Contact of that name."""
-        return next(c for c in self.contacts if c.name == name)
+        return next(contact for contact in self.contacts if contact.name == name)
 
 
 def force_names(count: int) -> tuple[str, ...]:
@@ -230,10 +230,10 @@ def force_names(count: int) -> tuple[str, ...]:
 
 def stations_of(rig: Rig) -> tuple[Station, ...]:
     """Every distinct station on a body with a sensor or a contact, body by body from left to right."""
-    stations = {s.station for s in rig.sensors if s not in rig.base_sensors} | {
+    stations = {sensor.station for sensor in rig.sensors if sensor not in rig.base_sensors} | {
         station for contact in contact_rows(rig) for station in contact_stations(contact)
     }
-    order = [b.name for b in rig.bodies]
+    order = [body.name for body in rig.bodies]
     return tuple(sorted(stations, key=lambda s: (order.index(s.body), s.position_m, s.direction)))
 
 

@@ -90,9 +90,9 @@ def _mean_squares(rig: Rig, force_at: Station, omega: Float[np.ndarray, " lines"
     springs = [j for j, contact in enumerate(rig.contacts, 1) if not contact.law.has_stops]
     by_force, by_springs = receptances[1:, 0], receptances[1:][:, springs]
     if springs:
-        laws = [rig.contacts[j - 1].law for j in springs]
+        laws = [rig.contacts[spring - 1].law for spring in springs]
         dynamic = np.array([law.stiffness_n_per_m + 1j * omega * law.damping_n_s_per_m for law in laws])
-        feedback = by_springs[[j - 1 for j in springs]] * dynamic
+        feedback = by_springs[[spring - 1 for spring in springs]] * dynamic
         held = np.linalg.solve(np.eye(len(springs)) + feedback.transpose(2, 0, 1), receptances[springs, 0].T[..., None])
         by_force = by_force - np.einsum("csl,sl,ls->cl", by_springs, dynamic, held[..., 0])
     return np.asarray(np.mean(np.abs(by_force) ** 2, axis=1))

@@ -12,11 +12,11 @@ def left_ends(rig: Rig) -> dict[str, float]:
                 for placed, unplaced in ((contact.at, contact.against), (contact.against, contact.at)):
                     if placed.body in left_m:
                         left_m.setdefault(unplaced.body, left_m[placed.body] + placed.position_m - unplaced.position_m)
-    return {b.name: left_m.get(b.name, 0.0) for b in rig.bodies}
+    return {body.name: left_m.get(body.name, 0.0) for body in rig.bodies}
 
 
 def station_named(rig: Rig, name: str, relative_position: float = 0.5) -> Station | None:
     """Station of a contact, a sensor, or a relative position on a body; None for other names."""
-    stations = {b.name: Station(b.name, relative_position * b.length_m) for b in rig.bodies}
-    stations |= {s.name: s.station for s in rig.sensors} | {c.name: c.at for c in rig.contacts}
+    stations = {body.name: Station(body.name, relative_position * body.length_m) for body in rig.bodies}
+    stations |= {sensor.name: sensor.station for sensor in rig.sensors} | {c.name: c.at for c in rig.contacts}
     return stations.get(name)

@@ -58,7 +58,7 @@ class FiniteElementModes:
     def shapes(
         self, positions_m: Float[np.ndarray, " stations"], count: int, order: int = 0
     ) -> Float[np.ndarray, "stations modes"]:
-        rows = [hermite(self.nodes_m, float(x), order) for x in positions_m]
+        rows = [hermite(self.nodes_m, float(position_m), order) for position_m in positions_m]
         return np.array(rows).reshape(len(rows), len(self.vectors)) @ self.vectors[:, :count]
 
 
@@ -101,10 +101,10 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     A beam with attachments has 80 Hermite elements; a structure's modes are coupled by the attachments, exact except
     for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
-    masses = [m for m in rig.masses if m.station.body == body.name]
-    springs = [s for s in attached_springs(rig) if s.station.body == body.name]
-    clamps = [c for c in rig.clamps if c.body == body.name]
-    linear = [s for s in springs if s.stiffness_n_per_m or s.rotational_n_m_per_rad]
+    masses = [mass for mass in rig.masses if mass.station.body == body.name]
+    springs = [spring for spring in attached_springs(rig) if spring.station.body == body.name]
+    clamps = [clamp for clamp in rig.clamps if clamp.body == body.name]
+    linear = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]
     if not (masses or linear or clamps):
         return body
     if isinstance(body, Oscillator):
@@ -141,7 +141,7 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     if isinstance(body, Structure):
         stiff_supports = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
         count = max(1, count - len(stiff_supports))
-    stations = [s.position_m for s in (*stations_of(rig), *rig.forces) if s.body == body.name]
+    stations = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
     positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, count)
@@ -215,7 +215,7 @@ def _natural_modes(
 
 def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> None:
     """Raise RigError if springs of negative stiffness make the stiffness matrix indefinite."""
-    if any(s.stiffness_n_per_m < 0 for s in rig.springs if s.station.body == body.name):
+    if any(spring.stiffness_n_per_m < 0 for spring in rig.springs if spring.station.body == body.name):
         lowest, highest = np.linalg.eigvalsh(stiffness)[[0, -1]]
         if lowest < -1e-14 * abs(highest) or highest <= 0:
             raise RigError(
@@ -225,8 +225,8 @@ def _check_stable(rig: Rig, body: Body, stiffness: Float[np.ndarray, "n n"]) -> 
 
 def with_attachments(rig: Rig, body: Oscillator) -> Oscillator:
     """Oscillator with its point masses and linear springs added; it keeps its damping ratio."""
-    mass_kg = body.mass_kg + sum(m.mass_kg for m in rig.masses if m.station.body == body.name)
-    added_n_per_m = sum(s.stiffness_n_per_m for s in rig.springs if s.station.body == body.name)
+    mass_kg = body.mass_kg + sum(mass.mass_kg for mass in rig.masses if mass.station.body == body.name)
+    added_n_per_m = sum(spring.stiffness_n_per_m for spring in rig.springs if spring.station.body == body.name)
     _check_stable(rig, body, np.full((1, 1), body.stiffness_n_per_m + added_n_per_m))
     frequency_hz = float(np.sqrt((body.stiffness_n_per_m + added_n_per_m) / mass_kg)) / (2 * np.pi)
     return msgspec.structs.replace(body, mass_kg=mass_kg, frequency_hz=frequency_hz)
@@ -239,18 +239,18 @@ def loaded_mass(rig: Rig, body: Body) -> Body:
 
 def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
     """Participation of each mode in a motion of the base: the integral of its shape over the mass, in sqrt(kg)."""
-    masses = [m for m in rig.masses if m.station.body == body.name]
+    masses = [mass for mass in rig.masses if mass.station.body == body.name]
     if isinstance(body, Oscillator):
         return with_attachments(rig, body).mass_kg * modes.shapes(np.zeros(1), count)[0]
     if isinstance(body, Structure):
         translation = body.translation()
         modal_translation = modes.vectors.T @ translation if isinstance(modes, CoupledModes) else translation
-        places = np.array([m.station.position_m for m in masses])
-        return modal_translation[:count] + np.array([m.mass_kg for m in masses]) @ modes.shapes(places, count)
+        places = np.array([mass.station.position_m for mass in masses])
+        return modal_translation[:count] + np.array([mass.mass_kg for mass in masses]) @ modes.shapes(places, count)
     points, weights = leggauss(400)
     positions_m = (points + 1) / 2 * body.length_m
-    places = np.concatenate([positions_m, [m.station.position_m for m in masses]])
-    masses_kg = np.concatenate([weights / 2 * body.mass_kg, [m.mass_kg for m in masses]])
+    places = np.concatenate([positions_m, [mass.station.position_m for mass in masses]])
+    masses_kg = np.concatenate([weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
     return masses_kg @ modes.shapes(places, count)
 
 
@@ -281,7 +281,7 @@ def held_coordinates(rig: Rig, body: Body) -> int:
     """Number of leading coordinates (displacement, slope) that the clamp of a body fixes."""
     if not isinstance(body, Beam) or body.ends == "free-free":
         return 0
-    return 1 if any(c.body == body.name for c in rig.clamps) else 2
+    return 1 if any(clamp.body == body.name for clamp in rig.clamps) else 2
 
 
 def hermite(nodes_m: Float[np.ndarray, " nodes"], position_m: float, order: int = 0) -> Float[np.ndarray, " n"]:

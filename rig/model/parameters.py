@@ -49,12 +49,12 @@ class ParameterSet:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.parameters)
+        return tuple(parameter.name for parameter in self.parameters)
 
     @property
     def bounds(self) -> tuple[Vector, Vector]:
         """Lower and upper bounds."""
-        return np.array([p.low for p in self.parameters]), np.array([p.high for p in self.parameters])
+        return np.array([parameter.low for parameter in self.parameters]), np.array([p.high for p in self.parameters])
 
     @property
     def strengths(self) -> list[int]:
@@ -63,7 +63,7 @@ class ParameterSet:
 
     def belonging_to(self, owner: str) -> "ParameterSet":
         """The same parameters with this owner."""
-        return ParameterSet(tuple(dataclasses.replace(p, of=owner) for p in self.parameters))
+        return ParameterSet(tuple(dataclasses.replace(parameter, of=owner) for parameter in self.parameters))
 
     def places_of(self, owner: str) -> list[int]:
         """Indices of the owner's parameters."""
@@ -79,7 +79,7 @@ class ParameterSet:
         )
 
     def excluding(self, name: str) -> "ParameterSet":
-        return ParameterSet(tuple(p for p in self.parameters if p.name != name))
+        return ParameterSet(tuple(parameter for parameter in self.parameters if parameter.name != name))
 
     def vector(self, numbers: Mapping[str, float]) -> Vector:
         """Vector of numbers given by name; zero for missing ones."""

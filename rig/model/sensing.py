@@ -8,11 +8,11 @@ PASSBAND = 0.4
 
 
 def sensors_of(rig: Rig, quantity: QuantityName) -> tuple[Sensor, ...]:
-    return tuple(s for s in rig.sensors if s.quantity == quantity)
+    return tuple(sensor for sensor in rig.sensors if sensor.quantity == quantity)
 
 
 def quantities_of(rig: Rig) -> tuple[QuantityName, ...]:
-    return tuple(dict.fromkeys(s.quantity for s in rig.sensors))
+    return tuple(dict.fromkeys(sensor.quantity for sensor in rig.sensors))
 
 
 def named_sensor(station: Station, quantity: QuantityName, noise_density: float = 0.0) -> Sensor:

@@ -147,7 +147,7 @@ class Structure(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only
     def scale_mass(self, factor: float) -> "Structure":
         """Structure with the mass times a factor, at the same frequencies: its shapes are those of a unit mass."""
         sqrt_factor = float(np.sqrt(factor))
-        rows = (msgspec.structs.replace(r, values=tuple(v / sqrt_factor for v in r.values)) for r in self.rows)
+        rows = (msgspec.structs.replace(row, values=tuple(v / sqrt_factor for v in row.values)) for row in self.rows)
         return msgspec.structs.replace(
             self, rows=tuple(rows), participations=tuple(sqrt_factor * p for p in self.participations)
         )

@@ -90,7 +90,7 @@ def assemble(
 ) -> Float[np.ndarray, "channels samples"]:
     """Samples of a group from its blocks in any order."""
     assembly = Assembly(
-        path, group_name, channels, first_sample, reserved_samples=sum(b.values.shape[1] for b in blocks)
+        path, group_name, channels, first_sample, reserved_samples=sum(block.values.shape[1] for block in blocks)
     )
     for block in blocks:
         assembly.add(block)

@@ -27,7 +27,7 @@ class Channels:
 
 def to_metadata(channels: Channels) -> dict[str, str]:
     """MCAP channel metadata of a group; lists and numbers as JSON."""
-    station_values = [None if s is None else _station_value(s) for s in channels.stations]
+    station_values = [None if station is None else _station_value(station) for station in channels.stations]
     return {
         "quantity": channels.quantity,
         "unit": channels.unit,
@@ -79,7 +79,7 @@ def check_channels(
 
     `expected_groups` are those of a recording of this rig (`channel_groups`); others are only checked for the rate.
     """
-    sensor_by_name = {s.name: s for s in rig.sensors}
+    sensor_by_name = {sensor.name: sensor for sensor in rig.sensors}
     for group_name, channels in groups.items():
         if channels.sample_rate_hz != rig.sample_rate_hz:
             raise RigError(

@@ -161,8 +161,8 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
         groups[quantity] = Channels(
             quantity,
             UNITS[quantity],
-            tuple(s.name for s in sensors),
-            tuple(s.station for s in sensors),
+            tuple(sensor.name for sensor in sensors),
+            tuple(sensor.station for sensor in sensors),
             rig.sample_rate_hz,
         )
     return groups
@@ -171,7 +171,7 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file, which holds what only a simulator knows."""
     stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
-    station_names = tuple(s.label for s in stations)
+    station_names = tuple(station.label for station in stations)
     no_stations = (None,) * len(contact_names)
     return {
         "force": _force_channels(rig),

@@ -102,4 +102,4 @@ def own_rig(rig: Rig, settings: dict[str, str]) -> OwnRig:
 
 def plant_for(rig: Rig) -> str:
     """Name of the default plant: `ancf`, or `modal` if a body is a structure, which `ancf` cannot mesh."""
-    return "ancf" if all(b.is_mass or b in rig.beams for b in rig.bodies) else "modal"
+    return "ancf" if all(body.is_mass or body in rig.beams for body in rig.bodies) else "modal"

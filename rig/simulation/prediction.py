@@ -42,7 +42,7 @@ def modal(
     model, body_modes = model_of(rig_without_base, False, MODE_COUNT), body_modes_of(rig_without_base, MODE_COUNT)
     constants = constants_of(model, step_s)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
-    modes_by_stations = modal_inverse(shapes, [(b.body.name, b.mode_count) for b in body_modes], stations)
+    modes_by_stations = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory, contact_n = (

@@ -71,7 +71,7 @@ def replayed_recording(
     channels_by_group = channel_groups(believed_rig)
     signals = {"force": Signals(channels_by_group["force"], 0.0, forces_n)}
     for quantity in quantities_of(believed_rig):
-        sensor_values = np.concatenate([b.sensed[quantity] for b in sample_blocks], axis=1)[:, :sample_count]
+        sensor_values = np.concatenate([block.sensed[quantity] for block in sample_blocks], axis=1)[:, :sample_count]
         signals[quantity] = Signals(channels_by_group[quantity], 0.0, sensor_values)
     return Recording(believed_rig, signals, {"made_by": "replay", "seed": str(seed)})
 

@@ -103,7 +103,7 @@ def digitise(rig: Rig, blocks: Iterator[Motion], rng: np.random.Generator) -> It
     delay_filters: list[tuple[list[int], Decimator]] = []
     waiting_steps, steps_before = np.zeros((0, 0)), 0
     truth_values: dict[str, Float[np.ndarray, "rows samples"]] = {}
-    high_passes = [_HighPass.of(s, rig.sample_rate_hz) for s in rig.sensors]
+    high_passes = [_HighPass.of(sensor, rig.sample_rate_hz) for sensor in rig.sensors]
     for block in blocks:
         steps_per_sample, block_steps = _steps_per_sample(rig, block.step_s), block.forces_n.shape[1]
         reach_steps = (HALF_WIDTH_SAMPLES + _longest_delay_samples(rig)) * steps_per_sample
@@ -169,7 +169,7 @@ class _HighPass:
 
 def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tuple[list[int], Decimator]]:
     """Filter of every delay with the rows that it applies to: the forces, without delay, then the sensors."""
-    delays_s = [*(0.0 for _ in rig.forces), *(s.delay_s for s in rig.sensors)]
+    delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
     delay_filters = []
     for delay_s in dict.fromkeys(delays_s):
         row_indices = [k for k, row_delay_s in enumerate(delays_s) if row_delay_s == delay_s]
@@ -248,7 +248,7 @@ def _steps_per_sample(rig: Rig, step_s: float) -> int:
 
 
 def _longest_delay_samples(rig: Rig) -> int:
-    return int(np.ceil(max((abs(s.delay_s) for s in rig.sensors), default=0.0) * rig.sample_rate_hz))
+    return int(np.ceil(max((abs(sensor.delay_s) for sensor in rig.sensors), default=0.0) * rig.sample_rate_hz))
 
 
 def _truth_of(block: Motion) -> dict[str, SignalRows]:

@@ -166,17 +166,17 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
         _plot_view(layout, entity(quantity, body.name), f"{body.name}: {quantity}, {printed_unit(UNITS[quantity])}")
         for quantity in plotted_quantities(layout.rig)
         for body in layout.rig.bodies
-        if any(s.station.body == body.name for s in sensors_of(layout.rig, quantity))
+        if any(sensor.station.body == body.name for sensor in sensors_of(layout.rig, quantity))
     ]
     displacement_plots = [
         _plot_view(
             layout,
-            entity("relative_displacement", c.name),
-            f"{c.name}: {source_words}relative displacement, mm{_caveat(layout, of_contact=True)}",
+            entity("relative_displacement", contact.name),
+            f"{contact.name}: {source_words}relative displacement, mm{_caveat(layout, of_contact=True)}",
             thinning_note,
-            axis_reach(layout.reach_mm[c.name]),
+            axis_reach(layout.reach_mm[contact.name]),
         )
-        for c in layout.rig.contacts
+        for contact in layout.rig.contacts
     ]
     force_plots, force_source = [], layout.contact_force
     if force_source is not None:

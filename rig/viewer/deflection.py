@@ -38,7 +38,7 @@ class Deflection:
         station_rows = [i for i, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
         if not station_rows:
             return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
-        stations_m = np.array([self.stations[i].position_m for i in station_rows])
+        stations_m = np.array([self.stations[row].position_m for row in station_rows])
         mode_count = min(len(station_rows), body.max_modes)
         inverse_shapes = np.linalg.pinv(body.shapes(stations_m, mode_count), rcond=1e-3)
         return np.asarray(
@@ -55,8 +55,8 @@ class Deflection:
     def relative_displacement_m(self) -> Float[np.ndarray, "contacts samples"]:
         """Displacement of each contact's station less that of the station it strikes against, m (`contact_rows`)."""
         displacement_rows = [
-            self.displacement_at(c.at) - (self.displacement_at(c.against) if c.against else 0.0)
-            for c in contact_rows(self.rig)
+            self.displacement_at(contact.at) - (self.displacement_at(contact.against) if contact.against else 0.0)
+            for contact in contact_rows(self.rig)
         ]
         return np.array(displacement_rows).reshape(len(displacement_rows), self.displacement_m.shape[1])
 
@@ -69,10 +69,10 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
     """
     if truth is not None:
         true_signals = truth.signals["displacement"]
-        stations = tuple(s for s in true_signals.channels.stations if s is not None)
+        stations = tuple(station for station in true_signals.channels.stations if station is not None)
         return Deflection(truth.rig, stations, true_signals.values, is_approximate=False)
     rig = recording.rig
-    motion_sensors = [s for s in rig.sensors if s.measures.translates]
+    motion_sensors = [sensor for sensor in rig.sensors if sensor.measures.translates]
     sensor_by_station = {s.station: s for s in sorted(motion_sensors, key=lambda s: s.measures.order, reverse=True)}
     for body in rig.bodies:
         if body.name not in {station.body for station in sensor_by_station}:
@@ -87,7 +87,7 @@ def deflection(recording: Recording, truth: Recording | None) -> Deflection:
     if rig.base_sensors:
         base_row = stations.index(ON_GROUND)
         displacement_m = np.delete(displacement_m - displacement_m[base_row], base_row, axis=0)
-        stations = tuple(s for s in stations if s != ON_GROUND)
+        stations = tuple(station for station in stations if station != ON_GROUND)
     return Deflection(rig, stations, displacement_m, is_approximate)
 
 

@@ -135,7 +135,7 @@ def _decode_gap(gap_path: Path) -> _Gap:
 
 
 def _check_places(gap_path: Path, rig: Rig, stations: Iterable[Station]) -> None:
-    lengths_m = {b.name: b.length_m for b in rig.bodies}
+    lengths_m = {body.name: body.length_m for body in rig.bodies}
     for station in stations:
         if not 0 <= station.position_m <= lengths_m.get(station.body, -1.0) + 1e-6:
             raise RigError(

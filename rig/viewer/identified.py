@@ -91,7 +91,7 @@ def _curves(path: Path, rig: Rig, duration_s: float) -> Curves:
         columns = _parquet(path) if path.suffix == ".parquet" else _csv(path)
         time_s = columns["time_s"]
         relative_displacement_m, force_n = (
-            np.array([columns[f"{c.name} {quantity}"] for c in contact_rows(rig)]).reshape(-1, time_s.size)
+            np.array([columns[f"{contact.name} {quantity}"] for contact in contact_rows(rig)]).reshape(-1, time_s.size)
             for quantity in ("relative displacement m", "contact force N")
         )
     except KeyError as error:
@@ -130,14 +130,14 @@ def identified_laws(path: Path, rig: Rig) -> dict[str, DeadZone]:
     Raises RigError if the file is unreadable or invalid, or names a contact that the rig does not have.
     """
     report = decoded_result(contents(path), _Report, str(path), "contact.json", "make one by `identify contact`")
-    contact_names = [c.name for c in rig.contacts]
+    contact_names = [contact.name for contact in rig.contacts]
     for contact in report.contacts:
         if contact.name not in contact_names:
             raise RigError(
                 f"{path}: has a contact {contact.name!r}, the rig has {', '.join(contact_names)}; take another file"
             )
     try:
-        return {c.name: _dead_zone_of(c) for c in report.contacts}
+        return {contact.name: _dead_zone_of(contact) for contact in report.contacts}
     except RigError as error:
         raise RigError(f"{path}: {error}") from error
 

@@ -98,7 +98,7 @@ def predicted_motion(
 def _station_row(rig: Rig, motion: Deflection, place_name: str) -> int:
     station = station_named(rig, place_name)
     if station not in motion.stations:
-        sensor_names = ", ".join(sorted({s.name for s in rig.sensors if s.station in motion.stations}))
+        sensor_names = ", ".join(sorted({sensor.name for sensor in rig.sensors if sensor.station in motion.stations}))
         raise RigError(f"no motion is recorded at {place_name!r}; give one of the sensors {sensor_names}")
     return motion.stations.index(station)
 

@@ -91,7 +91,7 @@ class _SchematicLayout:
 
 def _layout(rig: Rig, title_px: float) -> _SchematicLayout:
     left_ends_m = left_ends(rig)
-    extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
+    extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
     px_per_m = DRAWING_PX / extent_m if extent_m > 0 else 1.0
     top_px = TITLE_PX - title_px - LEVEL_STEP_PX * (len(rig.bodies) - 1)
     level_px = {body.name: -LEVEL_STEP_PX * level_index - top_px for level_index, body in enumerate(rig.bodies)}
@@ -105,7 +105,7 @@ def _items_on(rig: Rig, body: Body) -> Iterator[object]:
     yield body
     yield from (c for c in rig.contacts if body.name in (c.at.body, c.against.body if c.against else ""))
     yield from (station for station in dict.fromkeys(rig.forces) if station.body == body.name)
-    if any(s.station.body == body.name for s in rig.sensors):
+    if any(sensor.station.body == body.name for sensor in rig.sensors):
         yield rig.sensors
     for attached in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
         yield from (item for item in attached if item.station.body == body.name)
@@ -135,7 +135,7 @@ def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
         (hz,), (ratio,) = body.frequencies_hz(1), body.damping_ratios(1)
         drawing.text(left_px, bottom + ATTACHED_PX + 24, f"{hz:g} Hz, damping ratio {ratio:g}")
         return
-    beam = next((b for b in layout.rig.beams if b == body), None)
+    beam = next((beam for beam in layout.rig.beams if beam == body), None)
     size = f", {1e3 * beam.width_m:g} mm wide, {1e3 * beam.thickness_m:g} mm thick" if beam else ""
     if beam and beam.outer_diameter_m:
         size = f", tube of {1e3 * beam.outer_diameter_m:g} and {1e3 * beam.inner_diameter_m:g} mm"
@@ -148,13 +148,13 @@ def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
 def _draw_ruler(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
     """Draw a ruler under a body with the positions of its ends, contacts, forces and attachments."""
     rig, left_px, y = layout.rig, layout.left_px[body.name], layout.bottom_px(body.name) + ATTACHED_PX + 34
-    stations = [*rig.forces, *(s for c in rig.contacts for s in (c.at, c.against) if s is not None)]
+    stations = [*rig.forces, *(s for contact in rig.contacts for s in (contact.at, contact.against) if s is not None)]
     stations += [
         item.station
         for position_group in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones)
         for item in position_group
     ]
-    places = sorted({0.0, body.length_m, *(s.position_m for s in stations if s.body == body.name)})
+    places = sorted({0.0, body.length_m, *(station.position_m for station in stations if station.body == body.name)})
     drawing.line((left_px, y), (left_px + layout.px_per_m * body.length_m, y), colour=GREY, width=1.0)
     labelled_x = -1e9
     for x_m in places:
@@ -259,7 +259,7 @@ def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
             x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
         )
     if quantities:
-        used = dict.fromkeys(s.quantity for s in layout.rig.sensors)
+        used = dict.fromkeys(sensor.quantity for sensor in layout.rig.sensors)
         key = ", ".join(f"{LETTERS.get(q, q)} {q}" for q in used)
         if layout.rig.base_sensors:
             key += "; on the ground: " + ", ".join(LETTERS.get(s.quantity, s.quantity) for s in layout.rig.base_sensors)

@@ -114,7 +114,7 @@ class Stage:
 
         Names at one end stand one below the other and do not move.
         """
-        body_index = [b.name for b in self.rig.bodies].index(body.name)
+        body_index = [body.name for body in self.rig.bodies].index(body.name)
         if not body.length_m:
             return self.centre(body) - np.array([0, 0, 0.5 * self._half_size_m(body)])
         label_x_m = body.length_m + 0.07 * self.extent_m if body_index % 2 else -0.07 * self.extent_m
@@ -242,7 +242,7 @@ def stage(deflection: Deflection, sample_rate_hz: float, magnification: float | 
         extent_m = max(1.0, MASS_PITCH_M * len(rig.bodies))
     else:
         left_ends_m = left_ends(rig)
-        extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
+        extent_m = max(left_ends_m[body.name] + body.length_m for body in rig.bodies) - min(left_ends_m.values())
     largest_m = float(np.abs(deflection.displacement_m).max(initial=0.0))
     if magnification is None:
         magnification = _round_down(LARGEST_DEFLECTION * extent_m / largest_m) if largest_m > 0 else 1.0

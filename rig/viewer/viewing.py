@@ -227,7 +227,7 @@ def station_words(rig: Rig, station: Station) -> str:
 
 
 def _belongs_to(truth: Recording, recording: Recording) -> bool:
-    contact_names = [[c.name for c in r.rig.contacts] for r in (truth, recording)]
+    contact_names = [[contact.name for contact in r.rig.contacts] for r in (truth, recording)]
     has_truth = {"displacement", "relative_displacement", "contact_force"} <= set(truth.signals)
     return has_truth and truth.samples == recording.samples and contact_names[0] == contact_names[1]
 

@@ -124,7 +124,7 @@ def _record(trial: PeerTrial, path: Path) -> None:
 def run_trial(trial: PeerTrial, recording: Recording) -> PeerOutcome:
     """Outcome of a method on a recording, on one thread; seconds are those of the processor."""
     method = METHODS[trial.method]
-    true_laws = tuple((c.law.clearance_m, c.law.stiffness_n_per_m) for c in recording.rig.contacts)
+    true_laws = tuple((contact.law.clearance_m, contact.law.stiffness_n_per_m) for contact in recording.rig.contacts)
     begin_s = time.process_time()
     try:
         with threadpool_limits(1):

@@ -72,8 +72,8 @@ def peer_data(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Pee
     """Arrays of a recording that has displacement, velocity and acceleration at every station."""
     rig = recording.rig
     model = model_of(rig, False, modes_per_beam)
-    stations = [s.station for s in sensors_of(rig, "displacement")]
-    mode_bodies = [b.name for b in rig.bodies for _ in range(model.omega.size // len(rig.bodies))]
+    stations = [sensor.station for sensor in sensors_of(rig, "displacement")]
+    mode_bodies = [body.name for body in rig.bodies for _ in range(model.omega.size // len(rig.bodies))]
     eta_from_stations = np.zeros((len(rig.contacts), len(stations)))
     for row, contact in zip(eta_from_stations, rig.contacts, strict=True):
         row[stations.index(contact.at)] = 1
@@ -81,7 +81,7 @@ def peer_data(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Pee
             row[stations.index(contact.against)] = -1
 
     def values(quantity: QuantityName) -> Float[np.ndarray, "stations samples"]:
-        return np.array([recording.values_of(s) for s in sensors_of(rig, quantity)])
+        return np.array([recording.values_of(sensor) for sensor in sensors_of(rig, quantity)])
 
     return PeerData(
         model=LinearModel(
@@ -92,9 +92,9 @@ def peer_data(recording: Recording, modes_per_beam: int = MODES_PER_BEAM) -> Pee
             contact_rows=model.eta_rows,
             sensor_rows=np.array([model.station_rows[place] for place in stations]),
         ),
-        names=tuple(c.name for c in rig.contacts),
-        true_clearance_m=np.array([c.law.clearance_m for c in rig.contacts]),
-        true_stiffness_n_per_m=np.array([c.law.stiffness_n_per_m for c in rig.contacts]),
+        names=tuple(contact.name for contact in rig.contacts),
+        true_clearance_m=np.array([contact.law.clearance_m for contact in rig.contacts]),
+        true_stiffness_n_per_m=np.array([contact.law.stiffness_n_per_m for contact in rig.contacts]),
         sample_rate_hz=rig.sample_rate_hz,
         force_n=recording.force_n,
         displacement_m=values("displacement"),

@@ -32,7 +32,7 @@ class PeerOutcome(msgspec.Struct, frozen=True, kw_only=True):
 
 def errors_percent(outcomes: Sequence[PeerOutcome]) -> tuple[list[float], list[float]]:
     """Sizes of the errors of all clearances and of all stiffnesses, in per cent of the true values."""
-    pairs = [pair for o in outcomes for pair in zip(o.answers, o.true, strict=False)]
+    pairs = [pair for outcome in outcomes for pair in zip(outcome.answers, outcome.true, strict=False)]
     return (
         [100 * abs(a.clearance_m / d - 1) for a, (d, _) in pairs if a.clearance_m is not None],
         [100 * abs(a.stiffness_n_per_m / k - 1) for a, (_, k) in pairs],
@@ -53,7 +53,7 @@ def coverage_counts(outcomes: Sequence[PeerOutcome]) -> tuple[int, int]:
 
 def row(title: str, prior_knowledge: str, outcomes: Sequence[PeerOutcome]) -> tuple[str, ...]:
     """Row of one method on one rig: median and largest errors, intervals, mean seconds of the CPU."""
-    succeeded = [o for o in outcomes if not o.failure]
+    succeeded = [outcome for outcome in outcomes if not outcome.failure]
     clearance_errors, stiffness_errors = errors_percent(succeeded)
     covered_count, interval_count = coverage_counts(succeeded)
     failed_count = len(outcomes) - len(succeeded)

@@ -148,7 +148,7 @@ class _Instruments:
 
 def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: list[int]) -> _Instruments:
     """Exudyn sensors on every node and on the connectors of the contacts."""
-    orders = {0, *(s.measures.order for s in rig.sensors)}
+    orders = {0, *(sensor.measures.order for sensor in rig.sensors)}
     force = exu.OutputVariableType.Force
     return _Instruments(
         coordinates={order: _read_nodes(exu, mbs, meshes, order) for order in orders},
@@ -160,7 +160,7 @@ def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: l
             for c, contact in zip(connectors, contact_rows(rig), strict=False)
         ],
         stations={s: station_row(meshes, s) for s in {*stations_of(rig), *(c.at for c in connections(rig))}},
-        sensors=[(s.measures, _sensor_row(rig, meshes, s)) for s in rig.sensors],
+        sensors=[(sensor.measures, _sensor_row(rig, meshes, sensor)) for sensor in rig.sensors],
         limits_m=softening_limits_m(rig),
     )
 
@@ -189,7 +189,7 @@ def _motion(
         step_s=step_s,
         forces_n=excitation.measured_n[span],
         sensed=_stack(sensed, sample_count),
-        displacement_m=_stack([displacement_m[s] + base[0] for s in stations_of(rig)], sample_count),
+        displacement_m=_stack([displacement_m[station] + base[0] for station in stations_of(rig)], sample_count),
         eta_m=_stack(relative_m[: len(instruments.contact_forces)], sample_count),
         contact_force_n=_stack(
             [mbs.GetSensorStoredData(s)[repeated:, column] for s, column in instruments.contact_forces], sample_count

@@ -92,7 +92,7 @@ def add_grounded(exu: Any, mbs: Any, ground: int, marker: int, extra: GroundedFo
 
 def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Callable[[int, float], None]:
     """Function of (step, time) that updates the bending stiffness of a beam's elements every 64 steps."""
-    mesh = next(m for m in meshes if m.body.name == extra.beam)
+    mesh = next(mesh for mesh in meshes if mesh.body.name == extra.beam)
     objects = [(number, mbs.GetObject(number)) for number in range(mbs.systemData.NumberOfObjects())]
     elements = [n for n, o in objects if o["objectType"] == "ANCFCable2D" and int(o["nodeNumbers"][0]) in mesh.nodes]
     nominal_n_m2 = {number: mbs.GetObjectParameter(number, "bendingStiffness") for number in elements}

@@ -48,7 +48,7 @@ def build(
         if station is None:
             ground_body = mbs.AddObject(item("ObjectGround")())
             return int(mbs.AddMarker(item("MarkerBodyPosition")(bodyNumber=ground_body)))
-        mesh = next(m for m in meshes if m.body.name == station.body)
+        mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
         return int(mbs.AddMarker(item("MarkerNodePosition")(nodeNumber=mesh.node_at(station.position_m))))
 
     connectors: list[int] = []
@@ -76,7 +76,7 @@ def _with_nodes_for(rig: Rig, extra: tuple[Extra, ...]) -> Rig:
 
 def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     """Add a marker on the displacement of the node at a station; return its number."""
-    mesh = next(m for m in meshes if m.body.name == station.body)
+    mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
     node, coordinate = mesh.node_at(station.position_m), mesh.coordinates_of(station.direction)[0]
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
@@ -153,7 +153,7 @@ def _add_attachments(mbs: Any, rig: Rig, meshes: list[Mesh]) -> None:
     """Add the beams' point masses, linear springs, supports and clamps as nodal mass and stiffness matrices."""
 
     def add(matrix_name: str, station: Station, diagonal_value: float, slope_value: float = 0.0) -> None:
-        mesh = next(m for m in meshes if m.body.name == station.body)
+        mesh = next(mesh for mesh in meshes if mesh.body.name == station.body)
         if not mesh.body.is_mass:
             diagonal = np.zeros(mesh.per_node)
             diagonal[mesh.coordinates_of(station.direction)] = diagonal_value, slope_value

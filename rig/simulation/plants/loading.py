@@ -63,7 +63,7 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
 def connections(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by components (`contact_rows`), then cubic springs and dampers as dead zones to the ground without
     clearance and linear stiffness."""
-    springs = [s for s in rig.springs if s.cubic_n_per_m3]
+    springs = [spring for spring in rig.springs if spring.cubic_n_per_m3]
     grounded = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
     grounded += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
     return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in grounded))

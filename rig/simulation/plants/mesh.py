@@ -76,8 +76,8 @@ class Mesh:
 
 def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray, " nodes"]:
     """Node positions of about `element_count` elements, and one wherever something acts on the beam or is attached."""
-    stations = [s for c in rig.contacts for s in contact_stations(c)]
-    stations += [*rig.forces, *(m.station for m in rig.masses), *(s.station for s in attached_springs(rig))]
+    stations = [s for contact in rig.contacts for s in contact_stations(contact)]
+    stations += [*rig.forces, *(mass.station for mass in rig.masses), *(s.station for s in attached_springs(rig))]
     stations += [*(x.station for x in rig.loads), *(x.station for x in rig.dampers), *(x.station for x in rig.tones)]
     corners_m = np.unique([0.0, beam.length_m, *(s.position_m for s in stations if s.body == beam.name)])
     max_element_m = beam.length_m / element_count * (1 + 1e-9)
@@ -163,7 +163,7 @@ def _at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " rows"]:
     ).reshape(len(contacts), load.size)
     omega_squared, shapes = scipy.linalg.eigh(stiffness[np.ix_(free, free)], mass[np.ix_(free, free)])
     omega_squared = np.where(omega_squared > ROUNDING * omega_squared.max(), omega_squared, 0.0)
-    laws = tuple(c.law for c in contacts)
+    laws = tuple(contact.law for contact in contacts)
     coordinates = np.zeros(load.size)
     coordinates[free] = shapes @ equilibrium(omega_squared, eta_rows[:, free] @ shapes, laws, shapes.T @ load[free])
     return coordinates

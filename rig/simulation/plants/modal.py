@@ -80,9 +80,9 @@ def simulate(
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
     base_signals = base_motion(rig, len(force_n), step_s)
-    model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [s.measures for s in rig.sensors]
+    model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [sensor.measures for sensor in rig.sensors]
     constants = constants_of(model, step_s)
-    shapes = np.array([model.station_rows[s] for s in stations_of(rig)]).reshape(-1, model.omega.size)
+    shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)
     last_state, contact_state = model.start()
     history_n, history_bends_n = np.tile(model.rest_contact_n[:, None], 4), np.zeros((len(model.eta_rows), 1))
     for first_step in range(0, len(force_n), BLOCK):
@@ -178,12 +178,12 @@ def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
 def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
-    omega = 2 * np.pi * np.concatenate([b.modes.frequencies_hz(b.mode_count) for b in body_modes])
-    zeta = np.concatenate([b.modes.damping_ratios(b.mode_count) for b in body_modes])
-    contacts, laws = connections(rig), tuple(c.law for c in connections(rig))
+    omega = 2 * np.pi * np.concatenate([basis.modes.frequencies_hz(basis.mode_count) for basis in body_modes])
+    zeta = np.concatenate([basis.modes.damping_ratios(basis.mode_count) for basis in body_modes])
+    contacts, laws = connections(rig), tuple(contact.law for contact in connections(rig))
     stations = {*stations_of(rig), *rig.forces, *(load.station for load in rig.loads)}
     stations |= {tone.station for tone in rig.tones}
-    stations |= {station for c in contacts for station in contact_stations(c)}
+    stations |= {station for contact in contacts for station in contact_stations(contact)}
     station_rows = {station: shape_row(body_modes, station) for station in stations}
     eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
     eta_rows = eta_rows.reshape(len(contacts), omega.size)
@@ -202,7 +202,7 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
         omega=omega,
         zeta=zeta,
         station_rows=station_rows,
-        sensor_rows=np.array([_sensed_row(rig, body_modes, s) for s in rig.sensors]).reshape(-1, omega.size),
+        sensor_rows=np.array([_sensed_row(rig, body_modes, sensor) for sensor in rig.sensors]).reshape(-1, omega.size),
         eta_rows=eta_rows,
         laws=laws,
         input_forces=np.array(input_forces),
@@ -213,7 +213,7 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
 
 def _base_modal_forces(rig: Rig, body_modes: list[BodyModes]) -> Float[np.ndarray, " modes"]:
     """Modal forces of an acceleration of the base in y, which are also those of gravity."""
-    return -np.concatenate([participation(rig, *b[:3]) * (b.direction == "y") for b in body_modes])
+    return -np.concatenate([participation(rig, *basis[:3]) * (basis.direction == "y") for basis in body_modes])
 
 
 def applied_inputs(
@@ -303,10 +303,10 @@ def shape_row(body_modes: list[BodyModes], station: Station, order: int = 0) -> 
     place = np.array([station.position_m])
     return np.concatenate(
         [
-            b.modes.shapes(place, b.mode_count, order)[0]
-            if (b.body.name, b.direction) == (station.body, station.direction)
-            else np.zeros(b.mode_count)
-            for b in body_modes
+            basis.modes.shapes(place, basis.mode_count, order)[0]
+            if (basis.body.name, basis.direction) == (station.body, station.direction)
+            else np.zeros(basis.mode_count)
+            for basis in body_modes
         ]
     )
 
