@@ -130,7 +130,7 @@ def gap(
     if len(by_identity) < len(sources):
         raise RigError("a recording is given twice; give each once")
     nominal = read_rig(Path(rig)) if isinstance(rig, str | Path) else rig
-    records = {identity: _recording_with_rig(source, nominal, rig) for identity, source in by_identity.items()}
+    records = {identity: _with_rig(source, nominal, rig) for identity, source in by_identity.items()}
     for record in records.values():
         check_plane(record.rig, "identify gap")
     first = next(iter(records.values()))
@@ -144,9 +144,7 @@ def gap(
         findings = [check_recording(record, tolerances=_tolerances(tolerances)) for record in records.values()]
         report, corrected = diagnose(
             list(records.values()),
-            None
-            if validation is None
-            else records.get(_identity(validation)) or _recording_with_rig(validation, nominal, rig),
+            None if validation is None else records.get(_identity(validation)) or _with_rig(validation, nominal, rig),
             simulator_named(simulator),
             reference_path,
             progress,
@@ -237,7 +235,7 @@ def _recording(source: Source) -> Recording:
     return source if isinstance(source, Recording) else read(Path(source))
 
 
-def _recording_with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | None) -> Recording:
+def _with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | None) -> Recording:
     """Recording with another nominal rig if one is given; raises RigError if their channels differ."""
     recording = _recording(source)
     if rig is None:

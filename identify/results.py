@@ -1,5 +1,6 @@
 """Results of the public functions, each as text, dictionary, rows of a table, figures, and files."""
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -66,8 +67,24 @@ class CheckResult(Summarized):
         return Summary(tuple({"cause": f.cause, "finding": f.sentence} for f in self.findings))
 
 
+class Illustrated(Summarized):
+    """Result with figures by their names."""
+
+    @cached_property
+    @abstractmethod
+    def figures(self) -> dict[str, Picture]:
+        """All figures by their names."""
+
+    def figure(self, name: str | None = None) -> Picture:
+        """Figure of that name, by default the first, which a notebook shows and `.save(path)` writes as PNG."""
+        name = next(iter(self.figures), "") if name is None else name
+        if name not in self.figures:
+            raise RigError(f"there is no figure {name!r}; there are {', '.join(self.figures)}")
+        return self.figures[name]
+
+
 @dataclass(frozen=True)
-class ContactResult(Summarized):
+class ContactResult(Illustrated):
     """Contacts by a recording: `found["contact_1"].clearance` has `.value`, `.interval`, `.unit`, `.standard_error`."""
 
     found: Identification | SpaceIdentification = field(repr=False)
@@ -125,10 +142,6 @@ class ContactResult(Summarized):
 
         return figures_of(self.found, self.laws, self.laws_name)
 
-    def figure(self, name: str) -> Picture:
-        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
-        return _figure_named(self.figures, name)
-
     def save(self, folder: str | Path) -> None:
         """Write contact.html, a self-contained page, the figures, the identified rig.json, and contact.json."""
         from identify.contacts.drawn_results import write_files
@@ -146,7 +159,7 @@ class ContactResult(Summarized):
 
 
 @dataclass(frozen=True)
-class LawResult(Summarized):
+class LawResult(Illustrated):
     """Contact laws as formulae."""
 
     found: Laws = field(repr=False)
@@ -180,10 +193,6 @@ class LawResult(Summarized):
 
         return law_figures(self.found.found)
 
-    def figure(self, name: str = "law") -> Picture:
-        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
-        return _figure_named(self.figures, name)
-
     def save(self, folder: str | Path) -> None:
         """Write law.html, a self-contained page, the figures, and law.json."""
         from identify.laws.report import write_results
@@ -206,7 +215,7 @@ class LawResult(Summarized):
 
 
 @dataclass(frozen=True)
-class GapResult(Summarized):
+class GapResult(Illustrated):
     """Difference of the machine from its description."""
 
     report: Gap = field(repr=False)
@@ -239,10 +248,6 @@ class GapResult(Summarized):
 
         return pictures(self.report)
 
-    def figure(self, name: str) -> Picture:
-        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
-        return _figure_named(self.figures, name)
-
     def save(self, folder: str | Path) -> None:
         """Write gap.html, a self-contained page, gap.json and the corrected rig.json."""
         from identify.gaps.page.report import write_all
@@ -264,7 +269,7 @@ class GapResult(Summarized):
 
 
 @dataclass(frozen=True)
-class HistoryResult(Summarized):
+class HistoryResult(Illustrated):
     """Changes of a machine from recording to recording."""
 
     report: History = field(repr=False)
@@ -272,7 +277,7 @@ class HistoryResult(Summarized):
 
     @property
     def changed(self) -> bool:
-        """Whether a quantity changed by more than chance."""
+        """True if a quantity changed by more than chance."""
         return any(quantity.changed for quantity in self.report.quantities)
 
     def to_dict(self) -> dict[str, Any]:
@@ -288,10 +293,6 @@ class HistoryResult(Summarized):
     def figures(self) -> dict[str, Picture]:
         """The only figure, by its name."""
         return {"history": history_page.history_figure(self.report)}
-
-    def figure(self, name: str = "history") -> Picture:
-        """Figure of that name, which a notebook shows and `.save(path)` writes as PNG."""
-        return _figure_named(self.figures, name)
 
     def save(self, folder: str | Path) -> None:
         """Write history.html, a self-contained page, history.csv and history.json."""
@@ -326,9 +327,3 @@ def _interval_fields(estimates: Mapping[str, Estimate]) -> Row:
 
 def _unanswered_lines(unanswered: Sequence[Unanswered]) -> list[str]:
     return [f"{contact.name}: not told by this record: {contact.reason}" for contact in unanswered]
-
-
-def _figure_named(figures: Mapping[str, Picture], name: str) -> Picture:
-    if name not in figures:
-        raise RigError(f"there is no figure {name!r}; there are {', '.join(figures)}")
-    return figures[name]

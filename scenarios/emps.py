@@ -22,10 +22,10 @@ from rig.commands.command_line import Force, console_table, progress_bar, refuse
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
 from rig.lab.importing import import_file
-from rig.model.description import PointDamper, Rig, Sensor, Station, to_json
+from rig.model.description import PointDamper, Rig, Station, to_json
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording, read
-from scenarios.measured_data import SIMULATOR, free_run
+from scenarios.measured_data import SIMULATOR, free_run, one_mass_rig
 
 FILES = {"fit": "DATA_EMPS.mat", "pulses": "DATA_EMPS_PULSES.mat"}
 SAMPLE_RATE_HZ = 1000.0
@@ -86,16 +86,9 @@ def emps(
 
 def carriage() -> Rig:
     """A free mass with the published mass and viscous friction."""
-    station = Station("carriage")
-    return Rig(
-        name="carriage",
-        bodies=(Oscillator(name="carriage", mass_kg=MASS_KG, frequency_hz=0.0, damping_ratio=0.0),),
-        contacts=(),
-        force_at=station,
-        sensors=(Sensor(name="position", station=station, quantity="displacement"),),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-        dampers=(PointDamper(station=station, damping_n_s_per_m=VISCOUS_N_S_PER_M),),
-    )
+    mass = Oscillator(name="carriage", mass_kg=MASS_KG, frequency_hz=0.0, damping_ratio=0.0)
+    damper = PointDamper(station=Station("carriage"), damping_n_s_per_m=VISCOUS_N_S_PER_M)
+    return one_mass_rig("carriage", mass, SAMPLE_RATE_HZ, "position", dampers=(damper,))
 
 
 def import_benchmark(data_path: Path, folder: Path, name: str) -> Recording:

@@ -28,10 +28,10 @@ from rig.commands.command_line import Force, console_table, progress_bar, refuse
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
 from rig.model.contact_laws.dead_zone import equal_sides
-from rig.model.description import Contact, Rig, Sensor, Station
+from rig.model.description import Contact, Rig, Station
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording
-from scenarios.measured_data import recording_of, write_and_read
+from scenarios.measured_data import one_mass_rig, recording_of, write_and_read
 
 FILE_NAME = re.compile(r"(?P<hz>[0-9.]+)Hz(?P<tension>[0-9.]+)lbtension\.json")
 METRES_PER_INCH, NEWTONS_PER_KIP, NEWTONS_PER_POUND = 0.0254, 4448.2216, 4.4482216
@@ -118,15 +118,10 @@ def damper_recording(
 
 
 def damper_rig() -> Rig:
-    station = Station("piston")
-    return Rig(
-        name="friction damper",
-        bodies=(Oscillator(name="piston", mass_kg=MASS_KG, frequency_hz=NATURAL_HZ, damping_ratio=0.0),),
-        contacts=(Contact(name="band", at=station, against=None, law=equal_sides(0.0, 1e6)),),
-        force_at=station,
-        sensors=(Sensor(name="displacement", station=station, quantity="displacement"),),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-    )
+    """Rig of the piston, which the band holds to the ground."""
+    mass = Oscillator(name="piston", mass_kg=MASS_KG, frequency_hz=NATURAL_HZ, damping_ratio=0.0)
+    band = Contact(name="band", at=Station("piston"), against=None, law=equal_sides(0.0, 1e6))
+    return one_mass_rig("friction damper", mass, SAMPLE_RATE_HZ, contacts=(band,))
 
 
 def law_table(laws: list[DamperLaw]) -> Table:

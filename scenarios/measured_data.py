@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
 from identify.gaps.decision.answer import Simulator
-from rig.model.description import Rig
+from rig.model.description import Rig, Sensor, Station
+from rig.model.oscillator import Oscillator
 from rig.recording import Recording, Signals, channel_groups, read, writing
 from rig.simulation import prediction
 from rig.simulation.plants.modal import simulate as modal
@@ -16,6 +18,21 @@ from rig.simulation.replay import replayed_recording
 
 STEPS_PER_SAMPLE = 8
 """Steps of the plant `modal` in a sample of the recording, whose force is interpolated by a cubic."""
+
+
+def one_mass_rig(
+    name: str, mass: Oscillator, sample_rate_hz: float, sensor: str = "displacement", **components: Any
+) -> Rig:
+    """Rig of one mass with a force and a displacement sensor on it, and other components by their fields of `Rig`."""
+    station = Station(mass.name)
+    return Rig(
+        name=name,
+        bodies=(mass,),
+        force_at=station,
+        sensors=(Sensor(name=sensor, station=station, quantity="displacement"),),
+        sample_rate_hz=sample_rate_hz,
+        **{"contacts": ()} | components,
+    )
 
 
 def recording_of(rig: Rig, signals: Iterable[Float[np.ndarray, " samples"]], source: str) -> Recording:

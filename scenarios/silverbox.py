@@ -33,11 +33,11 @@ from identify.signals.spectra import force_band
 from rig.commands.command_line import Force, console_table, progress_bar, refuse_existing, run
 from rig.errors import RigError
 from rig.files import write_bytes, write_json
-from rig.model.description import Rig, Sensor, Station
+from rig.model.description import Rig
 from rig.model.modes import modes_of
 from rig.model.oscillator import Oscillator
 from rig.recording import Recording
-from scenarios.measured_data import SIMULATOR, free_run, recording_of, write_and_read
+from scenarios.measured_data import SIMULATOR, free_run, one_mass_rig, recording_of, write_and_read
 
 FILE = "SNLS80mV.csv"
 SOURCE = f"Silverbox benchmark, {FILE}"
@@ -126,15 +126,10 @@ def recordings(volts: Float[np.ndarray, "2 samples"]) -> tuple[Recording, Record
 
 
 def one_mass(mass_kg: float, frequency_hz: float, damping_ratio: float, noise_density: float) -> Rig:
-    station = Station("mass")
-    return Rig(
-        name="silverbox",
-        bodies=(Oscillator(name="mass", mass_kg=mass_kg, frequency_hz=frequency_hz, damping_ratio=damping_ratio),),
-        contacts=(),
-        force_at=station,
-        sensors=(Sensor(name="displacement", station=station, quantity="displacement", noise_density=noise_density),),
-        sample_rate_hz=SAMPLE_RATE_HZ,
-    )
+    """Rig of a mass on a spring, with the noise density of its displacement sensor, m/sqrt(Hz)."""
+    mass = Oscillator(name="mass", mass_kg=mass_kg, frequency_hz=frequency_hz, damping_ratio=damping_ratio)
+    rig = one_mass_rig("silverbox", mass, SAMPLE_RATE_HZ)
+    return replace(rig, sensors=(replace(rig.sensors[0], noise_density=noise_density),))
 
 
 def linear_guess(recording: Recording, noise_density: float) -> Rig:

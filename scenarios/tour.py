@@ -33,7 +33,7 @@ def tour(
     out: Annotated[Path, typer.Option(help="Folder for the recordings and the corrected rig.json.")] = Path("out/tour"),
     duration: Annotated[float, typer.Option(help="Length of each recording, s.")] = 60.0,
 ) -> None:
-    """From the description of a rig to the correction of that description, in seven steps."""
+    """Describe a rig, record it, diagnose it and correct its description, in seven steps."""
     out.mkdir(parents=True, exist_ok=True)
 
     # 1. Describe. A rig is a value: bodies, contacts, where the force acts, and the sensors. This one is a mass of 1 kg

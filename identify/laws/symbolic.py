@@ -70,20 +70,15 @@ class Formula:
             return f"{self.value:.6g}"
         if self.operation == "x":
             return variable_name if self.value == 1 else f"{self.value:.6g} {variable_name}"
-        operand_texts = [operand.text(variable_name) for operand in self.operands]
+        texts = [operand.text(variable_name) for operand in self.operands]
         if self.operation in ("abs", "min", "max"):
-            return f"{self.operation}({', '.join(operand_texts)})"
+            return f"{self.operation}({', '.join(texts)})"
         if self.operation == "*":
             return " * ".join(
-                f"({operand_text})" if operand.operation in "+-" else operand_text
-                for operand_text, operand in zip(operand_texts, self.operands, strict=True)
+                f"({text})" if node.operation in "+-" else text for text, node in zip(texts, self.operands, strict=True)
             )
-        second_text = (
-            f"({operand_texts[1]})"
-            if self.operation == "-" and self.operands[1].operation in "+-"
-            else operand_texts[1]
-        )
-        return f"{operand_texts[0]} {self.operation} {second_text}".replace("+ -", "- ").replace("- -", "+ ")
+        second_text = f"({texts[1]})" if self.operation == "-" and self.operands[1].operation in "+-" else texts[1]
+        return f"{texts[0]} {self.operation} {second_text}".replace("+ -", "- ").replace("- -", "+ ")
 
 
 def simplify(operation: str, operands: tuple[Formula, ...]) -> Formula:

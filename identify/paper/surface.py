@@ -164,9 +164,7 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
             gradient = np.array([-x, -(x**2) / 2, by_log_kappa, *by_stops]) @ (density / density_sum - bin_shares)
             return float(-(bin_shares @ exponent) + largest_exponent + np.log(density_sum)), gradient
 
-        attempts = [
-            minimize(cost, start, jac=True, method="BFGS", options={"gtol": 1e-8}) for start in start_parameters
-        ]
+        attempts = [minimize(cost, x0, jac=True, method="BFGS", options={"gtol": 1e-8}) for x0 in start_parameters]
         return np.asarray(min(attempts, key=lambda attempt: attempt.fun).x)
 
     quantiles = np.quantile(np.abs(eta_m), [0.5, 0.7, 0.85, 0.95]) / deviation_m

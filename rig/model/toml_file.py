@@ -21,17 +21,13 @@ DEEP_KEY = re.compile(rf"(?:{_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
 
 
 def read_toml(
-    path: Path,
-    kind: type[T],
-    content_name: str,
-    described_in: str,
-    check: Callable[[dict[str, Any]], None] = lambda _: None,
+    path: Path, kind: type[T], name: str, described_in: str, check: Callable[[dict[str, Any]], None] = lambda _: None
 ) -> T:
     """Content of a TOML file as `kind`; raises RigError if it is invalid, too large, or has too deep a key.
 
     `check` sees the values first, and may raise a RigError of its own.
     """
-    invalid = f"{path}: is no {content_name}"
+    invalid = f"{path}: is no {name}"
     try:
         content = contents(path)
         if len(content) > MAX_TOML_BYTES:

@@ -16,12 +16,12 @@ class Assembly:
     """Array of a group's samples that grows block by block; a block that comes early is kept until its turn."""
 
     def __init__(
-        self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, reserved_samples: int = 0
+        self, path: Path, group_name: str, channels: Channels, first_sample: int = 0, capacity: int = 0
     ) -> None:
         """Start at sample `first_sample`, with memory for `room_samples`."""
         self._path, self._group_name, self._channels = path, group_name, channels
         self._first_sample = self._end_sample = first_sample
-        self._values = np.empty((len(channels.names), reserved_samples))
+        self._values = np.empty((len(channels.names), capacity))
         self._early_blocks: list[Block] = []
         self._start_ns = 0
         self._suspect_spans: list[slice] = []
@@ -90,7 +90,7 @@ def assemble(
 ) -> Float[np.ndarray, "channels samples"]:
     """Samples of a group from its blocks in any order."""
     assembly = Assembly(
-        path, group_name, channels, first_sample, reserved_samples=sum(block.values.shape[1] for block in blocks)
+        path, group_name, channels, first_sample, capacity=sum(block.values.shape[1] for block in blocks)
     )
     for block in blocks:
         assembly.add(block)

@@ -283,10 +283,8 @@ def _load(path: Path) -> Recording:
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             if group_name not in assemblies:
-                reserved_samples = most_values // sum(len(channels.names) for channels in contents.groups.values())
-                assemblies[group_name] = Assembly(
-                    path, group_name, contents.groups[group_name], reserved_samples=reserved_samples
-                )
+                capacity = most_values // sum(len(channels.names) for channels in contents.groups.values())
+                assemblies[group_name] = Assembly(path, group_name, contents.groups[group_name], capacity=capacity)
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)
     signals = {

@@ -100,9 +100,7 @@ def _undisputed_blocks(blocks: list[Block]) -> dict[int, Block]:
         earlier_block = block_by_start.setdefault(block.first_sample, block)
         if not np.array_equal(earlier_block.values, block.values):
             disputed_starts.add(block.first_sample)
-    return {
-        first_sample: block for first_sample, block in block_by_start.items() if first_sample not in disputed_starts
-    }
+    return {start: block for start, block in block_by_start.items() if start not in disputed_starts}
 
 
 def _unbroken_count(block_by_start: dict[int, Block]) -> int:

@@ -63,7 +63,7 @@ class ContactMotion:
     orbit: Orbit | None = None
 
     def closing_place(self, sample: int) -> str:
-        """Where the contact closes at a sample, in words."""
+        """Stop at which the contact closes at a sample, in words."""
         if self.orbit is not None:
             return f"at {self.orbit.angle_deg(sample):.0f}\u00b0 from y towards z"
         return f"at its {'upper' if self.depth_m[sample] > 0 else 'lower'} stop"

@@ -23,9 +23,9 @@ class Stepper(NamedTuple):
     contact_rows: Float[np.ndarray, "contacts modes"]
     loop: Float[np.ndarray, "2 contacts contacts"]
     """Response of (eta, eta') to the contact forces at the end of the step."""
-    eta_by_contact: Float[np.ndarray, "contacts contacts"]
+    static_eta_by_contact: Float[np.ndarray, "contacts contacts"]
     """Static compliance of the modes that are not kept, between contacts, m/N."""
-    eta_by_force: Float[np.ndarray, " contacts"]
+    static_eta_by_force: Float[np.ndarray, " contacts"]
     output_by_state: Float[np.ndarray, "outputs states"]
     output_by_contact: Float[np.ndarray, "outputs contacts"]
     output_by_force: Float[np.ndarray, " outputs"]
@@ -57,8 +57,8 @@ def stepper(model: LinearModel, is_moving: Float[np.ndarray, " modes"], step_s: 
         force_row=np.ascontiguousarray(model.force_row[is_moving]),
         contact_rows=np.ascontiguousarray(moving_contact_rows),
         loop=-np.einsum("jm,xm,km->xjk", moving_contact_rows, respond[1], moving_contact_rows),
-        eta_by_contact=-static_contact_rows @ model.contact_rows.T,
-        eta_by_force=static_contact_rows @ model.force_row,
+        static_eta_by_contact=-static_contact_rows @ model.contact_rows.T,
+        static_eta_by_force=static_contact_rows @ model.force_row,
         output_by_state=by_state,
         output_by_contact=by_contact,
         output_by_force=by_force,
@@ -91,7 +91,7 @@ def _roll(states, force_n, laws, system, steps_per_output, outputs):
             if n:
                 _advance(q, v, force_n[w, n - 1], force_n[w, n], contact_n, system)
             for j in range(contacts):
-                eta[j] = system.eta_by_force[j] * force_n[w, n] + _product(system.contact_rows[j], q)
+                eta[j] = system.static_eta_by_force[j] * force_n[w, n] + _product(system.contact_rows[j], q)
                 rate[j] = _product(system.contact_rows[j], v)
             for _ in range(SWEEPS):
                 _sweep(contact_n, eta, rate, laws, system, 1.0 if n else 0.0)
@@ -139,12 +139,12 @@ def _sweep(contact_n, eta, rate, laws, system, step_share):
     for j in range(contact_n.size):
         e, r = eta[j], rate[j]
         for k in range(contact_n.size):
-            e += (system.eta_by_contact[j, k] + step_share * system.loop[0, j, k]) * contact_n[k]
+            e += (system.static_eta_by_contact[j, k] + step_share * system.loop[0, j, k]) * contact_n[k]
             r += step_share * system.loop[1, j, k] * contact_n[k]
         depth = max(e - laws[j, 0], 0.0) + min(e + laws[j, 0], 0.0)
         target, force_slope = 0.0, 1.0
         if depth != 0.0:
             target = laws[j, 1] * depth + laws[j, 2] * r
-            force_slope -= laws[j, 1] * (system.eta_by_contact[j, j] + step_share * system.loop[0, j, j])
+            force_slope -= laws[j, 1] * (system.static_eta_by_contact[j, j] + step_share * system.loop[0, j, j])
             force_slope -= laws[j, 2] * step_share * system.loop[1, j, j]
         contact_n[j] += (target - contact_n[j]) / force_slope

@@ -18,7 +18,7 @@ COARSE_COUNT, FINE_COUNT = 40, 9
 """Clearances of the first grid, over all displacements, and of the finer ones, around the clearance found before."""
 HALF_WIDTHS = (1 / 4, 1 / 10, 1 / 40, 1 / 40, 1 / 160, 1 / 640)
 """Half-widths of the finer grids, as shares of the largest displacement."""
-PICKS_PER_CONTACT = 3
+PICKS = 3
 """Dead zones a contact that the greedy selection may take beside the linear terms."""
 BOOTSTRAPS = 20
 REGRESSION_HZ = 512.0
@@ -48,7 +48,7 @@ def sparse_regression(recording: PeerData) -> tuple[ContactAnswer, ...]:
     grids_m = [np.linspace(0.02, 0.98, COARSE_COUNT) * amplitude_m for amplitude_m in amplitudes_m]
     for half_width in (*HALF_WIDTHS, None):
         (coefficients,) = _coefficients(library_inputs, modal_signals[2], grids_m, bootstraps=0)
-        clearance_m, stiffness_n_per_m = _contact_values(coefficients, grids_m, shapes)
+        clearance_m, stiffness_n_per_m = _joined_modes(coefficients, grids_m, shapes)
         if half_width:
             grids_m = [
                 np.clip(center_m, half_width * amplitude_m, (0.95 - half_width) * amplitude_m)
@@ -56,8 +56,7 @@ def sparse_regression(recording: PeerData) -> tuple[ContactAnswer, ...]:
                 for center_m, amplitude_m in zip(clearance_m, amplitudes_m, strict=True)
             ]
     ensemble = [
-        _contact_values(c, grids_m, shapes)
-        for c in _coefficients(library_inputs, modal_signals[2], grids_m, BOOTSTRAPS)
+        _joined_modes(c, grids_m, shapes) for c in _coefficients(library_inputs, modal_signals[2], grids_m, BOOTSTRAPS)
     ]
     spread_m, spread_n_per_m = (np.std(values, axis=0, ddof=1) for values in zip(*ensemble, strict=True))
     return tuple(
@@ -94,9 +93,7 @@ def _coefficients(
     library = pysindy.GeneralizedLibrary(
         libraries, inputs_per_library=[linear_terms, *([len(linear_terms) + j] for j in range(len(grids_m)))]
     )
-    greedy = pysindy.FROLS(
-        normalize_columns=True, alpha=1e-12, max_iter=len(linear_terms) + PICKS_PER_CONTACT * len(grids_m)
-    )
+    greedy = pysindy.FROLS(normalize_columns=True, alpha=1e-12, max_iter=len(linear_terms) + PICKS * len(grids_m))
     optimizer = pysindy.EnsembleOptimizer(greedy, bagging=True, n_models=bootstraps) if bootstraps else greedy
     model = pysindy.SINDy(optimizer=optimizer, feature_library=library)
     model.fit(velocity, t=1 / REGRESSION_HZ, x_dot=acceleration, u=controls)
@@ -110,7 +107,7 @@ def _penetration(clearance_m: float) -> Callable[[Any], Any]:
     return penetration
 
 
-def _contact_values(
+def _joined_modes(
     coefficients: Float[np.ndarray, "modes terms"],
     grids_m: list[Float[np.ndarray, " clearances"]],
     shapes: Float[np.ndarray, "modes contacts"],

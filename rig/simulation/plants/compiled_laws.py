@@ -98,12 +98,12 @@ for _general, _compiled in _NUMBERS.items():
     overload(_general, strict=False)(lambda *_, own=_compiled: own)
 
 
-def _chained(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
+def _formula_by_kind(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any:
     """Compiled formula that dispatches on a row's kind among the formulas from number `first` on."""
     formula = inlined(unwrap(formulas[first_kind]))
     if first_kind + 1 == len(formulas):
         return formula
-    later_formulas = _chained(formulas, first_kind + 1)
+    later_formulas = _formula_by_kind(formulas, first_kind + 1)
 
     @inlined
     @no_type_check
@@ -115,7 +115,7 @@ def _chained(formulas: Sequence[Callable[..., Any]], first_kind: int = 0) -> Any
     return formula_of_kind
 
 
-force_n = _chained([law.formula for law in PLANE_LAWS])
+force_n = _formula_by_kind([law.formula for law in PLANE_LAWS])
 """Contact force (N) from (row, eta, eta', t)."""
 vector_force_n = inlined(unwrap(Annular.formula))
 """Its components y and z from (row, (eta_y, eta_z), (eta_y', eta_z'), t) of an annular contact."""

@@ -97,11 +97,11 @@ def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _element_count:
         mbs.AddObject(item("Mass1D")(nodeNumber=node, physicsMass=with_attachments(rig, body).mass_kg))
     mesh = Mesh(body, np.zeros(1), (node,), rig.directions)
     for direction, plane in plane_rigs(rig).items():
-        loaded, (coordinate,) = with_attachments(plane, body), mesh.coordinates_of(direction)
+        mass, (coordinate,) = with_attachments(plane, body), mesh.coordinates_of(direction)
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
         mbs.AddObject(
             item("CoordinateSpringDamper")(
-                markerNumbers=[ground, marker], stiffness=loaded.stiffness_n_per_m, damping=loaded.damping_n_s_per_m
+                markerNumbers=[ground, marker], stiffness=mass.stiffness_n_per_m, damping=mass.damping_n_s_per_m
             )
         )
     return mesh
