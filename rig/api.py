@@ -1,4 +1,4 @@
-"""The virtual test rig from Python: a recording read, and a rig recorded."""
+"""Functions of the virtual test rig: read a recording, and record a rig."""
 
 from collections.abc import Callable
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The one error that a user sees: a sentence saying what is wrong, with which value, and what to do."""
+"""Errors for users: one sentence with what is wrong, the value, and what to do."""
 
 import unicodedata
 from collections.abc import Iterable

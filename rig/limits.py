@@ -1,4 +1,4 @@
-"""Bounds on what an untrusted file may cost or say, for every reader: memory, nesting, keys and the size of numbers.
+"""Bounds on untrusted files for every reader: memory, nesting, keys and the size of numbers.
 
 A file of n bytes may take BASE_BYTES + BYTES_PER_FILE_BYTE * n of memory while it is read. What needs more is read in
 pieces, or refused before it is decoded. Links from a file to another are never followed.
@@ -30,7 +30,7 @@ SCHEMA_VERSION = 2
 
 
 def memory_bound_bytes(file_bytes: int) -> int:
-    """Memory that reading a file of this size may take."""
+    """Largest memory that reading a file of this size may take, bytes."""
     return BASE_BYTES + BYTES_PER_FILE_BYTE * file_bytes
 
 

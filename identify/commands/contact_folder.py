@@ -46,7 +46,7 @@ def contact_folder(
 
 
 def contact_rows(task: RecordingTask) -> TableRows:
-    """Rows of a recording, whose files are written; one row with the reason if it is refused."""
+    """Rows of a recording, or one row with the reason for its refusal; its files are written."""
     settings = msgspec.json.decode(task.settings, type=ContactSettings)
     try:
         file_answer = identify_file(task.path, settings)
@@ -100,7 +100,7 @@ def _reason_cells(contact: Unanswered) -> dict[str, str | float | None]:
 
 
 def _print_contacts(answers: list[TableRows]) -> None:
-    """Table of all contacts, then what is not told or was refused, one line each."""
+    """Print the table of all contacts, then a line for each that is undetermined or refused."""
     table = Table("recording", "contact", "clearance, mm", "stiffness, N/m", "", title="Contacts, ± 95 %")
     reasons = []
     for row in (row for answer in answers for row in answer.rows):

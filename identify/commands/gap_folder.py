@@ -90,7 +90,7 @@ def gap_folder(folder: Path, out: Path, settings: GapSettings, dask: str | None,
 
 
 def gap_rows(task: RecordingTask) -> TableRows:
-    """Row of a recording, whose files are written, or with the reason if it is refused."""
+    """Row of a recording, or of the reason for its refusal; its files are written."""
     settings = msgspec.json.decode(task.settings, type=GapSettings)
     try:
         result = diagnose(
@@ -137,7 +137,7 @@ def _row(recording_name: str, result: GapResult) -> dict[str, str | float | None
 
 
 def _cause_cells(gap_report: Gap) -> dict[str, str | float | None]:
-    """Cells of the likeliest cause, that of the named effects where there are any."""
+    """Cells of the likeliest cause; of the named effects if there are any."""
     if not gap_report.causes:
         return {}
     cause = gap_report.causes[0]
@@ -163,7 +163,7 @@ def _null_reference_path(out: Path, recording: Path, rig_text: str | None) -> Pa
 
 
 def _print_diagnoses(answers: list[TableRows]) -> None:
-    """Table of verdicts and likeliest causes, then the sentences."""
+    """Print the table of verdicts and likeliest causes, then the sentences."""
     table = Table("recording", "verdict", "likeliest cause", "probability", title="Diagnoses")
     sentences = []
     for row in (row for answer in answers for row in answer.rows):

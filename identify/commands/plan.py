@@ -44,7 +44,7 @@ def plan(
     as_json: Json = False,
     force: Force = False,
 ) -> None:
-    """Say what a test will tell, before it is run: the expected 95 % intervals, and what would shorten them most.
+    """Predict what a test will determine: the expected 95 % intervals, and what would shorten them most.
 
     The rig is simulated as described, with its sensors, noise and tolerances, and the records are identified. Then one
     thing is changed at a time: sensors, force, band, place, duration, noise, tolerances.

@@ -190,7 +190,7 @@ def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference 
 
 @app.command()
 def info(file: File, as_json: Json = False) -> None:
-    """Say what is in a recording.
+    """Print the content of a recording.
 
     Example: rig info barrel_cradle.mcap
     """
@@ -227,7 +227,7 @@ def info(file: File, as_json: Json = False) -> None:
 
 @app.command()
 def check(file: File, as_json: Json = False) -> None:
-    """Read all of a recording and say whether it is sound.
+    """Read a whole recording and print whether it is sound.
 
     Example: rig check barrel_cradle.mcap
     """
@@ -253,7 +253,7 @@ app.add_typer(init, name="init")
 
 @app.command()
 def doctor() -> None:
-    """Say what is installed, and whether another package or program has taken the name rig or identify."""
+    """Print what is installed, and whether another package or program uses the name rig or identify."""
     raise typer.Exit(installation())
 
 

@@ -28,7 +28,7 @@ def recover(
     force: Force = False,
     as_json: Json = False,
 ) -> None:
-    """Save what is sound of a recording that was cut off or damaged, and say what is lost.
+    """Recover the undamaged part of a recording that was cut off or damaged, and print what is lost.
 
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
@@ -85,7 +85,7 @@ def import_(
 
 
 def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
-    """Print the map proposed for a file, or write it and print what was seen."""
+    """Print the map proposed for a file, or write it and print the observations behind it."""
     if write_map is not None:
         refuse_existing(write_map, force, source)
         check_ending(write_map, (".toml",), "a map")

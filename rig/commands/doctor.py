@@ -1,4 +1,4 @@
-"""Report of what is installed, and of names that another package or program has taken: `rig doctor`.
+"""Report on installed packages, and on names that another package or program uses: `rig doctor`.
 
 It imports nothing of the project or of its libraries, as they may be what is broken.
 """

@@ -1,4 +1,4 @@
-"""A mass that was forgotten."""
+"""Added mass on a body."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""Stops that do not stand evenly."""
+"""Clearance that differs between the two stops of a contact."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A floor that shakes."""
+"""Unmeasured motion of the base."""
 
 from typing import Annotated, ClassVar
 

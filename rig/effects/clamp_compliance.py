@@ -1,4 +1,4 @@
-"""A clamp that gives."""
+"""Compliant clamp."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A play that grows."""
+"""Clearance that grows with time."""
 
 from typing import Annotated, ClassVar
 

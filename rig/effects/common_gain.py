@@ -1,4 +1,4 @@
-"""Sensors that are wrong together."""
+"""Gain error common to all sensors."""
 
 from typing import Annotated, ClassVar
 

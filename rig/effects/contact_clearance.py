@@ -1,4 +1,4 @@
-"""A play other than believed."""
+"""Clearance that differs from the nominal one."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A stop that dissipates."""
+"""Damping of a closed contact."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""An overlap of the beams other than believed."""
+"""Overlap of the bodies that differs from the nominal one."""
 
 from collections.abc import Mapping
 from typing import Annotated, ClassVar

@@ -1,4 +1,4 @@
-"""A stop stiffer or softer than believed."""
+"""Contact stiffness that differs from the nominal one."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""Dry friction between the parts."""
+"""Dry friction across a contact."""
 
 from typing import Annotated, ClassVar
 

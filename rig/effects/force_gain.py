@@ -1,4 +1,4 @@
-"""A force cell whose calibration is off."""
+"""Gain error of the force sensor."""
 
 from typing import Annotated, ClassVar
 

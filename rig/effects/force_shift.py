@@ -1,4 +1,4 @@
-"""A force channel that is early or late."""
+"""Time shift of the force channel."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A damper that nobody counted."""
+"""Viscous damper between a body and the ground."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""Something that rubs."""
+"""Dry friction between a body and the ground."""
 
 from typing import Annotated, ClassVar
 

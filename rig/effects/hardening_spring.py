@@ -1,4 +1,4 @@
-"""A spring to the ground that hardens or softens."""
+"""Cubic spring between a body and the ground."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A stop of another shape."""
+"""Stop whose force is a power of its depth."""
 
 from typing import Annotated, ClassVar
 

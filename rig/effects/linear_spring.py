@@ -1,4 +1,4 @@
-"""A support that nobody counted, or that is softer than believed."""
+"""Linear spring between a body and the ground, added or missing."""
 
 from typing import Annotated, ClassVar
 

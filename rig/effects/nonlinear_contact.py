@@ -1,4 +1,4 @@
-"""A stop that stiffens."""
+"""Stop that stiffens with its depth."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A stop unlike its opposite."""
+"""Stiffness that differs between the two stops of a contact."""
 
 from collections.abc import Sequence
 from typing import Annotated, ClassVar, Literal

@@ -1,4 +1,4 @@
-"""A constant force that nobody counted."""
+"""Constant force on a body."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A sensor that is late."""
+"""Time delay of one sensor."""
 
 from typing import Annotated, ClassVar
 

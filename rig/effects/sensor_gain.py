@@ -1,4 +1,4 @@
-"""A sensor whose calibration is off."""
+"""Gain error of one sensor."""
 
 from typing import Annotated, ClassVar
 

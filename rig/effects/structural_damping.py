@@ -1,4 +1,4 @@
-"""A structure that dissipates more or less than believed."""
+"""Structural damping that differs from the nominal one."""
 
 from collections.abc import Sequence
 from typing import Annotated, ClassVar

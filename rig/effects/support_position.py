@@ -1,4 +1,4 @@
-"""Supports that stand elsewhere."""
+"""Supports at other positions than the nominal ones."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, ClassVar, TypeVar

@@ -1,4 +1,4 @@
-"""A motor, or the mains, that nobody measures."""
+"""Unmeasured harmonic force on a body."""
 
 from typing import Annotated, ClassVar
 

@@ -1,4 +1,4 @@
-"""A material other than believed."""
+"""Young's modulus that differs from the nominal one."""
 
 from typing import Annotated, ClassVar
 

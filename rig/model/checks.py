@@ -1,4 +1,4 @@
-"""Checks of a rig as a whole: names, places, directions and what holds its bodies."""
+"""Checks of a whole rig: names, places, directions and supports."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING

@@ -20,7 +20,7 @@ SYNONYMS = {
     "accelerometer": "acceleration",
     "strain gauge": "strain",
 }
-"""Words for what a description calls otherwise."""
+"""Other programs' words for values of rig.json."""
 _WORDS = {
     "float": "a number",
     "int": "a whole number",
@@ -47,7 +47,7 @@ def converted(decoded: Any, kind: type[T], source: str) -> T:
 
 
 def explained(error: msgspec.ValidationError, decoded: Any, kind: Any) -> str:
-    """Sentence on why decoded values do not fit a type: the place, the fault, what is allowed, the nearest name."""
+    """Sentence on a type error in decoded values: place, fault, allowed values, nearest name."""
     matched = _PLACE.fullmatch(str(error))
     text, path = matched.groups() if matched else (str(error), "")
     place = path.removeprefix(".").replace("[...]", "")
@@ -114,7 +114,7 @@ def _item(info: Any, number: str) -> Any:
 
 
 def _union_member(info: Any, value: Any) -> Any:
-    """Member of a union that a value belongs to; the union itself where no tag or kind of value tells."""
+    """Member of a union to which a value belongs; the union itself if neither tag nor kind decides."""
     if not isinstance(info, inspect.UnionType):
         return info
     structs = [t for t in info.types if isinstance(t, inspect.StructType)]

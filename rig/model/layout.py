@@ -1,4 +1,4 @@
-"""Layout of a rig for drawings: positions of the bodies along one axis, and stations by the names of what is there."""
+"""Layout of a rig for drawings: positions of the bodies along one axis, and stations by name."""
 
 from rig.model.description import Rig, Station
 

@@ -17,7 +17,7 @@ MAX_LISTED = 12
 
 
 def with_positions(decoded: Mapping[str, Any]) -> None:
-    """Set the position of every row and station of a decoded rig.json that a node's name stands for.
+    """Set the positions of the rows and stations of a decoded rig.json that are given by a node's name.
 
     Raises RigError, without the file's name, of a name that the basis lacks or has twice, and of a station with both a
     name and another position.

@@ -1,4 +1,4 @@
-"""One mass on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper). Or a free mass."""
+"""Single mass, free or on a linear spring to the ground: the body of the one-mass rig (figure 1 of the paper)."""
 
 from typing import ClassVar
 

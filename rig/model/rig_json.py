@@ -48,6 +48,6 @@ def _is_ground_word(value: Any, key: str) -> bool:
 
 
 def _objects_in(decoded: dict[str, Any], key: str) -> list[dict[str, Any]]:
-    """Objects of a list in a JSON object, if it is one; the types refuse what is none."""
+    """Objects of a list in a JSON object; empty if it is no such list, which its type refuses."""
     items = decoded.get(key)
     return [item for item in items if isinstance(item, dict)] if isinstance(items, list) else []

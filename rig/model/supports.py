@@ -1,4 +1,4 @@
-"""Supports of bodies as springs to the base, and how stiff one is whose stiffness is not given."""
+"""Supports of bodies as springs to the base; those without a stiffness are practically rigid."""
 
 import numpy as np
 

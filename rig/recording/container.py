@@ -106,7 +106,7 @@ def with_path_in_error(path: Path, steps: Iterator[Step]) -> Iterator[Step]:
 
 
 def reason_of(error: Exception) -> str:
-    """Reason why a record could not be read: that of the system or of this module, else that it cannot be decoded."""
+    """Reason why a record could not be read: the system's or this module's, else "cannot be decoded"."""
     if isinstance(error, OSError):
         return error.strerror or "it cannot be read"
     return str(error) if type(error) in (ValueError, EOFError) else "a record cannot be decoded"

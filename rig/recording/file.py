@@ -169,7 +169,7 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
-    """Channels by group of the truth file, which holds what only a simulator knows."""
+    """Channels by group of the truth file: signals that only a simulator has."""
     stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
     station_names = tuple(station.label for station in stations)
     no_stations = (None,) * len(contact_names)

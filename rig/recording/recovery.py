@@ -1,4 +1,4 @@
-"""Saving what is sound of a recording whose writer was killed, whose disk was full, or whose file was damaged."""
+"""Recovery of recordings whose writer was killed, whose disk was full, or whose file was damaged."""
 
 from collections import defaultdict
 from collections.abc import Mapping
@@ -27,7 +27,7 @@ from rig.recording.writer import writing
 
 @dataclass(frozen=True)
 class Loss:
-    """Samples of a group that were kept, that were found in the file, and that were asked for (None: unknown)."""
+    """Samples of a group that were kept, found in the file, and requested (None: unknown)."""
 
     group: str
     sample_rate_hz: float
@@ -112,7 +112,7 @@ def _unbroken_count(block_by_start: dict[int, Block]) -> int:
 
 
 def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
-    """Duration that was asked for, s; None if the file does not say it."""
+    """Requested duration, s; None if the file does not state it."""
     try:
         return float(provenance["asked_duration_s"])
     except (KeyError, ValueError):

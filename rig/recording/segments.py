@@ -68,7 +68,7 @@ def bytes_per_second(path: Path) -> float:
 
 
 def _checked_rig(path: Path, contents: Contents) -> Rig:
-    """Rig of a file whose channels are all known; raises RigError if it is missing or does not match them."""
+    """Rig of a file, checked against its channels; raises RigError if it is missing or does not match them."""
     rig = rig_of(path, contents)
     if "force" not in contents.groups:
         raise RigError(f"{path}: has no channel /rig/force/block in front; record the exciting force too")

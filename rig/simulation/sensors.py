@@ -168,7 +168,7 @@ class _HighPass:
 
 
 def _delay_filters(rig: Rig, steps_per_sample: int, reach_steps: int) -> list[tuple[list[int], Decimator]]:
-    """Filter of every delay with the rows that it applies to: the forces, without delay, then the sensors."""
+    """Filters by delay, each with the rows that have this delay: forces (none), then sensors."""
     delays_s = [*(0.0 for station in rig.forces), *(sensor.delay_s for sensor in rig.sensors)]
     delay_filters = []
     for delay_s in dict.fromkeys(delays_s):

@@ -240,7 +240,7 @@ def _plot_view(
 
 
 def axis_reach(half_range: float) -> float:
-    """End of an axis about zero for which the viewer, which labels powers of ten only, shows a label."""
+    """End of an axis about zero at which the viewer, which labels powers of ten only, has a label."""
     power_of_ten = 10.0 ** np.ceil(np.log10(half_range))
     return half_range if half_range < 0.4 * power_of_ten else max(half_range, 1.05 * power_of_ten)
 

@@ -190,7 +190,7 @@ class Stage:
         return jaw_points
 
     def is_annular(self, contact: Contact) -> bool:
-        """True of a contact that is annular in the rig, whose law is drawn over the distance from its centre."""
+        """True if a contact is annular in the rig; its law is then drawn over the distance from its centre."""
         return self.rig.contact(contact.name).law.spatial
 
     def ring(self, contact: Contact) -> Float[np.ndarray, "frames corners 3"]:
