@@ -11,7 +11,7 @@ the participation integral of mu phi_m dx in place of phi_m(x_k).
 It also covers slow motion, which accelerations do not show: where springs then act, and how stiffly they hold contacts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -29,6 +29,7 @@ SLOPE_STEP = 1e-4
 RANK_TOLERANCE = 1e-9
 """Smallest share of the largest modal displacement of a contact that counts as motion."""
 
+Stations = Sequence[Station | None]
 Place = Station | Sensor | None
 """Station, or sensor at one; None stands for the ground."""
 
@@ -98,15 +99,15 @@ class Response:
     mode_count: int
     dynamics: Dynamics
     cache: ResponseCache = field(repr=False)
+    known_shapes: dict[Hashable, Float[np.ndarray, "places _"]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
         return self.cache.accelerance(self.dynamics)
 
     def shapes(self, places: Sequence[Place]) -> Float[np.ndarray, "places modes"]:
-        """Mode shapes at stations and sensors of motion, and -h phi''(x) at strain gauges; zero on other bodies and at
-        the ground."""
-        return self._shapes_at(places, 0.0)
+        """Mode shapes at places of motion, -h phi''(x) at strain gauges; zero on other bodies and at the ground."""
+        return self._known(tuple(places), lambda: self._shapes_at(places, 0.0))
 
     def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
         """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
@@ -134,6 +135,25 @@ class Response:
             for row, i in enumerate(place_indices if are_gauges else ()):
                 rows[i] = _strain_row(places[i], self.body, np.array([d[row] for d in derivatives]))
         return rows
+
+    def weights(self, sensor_stations: Stations, stations: Stations) -> Float[np.ndarray, "stations sensors"]:
+        """Weights from the body's sensors to other stations on it, by as many of its modes as it has sensors."""
+
+        def make() -> Float[np.ndarray, "stations sensors"]:
+            rows = [i for i, place in enumerate(sensor_stations) if place is not None and place.body == self.body.name]
+            weights, modes = np.zeros((len(stations), len(sensor_stations))), min(len(rows), self.mode_count)
+            inverse_shapes = np.linalg.pinv(self.shapes([sensor_stations[i] for i in rows])[:, :modes])
+            weights[:, rows] = self.shapes(stations)[:, :modes] @ inverse_shapes
+            return weights
+
+        return self._known((tuple(sensor_stations), tuple(stations)), make)
+
+    def _known(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
+        """Array by a key, made once; not to be written to."""
+        if key not in self.known_shapes:
+            self.known_shapes[key] = make()
+            self.known_shapes[key].flags.writeable = False
+        return self.known_shapes[key]
 
     def sensitivity(self, by_frequency: bool, modes: slice = slice(None)) -> Complex[np.ndarray, "modes lines"]:
         """Relative change -dD / D of each mode's acceleration by that of its frequency, or of its damping.
@@ -222,7 +242,7 @@ def accelerances(
 def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Float[np.ndarray, "inputs modes"]:
     """Mode shapes through which forces at some places, and contact forces, drive a body; the participation of its modes
     in a force on the ground, which is the inertial force on each kilogram."""
-    force_shapes = response.shapes([*forces])
+    force_shapes = response.shapes([*forces]).copy()
     for row, station in zip(force_shapes, forces, strict=True):
         if rig.is_on_ground(station):
             row[:] = participation(rig, response.body, response.modes, response.mode_count)
@@ -232,19 +252,6 @@ def input_shapes(rig: Rig, response: Response, forces: Sequence[Station]) -> Flo
 def relative_shapes(rig: Rig, response: Response) -> Float[np.ndarray, "contacts modes"]:
     """Mode shapes of a body in the relative displacements of the contacts."""
     return response.shapes([c.at for c in rig.contacts]) - response.shapes([c.against for c in rig.contacts])
-
-
-def station_weights(
-    response: Response, sensor_stations: list[Station | None], stations: list[Station | None]
-) -> Float[np.ndarray, "stations sensors"]:
-    """Weights from a body's sensors to other stations on it, by as many of its modes as it has sensors."""
-    rows = [i for i, place in enumerate(sensor_stations) if place is not None and place.body == response.body.name]
-    weights = np.zeros((len(stations), len(sensor_stations)))
-    if rows:
-        modes = min(len(rows), response.mode_count)
-        inverse_shapes = np.linalg.pinv(response.shapes([sensor_stations[i] for i in rows])[:, :modes])
-        weights[:, rows] = response.shapes(stations)[:, :modes] @ inverse_shapes
-    return weights
 
 
 def real_product(

@@ -43,7 +43,9 @@ class Projection:
         The inputs with a prior are the residual's last rows.
         """
         standardised = (change / self.deviation[sensors]).astype(self.by_input.dtype, copy=False)
-        inputs = np.einsum("isl,sl->il", self.to_inputs[:, sensors], standardised)
+        inputs = np.empty_like(standardised, shape=(len(self.to_inputs), standardised.shape[1]))
+        for input_spectrum, to_input in zip(inputs, self.to_inputs[:, sensors], strict=True):
+            np.sum(to_input * standardised, axis=0, out=input_spectrum)
         residual = input_residual(self.by_input, inputs, standardised, sensors)
         return np.concatenate([residual, inputs[self.free_count :]]), inputs[: self.free_count]
 
@@ -88,7 +90,9 @@ def input_residual(
     sensors: list[int] | slice = slice(None),
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Residual r = y - B x of accelerations that some sensors deliver."""
-    residual = -np.einsum("isl,il->sl", by_input, inputs)
+    residual = np.zeros_like(by_input, shape=by_input.shape[1:])
+    for signals_per_unit, input_spectrum in zip(by_input, inputs, strict=True):
+        residual -= signals_per_unit * input_spectrum
     residual[sensors] += standardised
     return residual
 

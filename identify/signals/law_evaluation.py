@@ -5,7 +5,7 @@ at the rate of a recording, it folds back into the band of the motion. The signa
 interpolated to LAW_RATE_HZ without new frequencies, and the law's results are low-passed before they are decimated.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -54,25 +54,46 @@ def evaluated_law(
     leading axes. It is evaluated block by block, which bounds the memory. Each block is resampled by Fourier transforms
     under tapers that are one inside the block, so that it need not be periodic.
     """
+    return evaluated_on(law, finer_batches(signals, sample_rate_hz), signals.shape[1], sample_rate_hz, factor, multiple)
+
+
+def finer_batches(
+    signals: Float[np.ndarray, "rows samples"], sample_rate_hz: float
+) -> Iterator[Float[np.ndarray, "..."]]:
+    """Signals at the rate at which laws are evaluated, for `evaluated_on`: some blocks at a time, rows x blocks x
+    samples, or as they are if that is their rate."""
     rate_factor, samples = oversampling(sample_rate_hz), signals.shape[1]
-    if not factor % multiple:
-        factor, multiple = factor // multiple, 1
     if rate_factor == 1:
-        return decimated(law(*signals), factor)
+        yield signals
+        return
     block_count = -(-samples // BLOCK_SAMPLES)
     padded = np.pad(
         signals, [(0, 0), (2 * MARGIN_SAMPLES, block_count * BLOCK_SAMPLES + 2 * MARGIN_SAMPLES - samples)], mode="edge"
     )
     blocks = sliding_window_view(padded, PADDED_SAMPLES, axis=1)[:, ::BLOCK_SAMPLES]
-    signal_taper, result_taper = (
-        _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES),
-        _taper(PADDED_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor),
-    )
-    block_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
-    results = []
+    signal_taper = _taper(PADDED_SAMPLES, 0, MARGIN_SAMPLES)
     for first in range(0, block_count, batch := max(1, BATCH_VALUES // (PADDED_SAMPLES * rate_factor))):
-        fine = law(*_finer(blocks[:, first : first + batch] * signal_taper, rate_factor))
-        results.append(_coarser(fine * result_taper, rate_factor, multiple)[..., block_samples])
+        yield _finer(blocks[:, first : first + batch] * signal_taper, rate_factor)
+
+
+def evaluated_on(
+    law: Law,
+    batches: Iterable[Float[np.ndarray, "..."]],
+    samples: int,
+    sample_rate_hz: float,
+    factor: int = 1,
+    multiple: int = 1,
+) -> Float[np.ndarray, "*results fewer"]:
+    """`evaluated_law` on signals of so many samples at the finer rate, of which several laws may be evaluated."""
+    rate_factor = oversampling(sample_rate_hz)
+    if not factor % multiple:
+        factor, multiple = factor // multiple, 1
+    if rate_factor == 1:
+        (signals,) = batches
+        return decimated(law(*signals), factor)
+    result_taper = _taper(PADDED_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor, MARGIN_SAMPLES * rate_factor)
+    block_samples = slice(2 * MARGIN_SAMPLES * multiple, (2 * MARGIN_SAMPLES + BLOCK_SAMPLES) * multiple)
+    results = [_coarser(law(*fine) * result_taper, rate_factor, multiple)[..., block_samples] for fine in batches]
     rows = np.concatenate(results, axis=-2)
     return decimated(rows.reshape(*rows.shape[:-2], -1)[..., : samples * multiple], factor)
 

@@ -16,8 +16,12 @@ class RecentValues(Generic[Value]):
 
     def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
         """Value of a key, made if it is not there."""
-        value = self._values.pop(key) if key in self._values else make()
-        self._values[key] = value
-        if len(self._values) > self._size:
+        if key in self._values:
+            self._values.move_to_end(key)
+            return self._values[key]
+        if self._values and len(self._values) >= self._size:  # first, as values may be large
             self._values.popitem(last=False)
+        value = make()
+        if self._size:
+            self._values[key] = value
         return value

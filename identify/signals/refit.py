@@ -25,7 +25,8 @@ def refit_until_settled(
     `refit` return the estimate that it was given if the new one is no better: no change counts as settled.
     """
     for round_number in range(1, rounds + 1):
-        previous, estimate = estimate, refit(estimate)
+        previous = estimate  # the one before it, which may be large, is let go first
+        estimate = refit(previous)
         if round_number >= at_least and is_settled(previous, estimate):
             break
     return estimate

@@ -102,35 +102,26 @@ def validate_hypotheses(
     validated_hypotheses = []
     unchanged_misfit = misfit(record, nominal_variances, nominal_residual)
     for hypothesis_index, hypothesis in enumerate(hypotheses):
-        hypothesis_rig, corrected_rig, effects_misfit, nominal_misfit = (
-            record.rig,
-            record.rig,
-            unchanged_misfit,
-            unchanged_misfit,
-        )
+        rigs_and_misfits = (record.rig, record.rig, unchanged_misfit, unchanged_misfit)
         if hypothesis.candidates:
             try:
-                hypothesis_rig = record_specific_rig(record, hypothesis)
-                linearization, residual = fit_nuisance(record, hypothesis_rig)
+                rigs_and_misfits = _rigs_and_misfits(record, nominal_variances, unchanged_misfit, hypothesis)
             except RigError:
                 continue
-            corrected_rig = residual.corrected_rig
-            effects_misfit = misfit(record, nominal_variances, residual)
-            nominal_misfit = (
-                nominal_misfit_beside(record, nominal_variances, linearization, residual) or unchanged_misfit
-            )
-        validated_hypotheses.append(
-            ValidatedHypothesis(
-                hypothesis,
-                hypothesis_rig,
-                corrected_rig,
-                effects_misfit,
-                nominal_misfit,
-                priors[hypothesis.effect_names],
-            )
-        )
+        validated_hypotheses.append(ValidatedHypothesis(hypothesis, *rigs_and_misfits, priors[hypothesis.effect_names]))
         progress((hypothesis_index + 1) / len(hypotheses))
     return sorted(validated_hypotheses, key=lambda validated_hypothesis: -validated_hypothesis.log_posterior)
+
+
+def _rigs_and_misfits(
+    record: Record, nominal_variances: NominalVariances, unchanged_misfit: Misfit, hypothesis: Hypothesis
+) -> tuple[Rig, Rig, Misfit, Misfit]:
+    """Rig with the effects, corrected rig, its misfit and that of the nominal rig, of a `ValidatedHypothesis`."""
+    hypothesis_rig = record_specific_rig(record, hypothesis)
+    linearization, residual = fit_nuisance(record, hypothesis_rig)
+    nominal_misfit = nominal_misfit_beside(record, nominal_variances, linearization, residual)
+    effects_misfit = misfit(record, nominal_variances, residual)
+    return hypothesis_rig, residual.corrected_rig, effects_misfit, nominal_misfit or unchanged_misfit
 
 
 def nominal_misfit_beside(

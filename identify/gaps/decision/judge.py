@@ -31,7 +31,7 @@ from identify.gaps.decision.verdict import (
 )
 from identify.gaps.decision_table import DIFFERENCE_P_VALUE, PARTLY_EXPLAINED_SHARE, Verdict, all_hold
 from identify.gaps.residual.likelihood import Misfit, misfit
-from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.residual.residual import Linearization, Residual, SearchCache
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters, Note
 from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction, log_ratio_of
@@ -110,6 +110,7 @@ def judge(
     validation = prepared.validation_recording
     record = validation.record
     linearization, residual = fit_nuisance(record, record.rig)
+    linearization = replace(linearization, cache=SearchCache(record))  # its columns are large, and done with
     priors = log_priors(search_result.hypotheses, search_result.candidates)
     ranked = validate_hypotheses(
         record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress

@@ -12,7 +12,9 @@ Notes for maintainers
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from dataclasses import replace as with_fields
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -225,62 +227,81 @@ mean over a decay of wrong damping does not tell it. Set by hand."""
 
 def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
     """Simulator of a recording's test: with its force, or of its free decay."""
-    return simulate if record.has_force else free_decay_simulator(measured, record, simulate)
+    return simulate if record.has_force else FreeDecaySimulator(measured, record, simulate)
 
 
-def free_decay_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
+@dataclass(frozen=True)
+class FreeDecaySimulator:
     """Simulator of free decays as long as the measured one, which ignores the force.
 
     The excitation, at the place of the first force, is the half-sine or the released force after which the nominal
     rig's largest counted motion is the measured one's and its spectrum the closest, octave by octave. A decay begins up
     to one period after it, depending on the seed.
     """
-    rate_hz, start_s = measured.rig.sample_rate_hz, float(record.residual_times_s[0])
-    scaled_samples = min(round((start_s + SCALED_S) * rate_hz), measured.samples)
-    counted_slice = slice(round(start_s * rate_hz), scaled_samples)
-    measured_motion = _sensor_motion(measured, counted_slice)
-    natural_hz = np.concatenate(
-        [modes_of(measured.rig, body).frequencies_hz(body.max_modes) for body in measured.rig.bodies]
-    )
-    longest_period_samples = round(rate_hz / max(float(np.min(natural_hz[natural_hz > 0], initial=np.inf)), 1.0))
 
-    def decay_recording(
-        rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_samples: int, seed: int
+    measured: Recording
+    record: Record
+    simulate: Simulate
+
+    def __call__(
+        self, rig: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int
     ) -> Recording:
-        start_sample = excitation_n.size + round(longest_period_samples * np.random.default_rng([seed, 78]).uniform())
+        return self._decay_recording(rig, actual_rig, self.excitation_n, forces_n.shape[1], seed)
+
+    def __getstate__(self) -> dict[str, object]:
+        """State with the excitation, which is not to be scaled again in every worker process."""
+        return self.__dict__ | {"excitation_n": self.excitation_n}
+
+    @cached_property
+    def excitation_n(self) -> Float[np.ndarray, " begin"]:
+        """Excitation before the decay, scaled by short simulations of the nominal rig when it is first needed."""
+        period_samples = self._longest_period_samples
+        half_sine_samples = [max(2, round(period_share * period_samples)) for period_share in BLOW_PERIODS]
+        unscaled_pulses = [np.sin(np.pi * np.arange(sine_samples) / sine_samples) for sine_samples in half_sine_samples]
+        unscaled_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * period_samples)) ** 2)
+        return min(map(self._scaled_excitation, unscaled_pulses), key=lambda distance_and_force: distance_and_force[0])[
+            1
+        ]
+
+    @property
+    def _longest_period_samples(self) -> int:
+        rig = self.measured.rig
+        natural_hz = np.concatenate([modes_of(rig, body).frequencies_hz(body.max_modes) for body in rig.bodies])
+        lowest_hz = float(np.min(natural_hz[natural_hz > 0], initial=np.inf))
+        return round(rig.sample_rate_hz / max(lowest_hz, 1.0))
+
+    def _decay_recording(
+        self, rig: Rig, actual_rig: Rig, excitation_n: Float[np.ndarray, " begin"], decay_samples: int, seed: int
+    ) -> Recording:
+        delay_samples = round(self._longest_period_samples * np.random.default_rng([seed, 78]).uniform())
+        start_sample = excitation_n.size + delay_samples
         forces_n = np.zeros((len(rig.forces), start_sample + decay_samples))
         forces_n[0, : excitation_n.size] = excitation_n
         return _with_zero_force(
-            cut_recording(simulate(rig, actual_rig, forces_n, seed), slice(start_sample, start_sample + decay_samples))
+            cut_recording(
+                self.simulate(rig, actual_rig, forces_n, seed), slice(start_sample, start_sample + decay_samples)
+            )
         )
 
-    def scaled_excitation(unscaled_pulse: Float[np.ndarray, " begin"]) -> tuple[float, Float[np.ndarray, " begin"]]:
+    def _scaled_excitation(
+        self, unscaled_pulse: Float[np.ndarray, " begin"]
+    ) -> tuple[float, Float[np.ndarray, " begin"]]:
         """Distance between the spectra, and the scaled excitation."""
-        excitation_n = measured.rig.body(measured.rig.forces[0].body).mass_kg * unscaled_pulse
+        rig, rate_hz, start_s = self.measured.rig, self.record.sample_rate_hz, float(self.record.residual_times_s[0])
+        scaled_samples = min(round((start_s + SCALED_S) * rate_hz), self.measured.samples)
+        counted_slice = slice(round(start_s * rate_hz), scaled_samples)
+        measured_motion = _sensor_motion(self.measured, counted_slice)
+        excitation_n = rig.body(rig.forces[0].body).mass_kg * unscaled_pulse
         for _ in range(SCALING_STEPS):
             simulated_motion = _sensor_motion(
-                decay_recording(measured.rig, measured.rig, excitation_n, scaled_samples, 0), counted_slice
+                self._decay_recording(rig, rig, excitation_n, scaled_samples, 0), counted_slice
             )
             excitation_n = excitation_n * _largest_motion(measured_motion) / _largest_motion(simulated_motion)
         octave_levels, measured_octave_levels = (
-            _octave_levels(sensor_motion, rate_hz, record.highest_hz)
+            _octave_levels(sensor_motion, rate_hz, self.record.highest_hz)
             for sensor_motion in (simulated_motion, measured_motion)
         )
         return float(np.linalg.norm(octave_levels - measured_octave_levels)), excitation_n
-
-    half_sine_samples = [max(2, round(period_share * longest_period_samples)) for period_share in BLOW_PERIODS]
-    unscaled_pulses = [np.sin(np.pi * np.arange(sine_samples) / sine_samples) for sine_samples in half_sine_samples]
-    unscaled_pulses.append(np.sin(np.linspace(0, np.pi / 2, RELEASE_PERIODS * longest_period_samples)) ** 2)
-    _, excitation_n = min(
-        (scaled_excitation(pulse) for pulse in unscaled_pulses), key=lambda distance_and_force: distance_and_force[0]
-    )
-
-    def simulated_decay(
-        rig: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int
-    ) -> Recording:
-        return decay_recording(rig, actual_rig, excitation_n, forces_n.shape[1], seed)
-
-    return simulated_decay
 
 
 def _sensor_motion(recording: Recording, counted_slice: slice) -> Float[np.ndarray, "sensors samples"]:

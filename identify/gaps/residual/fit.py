@@ -179,9 +179,10 @@ def contact_jacobian(
     """Decrease of one contact's residual per standard deviation of each nuisance parameter."""
     weights, contact = linearization.observations[contact_index].weights, residual.contacts[contact_index]
     columns = linearization.columns
-    forces_n, etas_m = columns.contact_n[:, contact_index].astype(float), columns.eta_m[:, contact_index]
-    moves_contact = np.any(etas_m, axis=1)
-    forces_n[moves_contact] -= contact.tangent.force_change_n(linearization.record.in_finer_time(etas_m[moves_contact]))
+    forces_n = columns.contact_n[:, contact_index].astype(float)
+    moves_contact = np.any(columns.eta_m[:, contact_index], axis=1)
+    moved_m = columns.finer_eta_m[moves_contact, contact_index]
+    forces_n[columns.moving[moves_contact]] -= contact.tangent.force_change_n(moved_m)
     jacobian = np.zeros((contact.residual.size, len(columns.parameters)))
     jacobian[: weights.size] = weights[:, None] * forces_n.T
     return jacobian

@@ -6,7 +6,6 @@ W are the weights of the observation, b the slow motion that integration loses, 
 it. A law is evaluated without aliasing and low-passed to the band of the force.
 """
 
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.observation import ContactObservation, ContactSignals, Results, Signal
+from identify.gaps.residual.observation import ContactMotion, ContactObservation, ContactSignals, Results, Signal
 from identify.gaps.residual.tangent import Tangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
@@ -103,9 +102,8 @@ class ContactResidual:
     """Residual of a contact force against its law, with the drift and the law's tolerances as unknowns.
 
     unknowns are the drift's knots (m), then clearance, stiffness and damping in tolerances, for every contact between
-    the same places. adjusted_law has the first two of these. eta_m is the relative displacement with the drift,
-    eta_rate_m_per_s its rate. residual is force less law in standard deviations, followed by the residuals of the
-    priors, those of the pulls' excess beyond `LIMIT` last.
+    the same places. adjusted_law has the first two of these. residual is the force less the law at a motion, in
+    standard deviations, followed by the residuals of the priors, those of the pulls' excess beyond `LIMIT` last.
     """
 
     observation: ContactObservation
@@ -113,8 +111,7 @@ class ContactResidual:
     law: GroupLaw
     adjusted_law: GroupLaw
     unknowns: Float[np.ndarray, " unknowns"]
-    eta_m: Float[np.ndarray, " samples"]
-    eta_rate_m_per_s: Float[np.ndarray, " samples"]
+    motion: ContactMotion
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -139,9 +136,8 @@ class ContactResidual:
             ]
             return np.stack([tangents, tangents * np.sign(eta), np.stack(per_stiffness), np.stack(per_damping)])
 
-        return self._low_passed(
-            slope_rows, self.eta_m, self.eta_rate_m_per_s, rate_multiple=self.signals.slope_rate_multiple
-        )
+        takes_time = _takes_time(self.adjusted_law)
+        return self.signals.low_passed(slope_rows, self.motion, takes_time, self.signals.slope_rate_multiple)
 
     @cached_property
     def slopes(self) -> Float[np.ndarray, "4 laws times"]:
@@ -153,11 +149,6 @@ class ContactResidual:
     def tangent(self) -> Tangent:
         """Tangent stiffness of all laws together."""
         return Tangent(self._finer_slopes[0].sum(axis=0), self.signals.slope_rate_multiple)
-
-    def _low_passed(self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1) -> Results:
-        """Low-passed function of signals, and of the time where the law wears."""
-        wear_times_s = _wear_times(self.adjusted_law, self.signals)
-        return self.signals.low_passed(law_function, *signals, *wear_times_s, rate_multiple=rate_multiple)
 
     def _tangents(self, eta: Signal, *time_s: Signal) -> Float[np.ndarray, "laws *shape"]:
         """Tangent stiffness of each law at a relative displacement, N/m."""
@@ -250,19 +241,32 @@ class ContactResidual:
         return splu(csc_matrix(self.drift_columns.T @ self.drift_columns))
 
 
+def contact_motion(
+    signals: ContactSignals,
+    observation: ContactObservation,
+    unknowns: Float[np.ndarray, " unknowns"],
+    added_force_n: float | Float[np.ndarray, " times"] = 0.0,
+    added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
+) -> ContactMotion:
+    """Motion with the drift; added_force_n and added_eta_m come on top of force and relative displacement."""
+    drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
+    drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
+    return ContactMotion(
+        signals.force_n + added_force_n,
+        signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m,
+        signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation),
+    )
+
+
 def contact_residual(
     signals: ContactSignals,
     observation: ContactObservation,
     law: GroupLaw,
     unknowns: Float[np.ndarray, " unknowns"],
-    added_force_n: float | Float[np.ndarray, " times"] = 0.0,
-    added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
+    motion: ContactMotion,
 ) -> ContactResidual:
-    """Residual at given unknowns; added_force_n and added_eta_m come on top of force and relative displacement."""
+    """Residual at given unknowns and at the motion that they cause."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
-    drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
-    eta_m = signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m
-    eta_rate_m_per_s = signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation)
     pulls = unknowns[observation.tolerance_slice]
     *_, damping_deviation_s = observation.law_prior_deviations
     adjusted_laws, damping_increases = [], []
@@ -288,8 +292,8 @@ def contact_residual(
             )
         )
 
-    law_force_n = signals.low_passed(force_n, eta_m, eta_rate_m_per_s, *_wear_times(adjusted_law, signals))
-    residual_n = signals.force_n + added_force_n - law_force_n - signals.slow_stiffness_n_per_m * drift_m
+    law_force_n = signals.low_passed(force_n, motion, _takes_time(adjusted_law))
+    residual_n = motion.force_n - law_force_n - signals.slow_stiffness_n_per_m * (drift_spline.value @ knots_m)
     prior_rows = -observation.prior_weight * np.concatenate([pulls, EXCESS_WEIGHT * _limit_excess(pulls)])
     return ContactResidual(
         observation=observation,
@@ -297,8 +301,7 @@ def contact_residual(
         law=law,
         adjusted_law=adjusted_law,
         unknowns=unknowns,
-        eta_m=eta_m,
-        eta_rate_m_per_s=eta_rate_m_per_s,
+        motion=motion,
         residual=np.concatenate(
             [observation.weights * residual_n, drift_spline.target - drift_spline.curvature @ knots_m, prior_rows]
         ),
@@ -324,9 +327,9 @@ def force_increase_n(
     return increased_law.force_n(eta_m, rate_m_per_s, time_s) - law.force_n(eta_m, rate_m_per_s, time_s)
 
 
-def _wear_times(law: GroupLaw, signals: ContactSignals) -> list[Float[np.ndarray, " samples"]]:
-    """Sample times as an extra argument of a law that wears; empty for other laws."""
-    return [signals.time_s] if any(single_law.wear_m_per_s for single_law in law.laws) else []
+def _takes_time(law: GroupLaw) -> bool:
+    """True if the law wears, and so depends on the time."""
+    return any(single_law.wear_m_per_s for single_law in law.laws)
 
 
 def _limit_excess(pulls: Float[np.ndarray, " pulls"]) -> Float[np.ndarray, " pulls"]:

@@ -19,7 +19,8 @@ from jaxtyping import Complex, Float
 from identify.gaps.residual.initial_state import free_motion_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import (
-    ground_force_changes,
+    GroundForceChanges,
+    ground_force_derivative,
     ground_forces,
     has_ground_forces,
     modal_response,
@@ -36,7 +37,6 @@ from identify.linear.model import (
     relative_shapes,
     responses_of,
     slow_stiffness,
-    station_weights,
 )
 from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
 from rig.model.description import Rig, Station, contact_stations
@@ -153,6 +153,13 @@ class Linear:
         """Stiffness of the bodies against slow relative displacements of the contacts, N/m."""
         return slow_stiffness(self.rig, self.responses)
 
+    @cached_property
+    def ground_force_changes(self) -> GroundForceChanges:
+        """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
+        displacements = self.record.displacement_signals / self.sensor_response
+        sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
+        return ground_force_derivative(self.record, self.rig, self.responses, sensor_stations, displacements)
+
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force by the errors of the accelerations, N."""
         force_variance = np.sum(np.abs(self.projection.to_inputs[: len(self.rig.contacts)]) ** 2, axis=(1, 2))
@@ -245,9 +252,7 @@ def _across_weights(
     rig: Rig, response: Response, sensor_stations: list[Station | None]
 ) -> Float[np.ndarray, "contacts sensors"]:
     """Weights of a body's sensors in the relative displacements."""
-    end_weights = station_weights(
-        response, sensor_stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)]
-    )
+    end_weights = response.weights(sensor_stations, [*(c.at for c in rig.contacts), *(c.against for c in rig.contacts)])
     return end_weights[: len(rig.contacts)] - end_weights[len(rig.contacts) :]
 
 
@@ -306,15 +311,7 @@ def ground_spring_correction(
 ) -> Complex[np.ndarray, "sensors lines"]:
     """Correction of the signals for the true, smaller displacement of ground springs and dampers."""
     sensor_stations: list[Station | None] = [s.station for s in record.sensors]
-    force_changes = ground_force_changes(
-        record,
-        model.rig,
-        model.responses,
-        sensor_stations,
-        record.displacement_signals / model.sensor_response,
-        displacement_changes,
-    )
-    return -delivered_by(model, sensor_stations, force_changes)
+    return -delivered_by(model, sensor_stations, model.ground_force_changes(displacement_changes))
 
 
 def delivered_by(
@@ -326,9 +323,10 @@ def delivered_by(
     signals = np.zeros(model.sensor_response.shape, dtype=complex)
     for station, force_n in forces:
         for response in model.responses:
-            signals += model.sensor_response * (
-                response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0] * force_n
-            )
+            if response.body.name == station.body:
+                signals += model.sensor_response * (
+                    response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0] * force_n
+                )
     return signals
 
 

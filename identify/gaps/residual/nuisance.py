@@ -40,14 +40,17 @@ nearly as static compliance."""
 class Columns:
     """Decrease of the linear residual, the contact forces and the relative displacements per nuisance parameter.
 
-    Each parameter is in its standard deviations, relative displacements are spectra. Arrays are in single precision,
+    Each parameter is in its standard deviations. Relative displacements, of the parameters at the indices `moving`
+    alone, are spectra and, as `Record.in_finer_time`, over time. Arrays are in single precision,
     except for records of sharp modes, where a nuisance parameter's shift and an effect's differ in the seventh digit.
     """
 
     parameters: tuple[Nuisance, ...]
     residual: Float[np.ndarray, "nuisances rows times"]
     contact_n: Float[np.ndarray, "nuisances contacts times"]
-    eta_m: Complex[np.ndarray, "nuisances contacts lines"]
+    moving: Int[np.ndarray, " moving"]
+    eta_m: Complex[np.ndarray, "moving contacts lines"]
+    finer_eta_m: Float[np.ndarray, "moving contacts finer"]
 
     @property
     def flat_residual(self) -> Float[np.ndarray, "nuisances all"]:
@@ -81,15 +84,26 @@ def columns_of(record: Record, model: Linear) -> Columns:
         (nuisance_count, len(model.residual), sample_count), np.float64 if record.measured_modes else np.float32
     )
     contact_columns_n = np.zeros((nuisance_count, contact_count, sample_count), np.float32)
-    eta_columns_m = np.zeros((nuisance_count, contact_count, record.omega.size), np.complex64)
+    moving, eta_columns_m = list[int](), list[Complex[np.ndarray, "contacts lines"]]()
     projection = model.projection if record.measured_modes else model.projection.in_single_precision()
     for change_index, change in enumerate(changes):
         projected_signals, contact_force_change = _projected_change(record, model, projection, change)
         residual_columns[change_index] = residual_in_time(record, projected_signals)
         contact_columns_n[change_index] = record.in_time(contact_force_change)
         if change.displacements is not None:
-            eta_columns_m[change_index] = relative_displacements(record, model, change.displacements, change.sensors)
-    return Columns(tuple(c.parameter for c in changes), residual_columns, contact_columns_n, eta_columns_m)
+            eta_change_m = relative_displacements(record, model, change.displacements, change.sensors)
+            if np.any(eta_change_m):
+                moving.append(change_index)
+                eta_columns_m.append(eta_change_m.astype(np.complex64))
+    eta_m = np.array(eta_columns_m, np.complex64).reshape(len(moving), contact_count, record.omega.size)
+    return Columns(
+        tuple(c.parameter for c in changes),
+        residual_columns,
+        contact_columns_n,
+        np.array(moving, dtype=int),
+        eta_m,
+        record.in_finer_time(eta_m),
+    )
 
 
 def _free_motion_change(record: Record, model: Linear, change: Change) -> Change:

@@ -2,7 +2,7 @@
 closure, the forces' standard deviations and the slow drift that integration loses."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -12,7 +12,8 @@ from identify.gaps.residual.linear import Linear
 from identify.gaps.residual.record import Record
 from identify.linear.joined import GroupLaw
 from identify.signals.drift import Spline, spline
-from identify.signals.law_evaluation import evaluated_law
+from identify.signals.law_evaluation import evaluated_on, finer_batches
+from identify.signals.recent_values import RecentValues
 
 CLOSED_DEVIATIONS = 5.0
 """Standard deviations beyond which a contact force is not noise; ... Derived: exceeded by chance once in 1.7e6
@@ -32,6 +33,19 @@ Signal = Float[np.ndarray, "*shape"]
 Results = Float[np.ndarray, "..."]
 
 
+FinerMotions = RecentValues[list[Results]]
+"""Motions and sample times at the rate at which laws are evaluated, of the last ones of a search."""
+
+
+@dataclass(frozen=True, eq=False)
+class ContactMotion:
+    """Contact force before its law, and relative displacement and its rate, with the drift and what parameters add."""
+
+    force_n: Float[np.ndarray, " times"]
+    eta_m: Float[np.ndarray, " samples"]
+    eta_rate_m_per_s: Float[np.ndarray, " samples"]
+
+
 @dataclass(frozen=True)
 class ContactSignals:
     """Separated force of one contact, and its relative displacement and velocity at the recording's rate.
@@ -49,18 +63,29 @@ class ContactSignals:
     decimation: int
     slope_rate_multiple: int
     slow_stiffness_n_per_m: float
+    finer_motions: FinerMotions = field(repr=False)
 
     def low_passed(
-        self, law_function: Callable[..., Results], *signals: Signal, rate_multiple: int = 1
+        self, law_function: Callable[..., Results], motion: ContactMotion, takes_time: bool, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
-        """Law evaluated on signals at the recording's rate, low-passed to `rate_multiple` times that of the force."""
-        low_passed_results = evaluated_law(
-            law_function, np.stack(signals), self.sample_rate_hz, self.decimation, rate_multiple
+        """Law of a motion, and of the time if it takes that, low-passed to `rate_multiple` times the force's rate."""
+
+        def finer() -> list[Results]:
+            signals = [motion.eta_m, motion.eta_rate_m_per_s, *([self.time_s] if takes_time else [])]
+            return list(finer_batches(np.stack(signals), self.sample_rate_hz))
+
+        low_passed_results = evaluated_on(
+            law_function,
+            self.finer_motions.get((motion, takes_time), finer),
+            motion.eta_m.size,
+            self.sample_rate_hz,
+            self.decimation,
+            rate_multiple,
         )
         return low_passed_results[..., : (self.force_n.size - 1) * rate_multiple + 1]
 
 
-def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, ...]:
+def contact_signals_of(record: Record, model: Linear, finer_motions: FinerMotions) -> tuple[ContactSignals, ...]:
     """Signals of every contact by a linear model: the data that its law has to explain."""
     eta_m, eta_rate_m_per_s = record.sampled(model.eta_m), record.sampled(model.eta_m, 1)
     time_s = record.counted_slice.start / record.rate_hz + np.arange(eta_m.shape[1]) / record.sample_rate_hz
@@ -76,6 +101,7 @@ def contact_signals_of(record: Record, model: Linear) -> tuple[ContactSignals, .
             record.decimation,
             slope_rate_multiple,
             slow_stiffness,
+            finer_motions,
         )
         for force_n, contact_eta_m, contact_eta_rate, slow_stiffness in zip(
             forces_n, eta_m, eta_rate_m_per_s, np.diag(model.slow_n_per_m), strict=True

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Complex, Float
 from msgspec.structs import replace
 
-from identify.gaps.residual.law import ContactResidual, contact_residual, initial_unknowns
+from identify.gaps.residual.law import ContactResidual, contact_motion, contact_residual, initial_unknowns
 from identify.gaps.residual.linear import Linear, linear_model, sensor_response_of
 from identify.gaps.residual.lines import outstanding_frequencies, without_lines
 from identify.gaps.residual.nuisance import (
@@ -24,6 +24,7 @@ from identify.gaps.residual.nuisance import (
 from identify.gaps.residual.observation import (
     ContactObservation,
     ContactSignals,
+    FinerMotions,
     contact_observations,
     contact_signals_of,
 )
@@ -42,11 +43,12 @@ Column = tuple[Float[np.ndarray, "rows times"], list[Float[np.ndarray, " _"]]]
 
 
 class SearchCache:
-    """Cache of the models of a search on one record: responses, and the last two sets of columns, which are large."""
+    """Cache of a search on one record: responses, and the last contacts' motions and two sets of columns."""
 
     def __init__(self, record: Record) -> None:
-        self.responses = ResponseCache(record.omega)
+        self.responses = ResponseCache(record.omega, 2 * len(record.rig.bodies))
         self._columns = RecentValues[Columns](2)
+        self.finer_motions = FinerMotions(len(record.rig.contacts))
 
     def columns(self, model: Linear) -> Columns:
         return self._columns.get(model, lambda: columns_of(model.record, model))
@@ -97,10 +99,8 @@ class Linearization:
         modes ring as sharply."""
         if not self.record.has_force:
             return ()
-        sensor_count = len(self.record.sensors)
-        return outstanding_frequencies(
-            residual_in_time(self.record, self.model.residual[:sensor_count]), self.record.repeats_per_sample
-        )
+        residual = residual_in_time(self.record, self.model.residual[: len(self.record.sensors)])
+        return outstanding_frequencies(residual, self.record.repeats_per_sample)
 
     @property
     def columns(self) -> Columns:
@@ -207,11 +207,9 @@ def scales_at(linearization: Linearization, residual: Residual) -> Scales:
 
 def linear_of(linearization: Linearization, rig: Rig) -> Linear:
     """Linear model of a rig with the nuisance parameters that the linearisation applies."""
-    record = linearization.record
-    if linearization.applied_nuisance is not None and linearization.applied_nuisance.any():
-        rig, _ = apply_nuisance(
-            rig, linearization.columns.parameters, linearization.applied_nuisance, record.tolerances
-        )
+    record, applied = linearization.record, linearization.applied_nuisance
+    if applied is not None and applied.any():
+        rig, _ = apply_nuisance(rig, linearization.columns.parameters, applied, record.tolerances)
     scales, cache = linearization.scales, linearization.cache
     return linear_model(record, rig, scales.unmodelled_shares, cache.responses, linearization.tuning.factors)
 
@@ -228,13 +226,13 @@ def residual_of(
     Defaults are the nuisance parameters of the linearisation and `initial_unknowns`. `base` is a residual of the same
     linearisation whose unchanged parts are reused.
     """
-    record, parameters, laws = linearization.record, linearization.columns.parameters, group_laws(rig)
+    record, columns, laws = linearization.record, linearization.columns, group_laws(rig)
     nuisance_pulls = linearization.expansion_point if nuisance_pulls is None else nuisance_pulls
     if base is not None and same_but_laws(base.rig, rig):
         model, signals, linear_at_expansion = (base.model, base.signals, base.linear_before_nuisance)
     else:
         model = linearization.model if same_but_laws(linearization.rig, rig) else linear_of(linearization, rig)
-        signals = contact_signals_of(record, model)
+        signals = contact_signals_of(record, model, linearization.cache.finer_motions)
         linear_at_expansion = residual_in_time(record, model.residual)
     observations = linearization.observations
     if unknowns is None:
@@ -244,24 +242,28 @@ def residual_of(
     reused = base if base is not None and model is base.model and nuisance_pulls is base.nuisance_pulls else None
     linear = reused.linear_residual if reused else linear_at_expansion
     if nuisance_change.any() and not reused:
-        linear = linear_at_expansion - linearization.columns.residual_decrease(nuisance_change)
+        linear = linear_at_expansion - columns.residual_decrease(nuisance_change)
     linear_without_lines = reused.linear_without_lines if reused else linear
     if not reused and not rig.tones:
         linear_without_lines = without_lines(linear, linearization.line_frequencies)
+    previous = reused.contacts if reused else ()
+    same_motion = bool(previous) and all(c.unknowns is u for c, u in zip(previous, unknowns, strict=True))
     added_eta_m: list[float] | Float[np.ndarray, "contacts samples"] = [0.0] * len(laws)
-    if laws and nuisance_change.any():
-        added_eta_m = record.sampled(np.tensordot(-nuisance_change, linearization.columns.eta_m, 1), upper_band=False)
+    if laws and nuisance_change.any() and not same_motion:
+        added_eta_m = record.sampled(np.tensordot(-nuisance_change[columns.moving], columns.eta_m, 1), upper_band=False)
     drift_m = [o.drift_spline.value @ u[: o.drift_spline.knots] for o, u in zip(observations, unknowns, strict=True)]
     coupling_n_per_m = model.slow_n_per_m - np.diag(np.diag(model.slow_n_per_m))
 
     def contact(j: int) -> ContactResidual:
         law, coupled = laws[j], {j, *np.flatnonzero(coupling_n_per_m[j])}
-        previous = reused.contacts if reused else ()
         if previous and previous[j].law == law and all(previous[i].unknowns is unknowns[i] for i in coupled):
             return previous[j]
-        added_n = -nuisance_change @ linearization.columns.contact_n[:, j]
+        if same_motion:
+            return contact_residual(signals[j], observations[j], law, unknowns[j], previous[j].motion)
+        added_n = -nuisance_change @ columns.contact_n[:, j]
         added_n -= sum(coupling_n_per_m[j, i] * drift_m[i] for i in coupled)
-        return contact_residual(signals[j], observations[j], law, unknowns[j], added_n, added_eta_m[j])
+        motion = contact_motion(signals[j], observations[j], unknowns[j], added_n, added_eta_m[j])
+        return contact_residual(signals[j], observations[j], law, unknowns[j], motion)
 
     return Residual(
         rig=rig,
@@ -272,7 +274,7 @@ def residual_of(
         linear_without_lines=linear_without_lines,
         contacts=tuple(contact(j) for j in range(len(laws))),
         nuisance_pulls=nuisance_pulls,
-        parameters=parameters,
+        parameters=columns.parameters,
         sample_ratio=record.sample_ratio,
     )
 
@@ -344,7 +346,5 @@ def same_but_laws(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their contact laws alone, if at all."""
     if rig is compared:
         return True
-    laws = tuple(c.law for c in compared.contacts)
-    return (
-        replace(rig, contacts=tuple(replace(c, law=law) for c, law in zip(rig.contacts, laws, strict=True))) == compared
-    )
+    pairs = zip(rig.contacts, compared.contacts, strict=True)
+    return replace(rig, contacts=tuple(replace(contact, law=other.law) for contact, other in pairs)) == compared

@@ -6,7 +6,7 @@ record. For a rig without contacts the response is therefore windowed, w (h * F)
 dampers to the ground are laws of the measured motion itself: they are evaluated on w x / w and windowed afterwards.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -14,7 +14,7 @@ from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.extent import is_free
 from identify.gaps.residual.record import Record
-from identify.linear.model import Response, real_product, station_weights
+from identify.linear.model import Response, real_product
 from identify.signals.kinematics import integrated
 from identify.signals.law_evaluation import oversampling
 from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
@@ -24,6 +24,8 @@ LEAST_WINDOW = 1e-2
 
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]
+GroundForceChanges = Callable[[Motions], list[tuple[Station, Spectrum]]]
+"""Stations and changes of forces to the ground, N, as a function of the change of the sensors' displacements, m."""
 
 
 def response_to_force(
@@ -110,13 +112,13 @@ def ground_forces(
     damper_velocities = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
     ground_reactions = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
-        (fine_motion,), window = _oversampled(record, 3, displacement)
+        fine_motion, window = _oversampled(record, 3, displacement)
         ground_reactions.append(
             (spring.station, -_spectrum_on_lines(record, window * spring.law.force_n(fine_motion / window)))
         )
     for damper, velocity in zip(dampers, damper_velocities, strict=True):
         if damper.friction_n:
-            (fine_motion,), window = _oversampled(record, _oversampling_factor(record), velocity)
+            fine_motion, window = _oversampled(record, _oversampling_factor(record), velocity)
             force_n = window * damper.law.force_n(np.zeros_like(fine_motion), fine_motion / window)
             ground_reactions.append((damper.station, -_spectrum_on_lines(record, force_n)))
         else:
@@ -124,42 +126,44 @@ def ground_forces(
     return ground_reactions
 
 
-def ground_force_changes(
+def ground_force_derivative(
     record: Record,
     rig: Rig,
     responses: tuple[Response, ...],
     sensor_stations: list[Station | None],
     displacements: Motions,
-    displacement_changes: Motions,
-) -> list[tuple[Station, Spectrum]]:
-    """Directional derivative of each of the `ground_forces` along a change of the displacements."""
+) -> GroundForceChanges:
+    """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = [
-        displaced_at(responses, sensor_stations, springs, sensor_motions)
-        for sensor_motions in (displacements, displacement_changes)
-    ]
-    velocities = _velocities(record, displacements), 1j * record.omega * displacement_changes
-    damper_velocities = [
-        displaced_at(responses, sensor_stations, dampers, sensor_velocities) for sensor_velocities in velocities
-    ]
-    force_changes = []
-    for spring, displacement, displacement_change in zip(springs, *spring_displacements, strict=True):
-        (fine_motion, motion_change), window = _oversampled(record, 3, displacement, displacement_change)
-        force_changes.append(
-            (
-                spring.station,
-                -_spectrum_on_lines(record, spring.law.by_eta_n_per_m(fine_motion / window) * motion_change),
-            )
-        )
-    for damper, velocity, motion_change in zip(dampers, *damper_velocities, strict=True):
+    spring_displacements = displaced_at(responses, sensor_stations, springs, displacements)
+    damper_velocities = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
+    slopes: list[Float[np.ndarray, " fine"]] = []
+    for spring, displacement in zip(springs, spring_displacements, strict=True):
+        fine_motion, window = _oversampled(record, 3, displacement)
+        slopes.append(spring.law.by_eta_n_per_m(fine_motion / window))
+    for damper, velocity in zip(dampers, damper_velocities, strict=True):
         if damper.friction_n:
-            (fine_motion, fine_motion_change), window = _oversampled(
-                record, _oversampling_factor(record), velocity, motion_change
-            )
-            damping_n_s_per_m = damper.law.by_rate_n_s_per_m(np.zeros_like(fine_motion), fine_motion / window)
-            force_changes.append((damper.station, -_spectrum_on_lines(record, damping_n_s_per_m * fine_motion_change)))
+            fine_motion, window = _oversampled(record, _oversampling_factor(record), velocity)
+            slopes.append(damper.law.by_rate_n_s_per_m(np.zeros_like(fine_motion), fine_motion / window))
         else:
-            force_changes.append((damper.station, -damper.damping_n_s_per_m * motion_change))
+            slopes.append(np.array([damper.damping_n_s_per_m]))
+
+    def force_changes(displacement_changes: Motions) -> list[tuple[Station, Spectrum]]:
+        motion_changes = (
+            *displaced_at(responses, sensor_stations, springs, displacement_changes),
+            *displaced_at(responses, sensor_stations, dampers, 1j * record.omega * displacement_changes),
+        )
+        padded_samples = record.transform_length // record.decimation
+        stations = [*(spring.station for spring in springs), *(damper.station for damper in dampers)]
+        changes = []
+        for station, slope, motion_change in zip(stations, slopes, motion_changes, strict=True):
+            if slope.size > 1:
+                fine_change = _finer(record, slope.size // padded_samples, motion_change)
+                changes.append((station, -_spectrum_on_lines(record, slope * fine_change)))
+            else:
+                changes.append((station, -slope * motion_change))
+        return changes
+
     return force_changes
 
 
@@ -186,7 +190,7 @@ def displaced_at(
     """Displacements (or accelerations) at attached elements from those at the sensors."""
     element_stations: list[Station | None] = [element.station for element in attached_elements]
     return real_product(
-        np.sum([station_weights(response, sensor_stations, element_stations) for response in responses], axis=0),
+        np.sum([response.weights(sensor_stations, element_stations) for response in responses], axis=0),
         displacements,
     )
 
@@ -202,16 +206,19 @@ def _velocities(record: Record, displacements: Motions) -> Motions:
 
 
 def _oversampled(
-    record: Record, oversampling_factor: int, *spectra: Spectrum
-) -> tuple[list[Float[np.ndarray, " fine"]], Float[np.ndarray, " fine"]]:
-    """Signals over the padded record at a multiple of its rate, and their window, bounded below by LEAST_WINDOW."""
-    padded_samples = record.transform_length // record.decimation
-    sample_positions = np.arange(oversampling_factor * padded_samples) * (record.decimation / oversampling_factor)
+    record: Record, oversampling_factor: int, spectrum: Spectrum
+) -> tuple[Float[np.ndarray, " fine"], Float[np.ndarray, " fine"]]:
+    """Signal over the padded record at a multiple of its rate, and its window, bounded below by LEAST_WINDOW."""
+    fine_samples = oversampling_factor * (record.transform_length // record.decimation)
+    sample_positions = np.arange(fine_samples) * (record.decimation / oversampling_factor)
     window = np.interp(sample_positions, np.arange(record.sample_count), record.window, right=0.0)
-    return [
-        oversampling_factor * np.fft.irfft(spectrum / record.decimation, oversampling_factor * padded_samples)
-        for spectrum in spectra
-    ], np.maximum(window, LEAST_WINDOW)
+    return _finer(record, oversampling_factor, spectrum), np.maximum(window, LEAST_WINDOW)
+
+
+def _finer(record: Record, oversampling_factor: int, spectrum: Spectrum) -> Float[np.ndarray, " fine"]:
+    """Signal over the padded record at a multiple of its rate."""
+    fine_samples = oversampling_factor * (record.transform_length // record.decimation)
+    return oversampling_factor * np.fft.irfft(spectrum / record.decimation, fine_samples)
 
 
 def _spectrum_on_lines(record: Record, fine_signal: Float[np.ndarray, " fine"]) -> Spectrum:

@@ -96,7 +96,7 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     )
     eta_errors_m = station_modes.contact_shapes @ coordinates_m
     for contact_error_m, contact in zip(eta_errors_m, residual.contacts, strict=True):
-        fitted_eta_m = contact.eta_m[: motion.samples - counted_start]
+        fitted_eta_m = contact.motion.eta_m[: motion.samples - counted_start]
         contact_error_m[:counted_start], contact_error_m[counted_start + fitted_eta_m.size :] = 0.0, 0.0
         contact_error_m[counted_start : counted_start + fitted_eta_m.size] -= fitted_eta_m
     coordinates_m -= contact_to_modes @ eta_errors_m

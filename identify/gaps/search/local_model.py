@@ -20,21 +20,21 @@ Notes for maintainers
 
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.signal.windows import hann
 
-from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum, contact_jacobian
+from identify.gaps.residual.fit import DERIVATIVE_STEP, bounded_minimum
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Column, Linearization, Residual, derivative
-from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, band_means
 from identify.gaps.search.candidates import Candidate, strength_columns
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
+from identify.gaps.search.local_columns import LocalColumns
 from identify.gaps.search.pooled import without_drift
+from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
 from rig.model.description import Rig
 
@@ -51,7 +51,11 @@ ELIMINATION_ROUNDING = 1e-9
 MIN_REMAINING_SHARE = 1e-9
 """Least share of a column's weighted square that the nuisance parameters must leave of it."""
 
+ROW_BLOCK = 1 << 12
+"""Rows of the spectra that are multiplied at once. Effort: a weighted copy of all would double the memory."""
+
 Theta = Float[np.ndarray, " columns"]
+Levels = tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " contacts"]]
 
 
 @dataclass(frozen=True)
@@ -108,11 +112,17 @@ class LocalModel:
     all_samples: float
     base_columns: Int[np.ndarray, " selected"]
     candidate_terms: tuple[CandidateTerm, ...]
+    recent_levels: RecentValues[Levels] = field(default_factory=lambda: RecentValues(2), repr=False)
 
-    def levels(self, theta: Theta) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " contacts"]]:
+    def levels(self, theta: Theta) -> Levels:
         """Levels L of all cells, and of all contacts."""
-        nonzero = np.flatnonzero(theta)
-        residual = self.residual_spectrum - theta[nonzero].astype(np.float32) @ self.column_spectra[nonzero]
+        return self.recent_levels.get(theta.tobytes(), lambda: self._levels_at(theta))
+
+    def _levels_at(self, theta: Theta) -> Levels:
+        base_count = self.base_columns.size
+        added = base_count + np.flatnonzero(theta[base_count:])
+        residual = self.residual_spectrum - theta[:base_count].astype(np.float32) @ self.column_spectra[:base_count]
+        residual -= theta[added].astype(np.float32) @ self.column_spectra[added]
         levels_of_contacts = self.contact_levels + np.einsum("k,jkl,l->j", theta, self.contact_matrices, theta)
         levels_of_contacts -= 2 * self.contact_gradients @ theta
         return np.bincount(self.row_cell, residual.astype(float) ** 2), np.maximum(levels_of_contacts, 0.0)
@@ -131,11 +141,13 @@ class LocalModel:
         cell_levels, contact_levels = self.levels(theta)
         cell_weights = self.samples_per_cell / (1 + cell_levels)
         row_weights = np.sqrt(cell_weights[self.row_cell]).astype(np.float32)
-        weighted = self.column_spectra[columns]
-        weighted *= row_weights
-        normal = (weighted @ weighted.T).astype(float) + self.input_matrix[np.ix_(columns, columns)]
-        right_side = (weighted @ (self.residual_spectrum * row_weights)).astype(float)
-        right_side += self.input_slope[columns]
+        normal, right_side = self.input_matrix[np.ix_(columns, columns)], self.input_slope[columns]
+        for first in range(0, row_weights.size, ROW_BLOCK):
+            rows = slice(first, first + ROW_BLOCK)
+            weighted = self.column_spectra[columns, rows]
+            weighted *= row_weights[rows]
+            normal += weighted @ weighted.T
+            right_side += weighted @ (self.residual_spectrum[rows] * row_weights[rows])
         for contact_weight, contact_matrix, contact_gradient in zip(
             self.all_samples / (1 + contact_levels), self.contact_matrices, self.contact_gradients, strict=True
         ):
@@ -199,19 +211,19 @@ def local_model(
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    columns: list[Column] = list(_present_columns(linearization, residual, rig, present_set))
-    present_count, terms = len(columns), list[CandidateTerm]()
-    first_column = residual.pulls.size
+    term_count = sum(len(c.start_values()) * len(c.parameters.strengths) for c in candidates)
+    columns = LocalColumns(linearization, residual, variances, len(parameters_of(present_set.candidates)) + term_count)
+    for column in _present_columns(linearization, residual, rig, present_set):
+        columns.append(column)
+    present_count, terms = columns.count - residual.pulls.size, list[CandidateTerm]()
     for candidate in candidates:
         for start_values in candidate.start_values():
             with suppress(RigError):  # no such rig
                 new_columns = strength_columns(linearization, residual, candidate, start_values)
-                terms.append(_candidate_term(candidate, start_values, first_column + len(columns)))
-                columns += [
-                    (linear.astype(np.float32), [column.astype(np.float32) for column in contacts])
-                    for linear, contacts in new_columns
-                ]
-    return _model_of(linearization, residual, variances, columns, present_count, tuple(terms), _set_range(present_set))
+                terms.append(_candidate_term(candidate, start_values, columns.count))
+                for linear, contacts in new_columns:
+                    columns.append((linear.astype(np.float32), [column.astype(np.float32) for column in contacts]))
+    return _model_of(columns, variances, present_count, tuple(terms), _set_range(present_set))
 
 
 def _candidate_term(candidate: Candidate, start: Float[np.ndarray, " parameters"], first_column: int) -> CandidateTerm:
@@ -246,39 +258,21 @@ def _set_range(present_set: Hypothesis) -> tuple[Float[np.ndarray, " present"], 
 
 
 def _model_of(
-    linearization: Linearization,
-    residual: Residual,
+    columns: LocalColumns,
     nominal_variances: NominalVariances,
-    added_columns: Sequence[Column],
     present_count: int,
     terms: tuple[CandidateTerm, ...],
     present_range: tuple[Float[np.ndarray, " present"], Float[np.ndarray, " present"]],
 ) -> LocalModel:
-    record, nuisance_count = linearization.record, len(linearization.columns.parameters)
+    record, residual, size, row_cell = columns.linearization.record, columns.residual, columns.count, columns.row_cell
     sensor_count, time_count = len(record.sensors), residual.linear_residual.shape[1]
-    pulls = residual.pulls
-    size = pulls.size + len(added_columns)
-    norms, row_cell = _scales_and_cells(linearization, nominal_variances, time_count)
-    spectra = np.zeros((size, row_cell.size), np.float32)
-    inputs = np.zeros((size, (len(residual.linear_residual) - sensor_count) * time_count), np.float32)
-    for k, column in enumerate(linearization.columns.residual):
-        spectra[k], inputs[k] = (_spectra(record.rate_hz, column[:sensor_count], norms), column[sensor_count:].ravel())
-    for k, (linear, _) in enumerate(added_columns, pulls.size):
-        spectra[k], inputs[k] = (_spectra(record.rate_hz, linear[:sensor_count], norms), linear[sensor_count:].ravel())
+    pulls, inputs = residual.pulls, columns.inputs[:size]
     matrices, gradients, contact_levels = [], [], []
-    first_tolerance = nuisance_count
     for contact_index, contact in enumerate(residual.contacts):
-        rows = np.zeros((contact.residual.size, size))
-        rows[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
-        sample_count = contact.observation.weights.size
-        tolerances = slice(first_tolerance, first_tolerance + contact.pulls.size)
-        first_tolerance = tolerances.stop
-        rows[:sample_count, tolerances] = contact.columns[:sample_count, contact.observation.tolerance_slice].toarray()
-        for k, (_, contact_decreases) in enumerate(added_columns, pulls.size):
-            rows[:, k] = contact_decreases[contact_index]
+        rows = columns.contact_rows(contact_index)
         normal_matrix, gradient = without_drift(residual, contact_index, rows)
-        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.sum(rows**2, axis=0))
-        sum_of_squares = float(np.sum(contact.residual[:sample_count] ** 2))
+        normal_matrix += np.diag(ELIMINATION_ROUNDING * np.einsum("rk,rk->k", rows, rows))
+        sum_of_squares = float(np.sum(contact.residual[: contact.observation.weights.size] ** 2))
         contact_level = _contact_level(nominal_variances, residual, contact_index)
         matrices.append(normal_matrix * contact_level / sum_of_squares if sum_of_squares else normal_matrix)
         gradients.append(gradient * contact_level / sum_of_squares if sum_of_squares else gradient)
@@ -292,8 +286,8 @@ def _model_of(
     band_count = int(row_cell.max()) // sensor_count + 1
     samples = time_count / ratio
     return LocalModel(
-        column_spectra=spectra,
-        residual_spectrum=_spectra(record.rate_hz, residual.linear_without_lines[:sensor_count], norms),
+        column_spectra=columns.spectra[:size],
+        residual_spectrum=columns.spectrum(residual.linear_without_lines),
         row_cell=row_cell,
         contact_matrices=np.array(matrices).reshape(len(matrices), size, size),
         contact_gradients=np.array(gradients).reshape(len(gradients), size),
@@ -315,36 +309,3 @@ def _contact_level(nominal_variances: NominalVariances, residual: Residual, cont
     contact, weights = residual.contacts[contact_index], residual.contacts[contact_index].observation.weights
     residual_n = np.divide(contact.residual[: weights.size], weights, out=np.zeros(weights.size), where=weights > 0)
     return float(np.mean((residual_n * nominal_variances.observations[contact_index].weights) ** 2))
-
-
-def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
-    """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
-    segment_samples = min(round(SEGMENT_S * rate_hz), sample_count)
-    per_band = max(1, round(BAND_HZ * segment_samples / rate_hz))
-    return (segment_samples, sample_count // segment_samples, per_band, (segment_samples // 2 + 1) // per_band)
-
-
-def _scales_and_cells(
-    linearization: Linearization, nominal_variances: NominalVariances, sample_count: int
-) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
-    """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
-    record, sensor_count = linearization.record, len(linearization.record.sensors)
-    _, segment_count, per_band, band_count = _segment_counts(record.rate_hz, sample_count)
-    ratio = band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
-    norms = np.sqrt(ratio.T / (segment_count * per_band))
-    row_shape = (sensor_count, segment_count, band_count, per_band, 2)
-    sensor_index = np.arange(sensor_count)[:, None, None, None, None]
-    cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
-    return norms, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
-
-
-def _spectra(
-    rate_hz: float, signal: Float[np.ndarray, "sensors times"], norms: Float[np.ndarray, "sensors bands"]
-) -> Float[np.ndarray, " values"]:
-    """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
-    segment, count, per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
-    window = hann(segment, sym=False)
-    pieces = signal[:, : count * segment].reshape(len(signal), count, segment) * (window / np.sqrt(np.sum(window**2)))
-    lines = np.fft.rfft(pieces, axis=2)[:, :, : band_count * per_band].reshape(len(signal), count, band_count, per_band)
-    lines = lines * norms[:, None, :, None]
-    return np.stack([lines.real, lines.imag], axis=-1).astype(np.float32).ravel()

@@ -19,7 +19,8 @@ last is the number of linearisations at the stated scales of a rig without conta
 
 def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
     """Linearisation at the estimated scales, and the residual fitted in it."""
-    nominal_variances = nominal_variances_of(linearization := linearized(record, rig))
+    initial = [linearized(record, rig)]  # let go once it is fitted, as all before the last: they are large
+    nominal_variances = nominal_variances_of(initial[0])
 
     def fit_in(linearization: Linearization, start_residual: Residual | None) -> _NuisanceFit:
         residual = fitted_nuisance(linearization, start_residual).residual
@@ -29,19 +30,20 @@ def fit_nuisance(record: Record, rig: Rig) -> tuple[Linearization, Residual]:
         return fit_in(rescaled(previous_fit.linearization, previous_fit.residual), previous_fit.residual)
 
     def relinearize(previous_fit: _NuisanceFit) -> _NuisanceFit:
-        new_linearization = linearization.relinearized(
-            rig, previous_fit.residual, scales=previous_fit.linearization.scales
-        )
+        previous = previous_fit.linearization
+        new_linearization = previous.relinearized(rig, previous_fit.residual, scales=previous.scales)
         return fit_in(new_linearization, previous_fit.residual)
 
     def settled(earlier_fit: _NuisanceFit, later_fit: _NuisanceFit) -> bool:
         cost_fall = earlier_fit.misfit.minus_two_log - later_fit.misfit.minus_two_log
         return not (later_fit.misfit.excess_cost > COST_TOLERANCE and cost_fall > COST_TOLERANCE)
 
-    nuisance_fit = fit_in(linearization, None)
-    nuisance_fit = refit_until_settled(nuisance_fit, relinearize, rounds=stated_scale_refits(rig))
     nuisance_fit = refit_until_settled(
-        nuisance_fit, refit, settled, rounds=MAX_ROUNDS, at_least=extra_relinearizations(rig)
+        refit_until_settled(fit_in(initial.pop(), None), relinearize, rounds=stated_scale_refits(rig)),
+        refit,
+        settled,
+        rounds=MAX_ROUNDS,
+        at_least=extra_relinearizations(rig),
     )
     return nuisance_fit.linearization, nuisance_fit.residual
 

@@ -155,6 +155,7 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
         return best_set
     linearization, residual, model = _local_model_of(search, best_set)
     selection = selected(model, best_set.hypothesis)
+    del model  # it is large, and so are the fits
     hint_additions = [((candidate,), (values,)) for candidate, values in selection.hint_candidates]
     additions = [(selection.candidates, selection.values_by_candidate)] if selection.candidates else hint_additions
     fits = (_brief_fit_with(search, best_set.hypothesis, *addition, residual, linearization) for addition in additions)
@@ -311,13 +312,12 @@ def _look_alike_fit(
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
     linearization, residual, model = _local_model_of(search, reduced_fit)
     without = model.minimum([])
-    look_alikes = [
-        t for t in _promising_terms(model, [], reduced_fit.hypothesis, without) if t.candidate.name != member.name
-    ]
-    trials = [(model.minimum([term], without.theta), term) for term in look_alikes]
+    terms = _promising_terms(model, [], reduced_fit.hypothesis, without)
+    trials = [(model.minimum([t], without.theta), t) for t in terms if t.candidate.name != member.name]
     if not trials:
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)
+    del model
     values = (term.values(solution.theta),)
     brief_fit = _brief_fit_with(search, reduced_fit.hypothesis, (term.candidate,), values, residual, linearization)
     if brief_fit is None or brief_fit.cost > best_set.cost + MAX_EXCESS_COST:

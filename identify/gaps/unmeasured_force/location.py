@@ -255,7 +255,7 @@ def _locate_drift(
         with_drift_columns = with_columns(
             whitened,
             (*whitened.nuisance_parameters, *(Nuisance(NuisanceKind.MODULUS_DRIFT, body) for body in drifting_bodies)),
-            np.concatenate([whitened.nuisance_columns, drift_columns]),
+            [whitened.nuisance_columns, drift_columns],
             np.append(whitened.trace_terms, 0.0 * np.array(column_scales)),
         )
         with_force = evidence_without_force(with_drift_columns)

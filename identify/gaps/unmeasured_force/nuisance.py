@@ -23,7 +23,8 @@ def whitened_record(record: Record, rig: Rig) -> WhitenedRecord:
     Raises RigError if the contacts' free forces explain all that the sensors give.
     """
     whitened = record_without_nuisance(record, rig)
-    return with_columns(whitened, *nuisance_columns(whitened))
+    parameters, columns, trace_terms = nuisance_columns(whitened)
+    return with_columns(whitened, parameters, [columns], trace_terms)
 
 
 def nuisance_columns(

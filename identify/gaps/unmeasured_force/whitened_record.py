@@ -11,6 +11,7 @@ mode, gain and place of each sensor and the gain of the force, each by one toler
 measured modal accelerations q'' = Phi^+ (A - Phi_high q''_high): the modelled ones lack what the unmeasured force does.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -216,19 +217,16 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
 def with_columns(
     whitened_without: WhitenedRecord,
     parameters: tuple[Nuisance, ...],
-    nuisance_columns: Complex[np.ndarray, "columns lines rows"],
+    column_sets: Sequence[Complex[np.ndarray, "some lines rows"]],
     trace_terms: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
-    """Record with these columns, kept in single precision, and their sums over bands."""
+    """Record with columns of one or more sets, kept in single precision, and their sums over bands."""
     real_residual = np.ascontiguousarray(whitened_without.whitened_residual).view(float)
     band_edges = np.append(whitened_without.band_starts, real_residual.shape[0])
     residual_squares, cross_products, column_gram = [], [], []
     for first_line, stop_line in pairwise(band_edges):
-        band_columns = (
-            np.ascontiguousarray(nuisance_columns[:, first_line:stop_line], dtype=complex)
-            .view(float)
-            .reshape(len(nuisance_columns), -1)
-        )
+        band_sets = [columns[:, first_line:stop_line].astype(complex) for columns in column_sets]
+        band_columns = np.concatenate(band_sets).view(float).reshape(len(parameters), -1)
         band_residual = real_residual[first_line:stop_line].ravel()
         residual_squares.append(band_residual @ band_residual)
         cross_products.append(band_columns @ band_residual)
@@ -236,7 +234,7 @@ def with_columns(
     return replace(
         whitened_without,
         nuisance_parameters=parameters,
-        nuisance_columns=nuisance_columns.astype(np.complex64),
+        nuisance_columns=np.concatenate([columns.astype(np.complex64, copy=False) for columns in column_sets]),
         residual_squares=np.array(residual_squares),
         cross_products=np.array(cross_products),
         column_gram=np.array(column_gram),

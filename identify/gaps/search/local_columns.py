@@ -1,0 +1,92 @@
+"""Columns of the local model: each column's spectra by segment and its contact residuals, reduced once it is made."""
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.signal.windows import hann
+
+from identify.gaps.residual.fit import contact_jacobian
+from identify.gaps.residual.likelihood import NominalVariances
+from identify.gaps.residual.residual import Column, Linearization, Residual
+from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, band_means
+
+
+class LocalColumns:
+    """Columns as `LocalModel` holds them, each reduced as soon as it is made: over time they take twice the memory.
+
+    They begin with those of the tolerances, and have room for `added_count` more. `spectra` and `row_cell` are those of
+    `LocalModel`, `inputs` the rows of inputs with a prior, `count` the number of columns so far.
+    """
+
+    def __init__(
+        self, linearization: Linearization, residual: Residual, variances: NominalVariances, added_count: int
+    ) -> None:
+        self.linearization, self.residual = linearization, residual
+        sensor_count, (row_count, time_count) = len(linearization.record.sensors), residual.linear_residual.shape
+        self.norms, self.row_cell = _scales_and_cells(linearization, variances, time_count)
+        room = residual.pulls.size + added_count
+        self.spectra = np.zeros((room, self.row_cell.size), np.float32)
+        self.inputs = np.zeros((room, (row_count - sensor_count) * time_count), np.float32)
+        for index, linear in enumerate(linearization.columns.residual):
+            self._set_linear(index, linear)
+        self.contacts, self.count = list[list[Float[np.ndarray, " _"]]](), residual.pulls.size
+
+    def append(self, column: Column) -> None:
+        linear, contacts = column
+        self._set_linear(self.count, linear)
+        self.contacts.append(contacts)
+        self.count += 1
+
+    def _set_linear(self, index: int, linear: Float[np.ndarray, "rows times"]) -> None:
+        self.spectra[index] = self.spectrum(linear)
+        self.inputs[index] = linear[len(self.linearization.record.sensors) :].ravel()
+
+    def spectrum(self, linear: Float[np.ndarray, "rows times"]) -> Float[np.ndarray, " values"]:
+        record = self.linearization.record
+        return _spectra(record.rate_hz, linear[: len(record.sensors)], self.norms)
+
+    def contact_rows(self, contact_index: int) -> Float[np.ndarray, "rows columns"]:
+        """Columns of one contact's residual, those of its own tolerances among them."""
+        contact = self.residual.contacts[contact_index]
+        nuisance_count, sample_count = len(self.linearization.columns.parameters), contact.observation.weights.size
+        rows = np.zeros((contact.residual.size, self.count))
+        rows[:, :nuisance_count] = contact_jacobian(self.linearization, self.residual, contact_index)
+        first_tolerance = nuisance_count + sum(c.pulls.size for c in self.residual.contacts[:contact_index])
+        rows[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
+            :sample_count, contact.observation.tolerance_slice
+        ].toarray()
+        for index, decreases in enumerate(self.contacts, self.residual.pulls.size):
+            rows[:, index] = decreases[contact_index]
+        return rows
+
+
+def _segment_counts(rate_hz: float, sample_count: int) -> tuple[int, int, int, int]:
+    """Samples per segment, number of segments, lines per band and number of bands, as in `scales.second_levels`."""
+    segment_samples = min(round(SEGMENT_S * rate_hz), sample_count)
+    per_band = max(1, round(BAND_HZ * segment_samples / rate_hz))
+    return (segment_samples, sample_count // segment_samples, per_band, (segment_samples // 2 + 1) // per_band)
+
+
+def _scales_and_cells(
+    linearization: Linearization, nominal_variances: NominalVariances, sample_count: int
+) -> tuple[Float[np.ndarray, "sensors bands"], Int[np.ndarray, " rows"]]:
+    """Factors that make the squares of spectra in standard deviations add up to L; and the cell of each row."""
+    record, sensor_count = linearization.record, len(linearization.record.sensors)
+    _, segment_count, per_band, band_count = _segment_counts(record.rate_hz, sample_count)
+    ratio = band_means(record, linearization.model.error_deviation**2, band_count) / nominal_variances.expected_variance
+    norms = np.sqrt(ratio.T / (segment_count * per_band))
+    row_shape = (sensor_count, segment_count, band_count, per_band, 2)
+    sensor_index = np.arange(sensor_count)[:, None, None, None, None]
+    cell_index = np.arange(band_count)[None, None, :, None, None] * sensor_count + sensor_index
+    return norms, np.ascontiguousarray(np.broadcast_to(cell_index, row_shape)).ravel()
+
+
+def _spectra(
+    rate_hz: float, signal: Float[np.ndarray, "sensors times"], norms: Float[np.ndarray, "sensors bands"]
+) -> Float[np.ndarray, " values"]:
+    """Spectra of the segments under a Hann window, real and imaginary parts, scaled by band and sensor."""
+    segment, count, per_band, band_count = _segment_counts(rate_hz, signal.shape[1])
+    window = hann(segment, sym=False)
+    pieces = signal[:, : count * segment].reshape(len(signal), count, segment) * (window / np.sqrt(np.sum(window**2)))
+    lines = np.fft.rfft(pieces, axis=2)[:, :, : band_count * per_band].reshape(len(signal), count, band_count, per_band)
+    lines = lines * norms[:, None, :, None]
+    return np.stack([lines.real, lines.imag], axis=-1).astype(np.float32).ravel()
