@@ -27,6 +27,7 @@ from math import comb
 
 import numpy as np
 from jaxtyping import Float
+from scipy.special import logsumexp
 
 from identify.gaps.residual.fit import fit
 from identify.gaps.residual.likelihood import Misfit, NominalVariances, misfit
@@ -209,6 +210,26 @@ def probabilities(log_posteriors: Float[np.ndarray, " hypotheses"]) -> Float[np.
     """Probabilities from log posteriors that are known up to a constant."""
     likelihood_ratios = np.exp(log_posteriors - log_posteriors.max())
     return np.asarray(likelihood_ratios / likelihood_ratios.sum())
+
+
+def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
+    """p-value of the nominal rig against hypotheses that were fitted on another record.
+
+    With S = -2 ln p on the record that was not fitted, the split likelihood ratio of their mixture gives (Wasserman,
+    Ramdas and Balakrishnan, Proc. Natl. Acad. Sci. 117, 2020)
+
+        1 / p >= sum_i w_i exp((S_nominal - S_i) / (2 TEMPERATURE))
+
+    for any weights w_i that the record did not choose: here the probabilities of the hypotheses by their priors and the
+    fitted record.
+    """
+    named = [item for item in ranked if item.hypothesis.candidates]
+    if not named:
+        return 1.0
+    fitted_costs = np.array([item.hypothesis.cost for item in named])
+    weights = probabilities(np.array([item.log_prior for item in named]) - fitted_costs / (2 * TEMPERATURE))
+    gains = nominal_of(ranked).misfit.minus_two_log - np.array([item.misfit.minus_two_log for item in named])
+    return float(min(1.0, np.exp(-logsumexp(gains / (2 * TEMPERATURE), b=weights))))
 
 
 def mismatch_size(misfit: Misfit, matters: Matters) -> float:

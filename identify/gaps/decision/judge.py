@@ -9,17 +9,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
+from identify.gaps.decision.channel_errors import channels_of, with_channel_errors
 from identify.gaps.decision.comparison import (
-    TEMPERATURE,
     ValidatedHypothesis,
     explained_share,
     log_priors,
     nominal_of,
+    split_p_value,
     validate_hypotheses,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
+from identify.gaps.decision.null_simulations import draw_rig, standard_normals
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
     RIVAL_PROBABILITY,
@@ -49,7 +51,8 @@ CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
 INCOMPLETE_VERDICTS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts that leave something to be described."""
 CONFIRMING_SIMULATIONS = 3
-"""Simulations with the named effects, made where their prediction improves by less than expected. Effort."""
+"""Simulated machines with the named effects, within the tolerances, made where the prediction improves by less than
+expected. Effort."""
 
 
 @dataclass(frozen=True)
@@ -142,17 +145,6 @@ class _DecisionBasis:
         self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
     ) -> Decision:
         return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
-
-
-def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
-    """p-value of the nominal rig against n hypotheses that were fitted on another record.
-
-    With S = -2 ln p on the record that was not fitted, the split likelihood ratio gives p <= n exp((S_hypothesis -
-    S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc. Natl. Acad. Sci. 117, 2020).
-    """
-    nominal = nominal_of(ranked).misfit.minus_two_log
-    gains = [nominal - item.misfit.minus_two_log for item in ranked if item.hypothesis.candidates]
-    return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
 
 
 def difference_of(
@@ -287,12 +279,12 @@ def predicted_rollout(
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
         return rollout
-    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
-    log_ratios = []
-    for seed in range(CONFIRMING_SIMULATIONS):
-        simulation = prepared.simulate(
-            validation.recording.rig, named_set.corrected_rig, validation.recording.forces_n, seed
-        )
+    nominal_rig, forces_n = validation.recording.rig, validation.recording.forces_n
+    horizon_samples = round(rollout.horizon_s * nominal_rig.sample_rate_hz)
+    channels, log_ratios = channels_of(validation.record), []
+    for seed, normals in enumerate(standard_normals(nominal_rig, CONFIRMING_SIMULATIONS)):
+        drawn_rig = draw_rig(named_set.rig, validation.record.tolerances, normals)
+        simulation = with_channel_errors(prepared.simulate(nominal_rig, drawn_rig, forces_n, seed), channels, seed)
         record = record_of(simulation, tolerances=validation.record.tolerances)
         nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
         log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))

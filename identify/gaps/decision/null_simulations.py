@@ -12,7 +12,6 @@ Notes for maintainers
 """
 
 from collections.abc import Iterator
-from dataclasses import replace as with_fields
 
 import numpy as np
 from jaxtyping import Float
@@ -52,7 +51,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
 
     A beam becomes a structure with a frequency and a damping ratio of its own for each mode. The extra high-pass of an
     AC-coupled sensor is added to its corner frequency. The gains of several forces are not part of the rig (see
-    `with_force_noise`).
+    `channel_errors`).
     """
     next_normals = iter(normals.tolist())
     drawn_sensors = []
@@ -89,20 +88,6 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
         supports=(),
         clamps=(),
     )
-
-
-def with_crosstalk(recording: Recording, crosstalk_share: float, rng: np.random.Generator) -> Recording:
-    """Recording with crosstalk: random shares, of this standard deviation, of the adjacent channels of the same
-    quantity."""
-    signals = dict(recording.signals)
-    for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors) if crosstalk_share else ():
-        channel_values = signals[quantity].values
-        neighbour_mask = np.eye(len(channel_values), k=1) + np.eye(len(channel_values), k=-1)
-        mixing_matrix = np.eye(len(channel_values)) + crosstalk_share * neighbour_mask * rng.standard_normal(
-            neighbour_mask.shape
-        )
-        signals[quantity] = with_fields(signals[quantity], values=mixing_matrix @ channel_values)
-    return with_fields(recording, signals=signals)
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
@@ -192,21 +177,6 @@ def phase_randomized(
     onset_samples = min(round(ONSET_S * sample_rate_hz), excited_force_n.size)
     randomized_force_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
     return np.concatenate([np.zeros(silent_samples), randomized_force_n])
-
-
-def with_force_noise(
-    recording: Recording,
-    force_noise_n: Float[np.ndarray, " forces"],
-    force_gain: float,
-    rng: np.random.Generator,
-) -> Recording:
-    """Recording with noise and gain errors of the force channels, which the simulator does not know."""
-    force_signals = recording.signals["force"]
-    noisy_forces_n = force_signals.values + force_noise_n[:, None] * rng.standard_normal(force_signals.values.shape)
-    noisy_forces_n = noisy_forces_n * (1 + force_gain * rng.standard_normal((len(noisy_forces_n), 1)))
-    return with_fields(
-        recording, signals={**recording.signals, "force": with_fields(force_signals, values=noisy_forces_n)}
-    )
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.null_simulations import draw_rig, with_crosstalk
+from identify.gaps.decision.channel_errors import with_crosstalk
+from identify.gaps.decision.null_simulations import draw_rig
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
