@@ -64,7 +64,9 @@ def with_cross_axis(
     deviation, of a motion with the spectrum of the measured one in every second (`LATERAL_S`), but other phases, common
     to a body.
 
-    Its segments overlap under the square root w of a Hann window: sum over segments of w irfft(e^(i phase) rfft(w x)).
+    Its segments overlap under the square root w of a Hann window, whose square has the mean 1/2:
+
+        sqrt(2) sum over segments of w irfft(e^(i phase) rfft(w x))
     """
     if "acceleration" not in recording.signals or not lateral_share:
         return recording
@@ -83,7 +85,7 @@ def with_cross_axis(
         lateral_motion[:, segment] += window * np.fft.irfft(spectrum, 2 * half_samples)
     lateral_motion = lateral_motion[:, half_samples : half_samples + signals.values.shape[1]]
     lateral_motion[:, :silent_samples] = 0.0
-    shares = lateral_share * rng.standard_normal((len(sensors), 1))
+    shares = np.sqrt(2) * lateral_share * rng.standard_normal((len(sensors), 1))
     lateral_signals = with_fields(signals, values=signals.values + shares * lateral_motion)
     return with_fields(recording, signals={**recording.signals, "acceleration": lateral_signals})
 

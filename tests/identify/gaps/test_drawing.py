@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.channel_errors import with_crosstalk
+from identify.gaps.decision.channel_errors import with_cross_axis, with_crosstalk
 from identify.gaps.decision.null_simulations import draw_rig
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
@@ -67,6 +67,25 @@ def test_channels_show_shares_of_those_beside_them():
     np.testing.assert_array_equal(mixing[:, ~adjacent], np.broadcast_to(values[~adjacent], mixing[:, ~adjacent].shape))
     assert mixing[:, adjacent].std() == pytest.approx(2e-3, rel=0.1)
     assert with_crosstalk(recording, 0.0, np.random.default_rng(1)) == recording
+
+
+def test_accelerometers_show_motion_across_their_axes():
+    """It lasts as long as the measured motion, has its spectrum, is one motion a body, and starts with the force."""
+    rig, samples, silent = BarrelCradle(sensors="acceleration").rig(), 16384, 4096
+    rng, seconds = np.random.default_rng(4), np.arange(samples) / BarrelCradle().sample_rate_hz
+    values = np.exp(-seconds / 2) * rng.standard_normal((len(rig.sensors), samples))
+    values[:, :silent] = 0.0
+    recording = Recording(rig, {"acceleration": Signals(channel_groups(rig)["acceleration"], 0.0, values)}, {})
+    drawings = [with_cross_axis(recording, 3e-3, silent, np.random.default_rng(seed)) for seed in range(60)]
+    lateral = np.array([drawing.signals["acceleration"].values for drawing in drawings]) - values
+    assert not np.any(lateral[..., :silent])
+    for part in (slice(silent, silent + 4096), slice(-4096, None)):
+        assert lateral[..., part].std() == pytest.approx(3e-3 * np.sqrt(np.mean(values[:, part] ** 2)), rel=0.3)
+    similar = (
+        np.einsum("dst,st->ds", lateral, values) / np.linalg.norm(lateral, axis=2) / np.linalg.norm(values, axis=1)
+    )
+    assert np.sqrt(np.mean(similar**2)) < 0.05
+    assert with_cross_axis(recording, 0.0, silent, np.random.default_rng(1)) == recording
 
 
 def test_strain_gauges_keep_their_fibre():

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import Difference
-from identify.gaps.decision.comparison import ValidatedHypothesis
+from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
 from identify.gaps.decision.judge import predicted_decision
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
@@ -171,3 +171,32 @@ def test_an_effect_that_a_pair_names_stands_alone_only_where_it_is_named_there(s
     decision = decide([pair, alone, nominal], vetoed=False)
     assert decision.evidence.named == (mass.hypothesis.candidates[0].name,)
     assert decision.named_hypothesis is (alone if named_alone else pair)
+
+
+def test_what_the_named_effect_changes_is_bounded_beside_it():
+    """The nominal rig, its tolerances fitted, leaves little; with the tolerances as beside the mass it leaves much."""
+    mass, nominal = validated_hypothesis(1.0, "added_mass"), validated_hypothesis(60.0)
+    named = decide([mass, nominal], vetoed=False).evidence
+    assert named.quantities_beside[0].value == mass.nominal_misfit.motion_share
+    unnamed = decide([validated_hypothesis(1.0, "added_mass", 0.1), nominal], vetoed=False).evidence
+    assert not unnamed.named
+    assert not unnamed.quantities_beside
+
+
+def weighted(level, cost, effect="added_mass"):
+    """A hypothesis that leaves this level of the record held back, and has this cost on the one that was fitted."""
+    validated = validated_hypothesis(level, effect)
+    fitted_misfit = replace(validated.misfit, drift_cost=cost - validated.misfit.minus_two_log)
+    return replace(validated, hypothesis=replace(validated.hypothesis, misfit=fitted_misfit))
+
+
+def test_the_split_p_value_is_that_of_the_mixture_by_the_fitted_record():
+    nominal, right, wrong = validated_hypothesis(1.2), weighted(1.0, 0.0), weighted(1.2, 600.0, "linear_spring")
+    gain = nominal.misfit.minus_two_log - right.misfit.minus_two_log
+    assert gain > 20
+    alone = split_p_value([nominal, right])
+    assert alone == pytest.approx(np.exp(-gain / (2 * TEMPERATURE)))
+    assert split_p_value([nominal, right, wrong, wrong]) == pytest.approx(alone, rel=1e-6)
+    preferred_wrongly = [nominal, weighted(1.0, 600.0), weighted(1.2, 0.0, "linear_spring")]
+    assert split_p_value(preferred_wrongly) == pytest.approx(1.0, rel=1e-6)
+    assert split_p_value([nominal]) == 1.0
