@@ -31,7 +31,14 @@ from identify.gaps.decision.verdict import (
     decide,
     strengths_exclude_neutral,
 )
-from identify.gaps.decision_table import DIFFERENCE_P_VALUE, PARTLY_EXPLAINED_SHARE, Verdict, all_hold
+from identify.gaps.decision_table import (
+    DIFFERENCE_P_VALUE,
+    PARTLY_EXPLAINED_SHARE,
+    USUAL_P_VALUE,
+    Evidence,
+    Verdict,
+    all_hold,
+)
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.residual.spectra import record_of
@@ -108,7 +115,7 @@ def judge(
 ) -> Judgement:
     """Judge the difference, every hypothesis and the prediction with the named effects on the validation record.
 
-    Where named effects do not suffice, an unmeasured force and a modulated clearance are looked for.
+    Where an unmeasured force may be behind it (`may_hide_force`), it and a modulated clearance are looked for.
     """
     validation = prepared.validation_recording
     record = validation.record
@@ -127,9 +134,16 @@ def judge(
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
     decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
-    if decision.verdict in INCOMPLETE_VERDICTS:
+    if may_hide_force(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
     return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
+
+
+def may_hide_force(evidence: Evidence) -> bool:
+    """True if an unmeasured force may be the rival of named effects, or of none: where something is left to be
+    described, and where a small effect is named that leaves more than tolerances and noise do."""
+    names_small_effect = evidence.verdict == Verdict.SMALL and bool(evidence.named)
+    return evidence.verdict in INCOMPLETE_VERDICTS or (names_small_effect and evidence.p_value_after < USUAL_P_VALUE)
 
 
 @dataclass(frozen=True)

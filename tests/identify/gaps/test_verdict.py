@@ -8,12 +8,12 @@ from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import Difference
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
-from identify.gaps.decision.judge import predicted_decision
+from identify.gaps.decision.judge import may_hide_force, predicted_decision
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
 from identify.gaps.decision.verdict import acts_at_effects
 from identify.gaps.decision.verdict import decide as decide_verdict
-from identify.gaps.decision_table import Bounded
+from identify.gaps.decision_table import Bounded, Evidence, Strength
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.results import Matters
 from identify.gaps.rollout.results import Rollout
@@ -200,3 +200,30 @@ def test_the_split_p_value_is_that_of_the_mixture_by_the_fitted_record():
     preferred_wrongly = [nominal, weighted(1.0, 600.0), weighted(1.2, 0.0, "linear_spring")]
     assert split_p_value(preferred_wrongly) == pytest.approx(1.0, rel=1e-6)
     assert split_p_value([nominal]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("upper", "p_value_after", "is_named", "looks"),
+    [
+        (0.4, 1e-8, True, True),
+        (0.4, 0.5, True, False),
+        (0.4, 1e-8, False, False),
+        (0.6, 0.5, True, False),
+        (0.6, 1e-8, False, True),
+    ],
+)
+def test_a_small_effect_that_leaves_more_than_noise_has_an_unmeasured_force_as_rival(
+    upper, p_value_after, is_named, looks
+):
+    """A drag too small to matter was called a damper, as no force by another law was tried."""
+    motion = Bounded("motion", "1", 0.3, upper, 0.5)
+    strength = Strength("ground_damper", 0.99 if is_named else 0.5, (3.9, 5.4), 0.0)
+    evidence = Evidence(
+        p_value=1e-9,
+        quantities=(motion,),
+        strengths=(strength,),
+        p_value_after=p_value_after,
+        quantities_after=(motion,),
+        removed=0.4,
+    )
+    assert may_hide_force(evidence) is looks
