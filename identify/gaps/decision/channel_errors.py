@@ -17,28 +17,28 @@ decays with that motion."""
 
 
 @dataclass(frozen=True)
-class Channels:
-    """Channels of a recording: noise of each force (standard deviation of a sample, N), samples before the force
-    begins, and tolerances."""
+class ChannelErrors:
+    """Errors of a recording's channels: noise of each force (standard deviation of a sample, N), samples before the
+    force begins, and tolerances."""
 
     force_noise_n: Float[np.ndarray, " forces"]
     silent_samples: int
     tolerances: Tolerances
 
 
-def channels_of(record: Record) -> Channels:
-    """Channels of a measured record."""
+def channel_errors_of(record: Record) -> ChannelErrors:
+    """Errors of the channels of a measured record."""
     force_noise_n = np.sqrt(record.force_noise_variance / record.sample_count)
-    return Channels(force_noise_n, round(record.excitation_start_s * record.sample_rate_hz), record.tolerances)
+    return ChannelErrors(force_noise_n, round(record.excitation_start_s * record.sample_rate_hz), record.tolerances)
 
 
-def with_channel_errors(recording: Recording, channels: Channels, seed: int) -> Recording:
+def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, seed: int) -> Recording:
     """Simulated recording with errors of its channels that no rig has, the same for the same seed."""
-    rng, tolerances = np.random.default_rng([seed, 79]), channels.tolerances
-    force_count = len(channels.force_noise_n)
+    rng, tolerances = np.random.default_rng([seed, 79]), channel_errors.tolerances
+    force_count = len(channel_errors.force_noise_n)
     gain_tolerance = tolerances.force_gain if force_count > 1 else 0.0  # of one force the rig that is drawn has it
-    noisy_recording = with_force_noise(recording, channels.force_noise_n, gain_tolerance, rng)
-    lateral_recording = with_cross_axis(noisy_recording, tolerances.cross_axis, channels.silent_samples, rng)
+    noisy_recording = with_force_noise(recording, channel_errors.force_noise_n, gain_tolerance, rng)
+    lateral_recording = with_cross_axis(noisy_recording, tolerances.cross_axis, channel_errors.silent_samples, rng)
     return with_crosstalk(lateral_recording, tolerances.crosstalk, rng)
 
 

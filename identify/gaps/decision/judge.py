@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
-from identify.gaps.decision.channel_errors import channels_of, with_channel_errors
+from identify.gaps.decision.channel_errors import channel_errors_of
 from identify.gaps.decision.comparison import (
     ValidatedHypothesis,
     explained_share,
@@ -21,7 +21,7 @@ from identify.gaps.decision.comparison import (
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
-from identify.gaps.decision.null_simulations import draw_rig, standard_normals
+from identify.gaps.decision.null_simulations import simulated_machines
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
     RIVAL_PROBABILITY,
@@ -293,12 +293,11 @@ def predicted_rollout(
     rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
     if not rollout.falls_short:
         return rollout
-    nominal_rig, forces_n = validation.recording.rig, validation.recording.forces_n
-    horizon_samples = round(rollout.horizon_s * nominal_rig.sample_rate_hz)
-    channels, log_ratios = channels_of(validation.record), []
-    for seed, normals in enumerate(standard_normals(nominal_rig, CONFIRMING_SIMULATIONS)):
-        drawn_rig = draw_rig(named_set.rig, validation.record.tolerances, normals)
-        simulation = with_channel_errors(prepared.simulate(nominal_rig, drawn_rig, forces_n, seed), channels, seed)
+    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
+    channel_errors, log_ratios = channel_errors_of(validation.record), []
+    for simulation in simulated_machines(
+        validation.recording, named_set.rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
+    ):
         record = record_of(simulation, tolerances=validation.record.tolerances)
         nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
         log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))

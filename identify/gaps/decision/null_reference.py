@@ -27,7 +27,7 @@ from msgspec.structs import replace
 from scipy.stats import norm
 from scipy.stats import t as student
 
-from identify.gaps.decision.channel_errors import Channels, channels_of, with_channel_errors
+from identify.gaps.decision.channel_errors import ChannelErrors, channel_errors_of, with_channel_errors
 from identify.gaps.decision.null_simulations import (
     draw_rig,
     is_impulsive,
@@ -215,7 +215,7 @@ def null_reference_of(
     null_run = _NullRun(
         measured_recording=measured_recording,
         tolerances=tolerances,
-        channels=channels_of(measured_record),
+        channel_errors=channel_errors_of(measured_record),
         counted_part=measured_record.counted_part,
         simulate=simulate,
         predict=predict,
@@ -241,7 +241,7 @@ class _NullRun:
 
     measured_recording: Recording
     tolerances: Tolerances
-    channels: Channels
+    channel_errors: ChannelErrors
     counted_part: CountedPart
     simulate: Simulate
     predict: Predict | None
@@ -267,7 +267,7 @@ class _NullRun:
 
     def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
         """Recording of a machine under a force of the measured one's spectrum, with the errors of its channels."""
-        rng, silent_samples = np.random.default_rng([seed, 77]), self.channels.silent_samples
+        rng, silent_samples = np.random.default_rng([seed, 77]), self.channel_errors.silent_samples
         rate_hz = self.measured_recording.rig.sample_rate_hz
         forces_n = np.array(
             [
@@ -276,7 +276,7 @@ class _NullRun:
             ]
         )
         simulated_recording = self.simulate(self.measured_recording.rig, drawn_rig, forces_n, seed)
-        return with_channel_errors(simulated_recording, self.channels, seed)
+        return with_channel_errors(simulated_recording, self.channel_errors, seed)
 
 
 def _prediction_errors(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:

@@ -18,6 +18,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.stats import norm, qmc
 
+from identify.gaps.decision.channel_errors import ChannelErrors, with_channel_errors
 from identify.gaps.decision.recordings import cut_recording
 from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from identify.gaps.residual.record import Record
@@ -88,6 +89,15 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
         supports=(),
         clamps=(),
     )
+
+
+def simulated_machines(
+    measured: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, count: int
+) -> Iterator[Recording]:
+    """Recordings of machines like `rig`, each off by its own draw of the tolerances, under the measured forces."""
+    for seed, normals in enumerate(standard_normals(measured.rig, count)):
+        drawn_rig = draw_rig(rig, channel_errors.tolerances, normals)
+        yield with_channel_errors(simulate(measured.rig, drawn_rig, measured.forces_n, seed), channel_errors, seed)
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:

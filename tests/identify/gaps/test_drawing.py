@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.channel_errors import with_cross_axis, with_crosstalk
-from identify.gaps.decision.null_simulations import draw_rig
+from identify.gaps.decision.channel_errors import ChannelErrors, with_cross_axis, with_crosstalk
+from identify.gaps.decision.null_simulations import draw_rig, simulated_machines
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
@@ -86,6 +86,23 @@ def test_accelerometers_show_motion_across_their_axes():
     )
     assert np.sqrt(np.mean(similar**2)) < 0.05
     assert with_cross_axis(recording, 0.0, silent, np.random.default_rng(1)) == recording
+
+
+def test_machines_that_confirm_a_veto_are_built_within_the_tolerances():
+    """Those without are predicted better than any that is built, so that they vetoed what is right."""
+    rig, machines = BarrelCradle(sensors="acceleration").rig(), []
+    rows = {"force": 1, "acceleration": len(rig.sensors)}
+    signals = {q: Signals(channel_groups(rig)[q], 0.0, np.zeros((rows[q], 4096))) for q in rows}
+    recording = Recording(rig, signals, {})
+
+    def simulate(_rig, machine, _forces_n, _seed):
+        machines.append(machine)
+        return recording
+
+    assert len(list(simulated_machines(recording, rig, ChannelErrors(np.zeros(1), 0, LABORATORY), simulate, 3))) == 3
+    gains = np.array([[sensor.gain for sensor in machine.sensors] for machine in machines])
+    assert np.std(gains - 1) == pytest.approx(LABORATORY.gain, rel=0.4)
+    assert np.all(np.std(gains, axis=0) > 0)
 
 
 def test_strain_gauges_keep_their_fibre():
