@@ -80,7 +80,8 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
         return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {bounds}."]
     return [
         f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
-        "No effect of the library is named for it."
+        "No effect of the library is named for it.",
+        *([_force_description(gap, "The difference")] if gap.unknown else []),
     ]
 
 
