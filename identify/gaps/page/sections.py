@@ -156,11 +156,9 @@ def decision(gap: Gap) -> str:
     section_html = f"<p>Four questions decide; their answers give: {escape(VERDICTS[gap.verdict])}.</p>" + page.table(
         ("", "", ""), question_rows
     )
-    changed_quantities = evidence.quantities_beside if evidence.taken_up else ()
-    quantity_rows = [
-        *(_quantity_row(q) for q in evidence.quantities),
-        *(_quantity_row(replace(q, name=f"{q.name}, by the named effects")) for q in changed_quantities),
-    ]
+    quantity_rows = [_quantity_row(q) for q in evidence.quantities]
+    for quantity in evidence.quantities_beside * evidence.taken_up:
+        quantity_rows.append(_quantity_row(replace(quantity, name=f"{quantity.name}, by the named effects")))
     section_html += "<h3>What matters</h3>"
     section_html += page.table(("quantity", "found", "at most (97.5 %)", "limit", ""), quantity_rows)
     if gap.causes:
