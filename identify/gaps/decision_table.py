@@ -2,7 +2,9 @@
 
 Notes for maintainers
 1. D, a difference: p < `DIFFERENCE_P_VALUE` over all records together, against null simulations.
-2. B, bounded: the upper 97.5 % bound of every quantity that matters lies below its threshold, and noise hides none.
+2. B, bounded: the upper 97.5 % bound of every quantity that matters lies below its threshold, and noise hides none;
+   where effects are named, also of what the nominal rig leaves with the tolerances as fitted beside them. Tolerances
+   that take up what a named effect does, without it, make no effect small.
 3. N, a name: at least one effect (or class of look-alikes) with an inclusion probability of `NAMED_PROBABILITY` or more
    and a 95 % interval that excludes its neutral value.
 4. R, enough: the misfit of the named set satisfies B, or its p is `USUAL_P_VALUE` or more.
@@ -89,7 +91,8 @@ class Strength(msgspec.Struct, frozen=True):
 
 class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     """Evidence that decides. `after` refers to the misfit of the named set, or of the nominal rig without a named
-    effect.
+    effect. quantities_beside are those of the nominal rig with the tolerances fitted beside the named set: what its
+    absence changes; empty without a name.
 
     removed is the share of the mismatch that the named set removes; vetoed is whether the rollout forbids `explained`.
     held_back_shows tells whether the validation record shows the difference by itself; otherwise strengths are those of
@@ -104,6 +107,7 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     removed: float
     vetoed: bool = False
     held_back_shows: bool = True
+    quantities_beside: tuple[Bounded, ...] = ()
 
     @property
     def not_seen(self) -> tuple[Bounded, ...]:
@@ -118,7 +122,12 @@ class Evidence(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def bounded(self) -> bool:
         """Criterion B of the nominal rig; false where no quantity was compared."""
-        return all_hold(self.quantities)
+        return all_hold(self.quantities) and not self.taken_up
+
+    @property
+    def taken_up(self) -> bool:
+        """True if tolerances take up what the named effects change, without which that matters."""
+        return all_hold(self.quantities) and not all(quantity.holds for quantity in self.quantities_beside)
 
     @property
     def named(self) -> tuple[str, ...]:

@@ -9,17 +9,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
+from identify.gaps.decision.channel_errors import channel_errors_of
 from identify.gaps.decision.comparison import (
-    TEMPERATURE,
     ValidatedHypothesis,
     explained_share,
     log_priors,
     nominal_of,
+    split_p_value,
     validate_hypotheses,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import Attempt, attempted
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
+from identify.gaps.decision.null_simulations import simulated_machines
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
     RIVAL_PROBABILITY,
@@ -29,7 +31,14 @@ from identify.gaps.decision.verdict import (
     decide,
     strengths_exclude_neutral,
 )
-from identify.gaps.decision_table import DIFFERENCE_P_VALUE, PARTLY_EXPLAINED_SHARE, Verdict, all_hold
+from identify.gaps.decision_table import (
+    DIFFERENCE_P_VALUE,
+    PARTLY_EXPLAINED_SHARE,
+    USUAL_P_VALUE,
+    Evidence,
+    Verdict,
+    all_hold,
+)
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
 from identify.gaps.residual.spectra import record_of
@@ -49,7 +58,8 @@ CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
 INCOMPLETE_VERDICTS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts that leave something to be described."""
 CONFIRMING_SIMULATIONS = 3
-"""Simulations with the named effects, made where their prediction improves by less than expected. Effort."""
+"""Simulated machines with the named effects, within the tolerances, made where the prediction improves by less than
+expected. Effort."""
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,7 @@ def judge(
 ) -> Judgement:
     """Judge the difference, every hypothesis and the prediction with the named effects on the validation record.
 
-    Where named effects do not suffice, an unmeasured force and a modulated clearance are looked for.
+    Where an unmeasured force may be behind it (`may_hide_force`), it and a modulated clearance are looked for.
     """
     validation = prepared.validation_recording
     record = validation.record
@@ -125,9 +135,16 @@ def judge(
         lambda named_set: attempted("rollout", lambda: predicted_rollout(prepared, residual, named_set)),
     )
     decision, unmeasured_causes = predicted.decision, UnmeasuredCauses()
-    if decision.verdict in INCOMPLETE_VERDICTS:
+    if may_hide_force(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
     return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
+
+
+def may_hide_force(evidence: Evidence) -> bool:
+    """True if an unmeasured force may be the rival of named effects, or of none: where something is left to be
+    described, and where a small effect is named that leaves more than tolerances and noise do."""
+    names_small_effect = evidence.verdict == Verdict.SMALL and bool(evidence.named)
+    return evidence.verdict in INCOMPLETE_VERDICTS or (names_small_effect and evidence.p_value_after < USUAL_P_VALUE)
 
 
 @dataclass(frozen=True)
@@ -143,17 +160,6 @@ class _DecisionBasis:
         self, ranked: Sequence[ValidatedHypothesis], is_vetoed: bool = False, force_rivals: ForceRivals | None = None
     ) -> Decision:
         return decide(ranked, self.difference, self.prepared.null_reference, self.matters, force_rivals, is_vetoed)
-
-
-def split_p_value(ranked: Sequence[ValidatedHypothesis]) -> float:
-    """p-value of the nominal rig against n hypotheses that were fitted on another record.
-
-    With S = -2 ln p on the record that was not fitted, the split likelihood ratio gives p <= n exp((S_hypothesis -
-    S_nominal) / (2 TEMPERATURE)) (Wasserman, Ramdas and Balakrishnan, Proc. Natl. Acad. Sci. 117, 2020).
-    """
-    nominal = nominal_of(ranked).misfit.minus_two_log
-    gains = [nominal - item.misfit.minus_two_log for item in ranked if item.hypothesis.candidates]
-    return float(min(1.0, len(gains) * np.exp(-max(gains, default=0.0) / (2 * TEMPERATURE)))) if gains else 1.0
 
 
 def difference_of(
@@ -289,11 +295,10 @@ def predicted_rollout(
     if not rollout.falls_short:
         return rollout
     horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
-    log_ratios = []
-    for seed in range(CONFIRMING_SIMULATIONS):
-        simulation = prepared.simulate(
-            validation.recording.rig, named_set.corrected_rig, validation.recording.forces_n, seed
-        )
+    channel_errors, log_ratios = channel_errors_of(validation.record), []
+    for simulation in simulated_machines(
+        validation.recording, named_set.rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
+    ):
         record = record_of(simulation, tolerances=validation.record.tolerances)
         nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
         log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))

@@ -27,13 +27,12 @@ from msgspec.structs import replace
 from scipy.stats import norm
 from scipy.stats import t as student
 
+from identify.gaps.decision.channel_errors import ChannelErrors, channel_errors_of, with_channel_errors
 from identify.gaps.decision.null_simulations import (
     draw_rig,
     is_impulsive,
     phase_randomized,
     standard_normals,
-    with_crosstalk,
-    with_force_noise,
 )
 from identify.gaps.residual.likelihood import Misfit, misfit, nominal_variances_of
 from identify.gaps.residual.record import CountedPart
@@ -216,8 +215,7 @@ def null_reference_of(
     null_run = _NullRun(
         measured_recording=measured_recording,
         tolerances=tolerances,
-        force_noise_n=np.sqrt(measured_record.force_noise_variance / measured_record.sample_count),
-        silent_samples=round(measured_record.excitation_start_s * measured_record.sample_rate_hz),
+        channel_errors=channel_errors_of(measured_record),
         counted_part=measured_record.counted_part,
         simulate=simulate,
         predict=predict,
@@ -243,8 +241,7 @@ class _NullRun:
 
     measured_recording: Recording
     tolerances: Tolerances
-    force_noise_n: Float[np.ndarray, " forces"]
-    silent_samples: int
+    channel_errors: ChannelErrors
     counted_part: CountedPart
     simulate: Simulate
     predict: Predict | None
@@ -269,21 +266,17 @@ class _NullRun:
         )
 
     def _recording_of(self, seed: int, drawn_rig: Rig) -> Recording:
-        """Recording of a machine under a force of the measured one's spectrum, with noise and crosstalk."""
-        rng = np.random.default_rng([seed, 77])
+        """Recording of a machine under a force of the measured one's spectrum, with the errors of its channels."""
+        rng, silent_samples = np.random.default_rng([seed, 77]), self.channel_errors.silent_samples
         rate_hz = self.measured_recording.rig.sample_rate_hz
         forces_n = np.array(
             [
-                force_n if is_impulsive(force_n) else phase_randomized(force_n, self.silent_samples, rate_hz, rng)
+                force_n if is_impulsive(force_n) else phase_randomized(force_n, silent_samples, rate_hz, rng)
                 for force_n in self.measured_recording.forces_n
             ]
         )
         simulated_recording = self.simulate(self.measured_recording.rig, drawn_rig, forces_n, seed)
-        gain_tolerance = (
-            self.tolerances.force_gain if len(self.force_noise_n) > 1 else 0.0
-        )  # of one force the rig that is drawn has it
-        noisy_recording = with_force_noise(simulated_recording, self.force_noise_n, gain_tolerance, rng)
-        return with_crosstalk(noisy_recording, self.tolerances.crosstalk, rng)
+        return with_channel_errors(simulated_recording, self.channel_errors, seed)
 
 
 def _prediction_errors(recording: Recording, residual: Residual, predict: Predict | None) -> NullErrors | None:

@@ -13,7 +13,6 @@ Notes for maintainers
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from dataclasses import replace as with_fields
 from functools import cached_property
 
 import numpy as np
@@ -21,6 +20,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.stats import norm, qmc
 
+from identify.gaps.decision.channel_errors import ChannelErrors, with_channel_errors
 from identify.gaps.decision.recordings import cut_recording
 from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from identify.gaps.residual.record import Record
@@ -54,7 +54,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
 
     A beam becomes a structure with a frequency and a damping ratio of its own for each mode. The extra high-pass of an
     AC-coupled sensor is added to its corner frequency. The gains of several forces are not part of the rig (see
-    `with_force_noise`).
+    `channel_errors`).
     """
     next_normals = iter(normals.tolist())
     drawn_sensors = []
@@ -93,18 +93,13 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     )
 
 
-def with_crosstalk(recording: Recording, crosstalk_share: float, rng: np.random.Generator) -> Recording:
-    """Recording with crosstalk: random shares, of this standard deviation, of the adjacent channels of the same
-    quantity."""
-    signals = dict(recording.signals)
-    for quantity in dict.fromkeys(sensor.quantity for sensor in recording.rig.sensors) if crosstalk_share else ():
-        channel_values = signals[quantity].values
-        neighbour_mask = np.eye(len(channel_values), k=1) + np.eye(len(channel_values), k=-1)
-        mixing_matrix = np.eye(len(channel_values)) + crosstalk_share * neighbour_mask * rng.standard_normal(
-            neighbour_mask.shape
-        )
-        signals[quantity] = with_fields(signals[quantity], values=mixing_matrix @ channel_values)
-    return with_fields(recording, signals=signals)
+def simulated_machines(
+    measured: Recording, rig: Rig, channel_errors: ChannelErrors, simulate: Simulate, count: int
+) -> Iterator[Recording]:
+    """Recordings of machines like `rig`, each off by its own draw of the tolerances, under the measured forces."""
+    for seed, normals in enumerate(standard_normals(measured.rig, count)):
+        drawn_rig = draw_rig(rig, channel_errors.tolerances, normals)
+        yield with_channel_errors(simulate(measured.rig, drawn_rig, measured.forces_n, seed), channel_errors, seed)
 
 
 def _remaining_springs(rig: Rig, modal_bodies: set[str]) -> Iterator[object]:
@@ -194,21 +189,6 @@ def phase_randomized(
     onset_samples = min(round(ONSET_S * sample_rate_hz), excited_force_n.size)
     randomized_force_n[:onset_samples] *= np.sin(np.linspace(0, np.pi / 2, onset_samples)) ** 2
     return np.concatenate([np.zeros(silent_samples), randomized_force_n])
-
-
-def with_force_noise(
-    recording: Recording,
-    force_noise_n: Float[np.ndarray, " forces"],
-    force_gain: float,
-    rng: np.random.Generator,
-) -> Recording:
-    """Recording with noise and gain errors of the force channels, which the simulator does not know."""
-    force_signals = recording.signals["force"]
-    noisy_forces_n = force_signals.values + force_noise_n[:, None] * rng.standard_normal(force_signals.values.shape)
-    noisy_forces_n = noisy_forces_n * (1 + force_gain * rng.standard_normal((len(noisy_forces_n), 1)))
-    return with_fields(
-        recording, signals={**recording.signals, "force": with_fields(force_signals, values=noisy_forces_n)}
-    )
 
 
 BLOW_PERIODS = tuple(2.0**-k for k in (1, 2, 3, 4, 5))

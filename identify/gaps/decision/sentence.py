@@ -68,7 +68,9 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
         first_clause += f", though {joined([bound_words(bound) for bound in exceeding_bounds])}"
     verdict_sentences = [f"{first_clause}."]
     if named_cause := _named_cause(gap):
-        verdict_sentences.append(f"{capitalised(joined(named_cause.named))} would explain what is left.")
+        verdict_sentences.append(
+            f"{capitalised(joined(named_cause.named))} would explain what is left{_taken_up_words(gap)}."
+        )
     return verdict_sentences + _not_seen_sentences(gap)
 
 
@@ -78,7 +80,8 @@ def _small_sentences(gap: Diagnosis) -> list[str]:
         return [f"{capitalised(joined(named.named))} {_verb_be(named)} there, too small to matter: {bounds}."]
     return [
         f"The machine differs from rig.json ({p_value_words(gap.before.p_value)}), by too little to matter: {bounds}. "
-        "No effect of the library is named for it."
+        "No effect of the library is named for it.",
+        *([_force_description(gap, "The difference")] if gap.unknown else []),
     ]
 
 
@@ -104,8 +107,21 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
     return [
         f"{capitalised(joined(named.named))} {explain} the difference: with {_pronoun(named)} the model leaves "
         f"{unexplained_words(gap.after)} unexplained{chance_words}; without {_pronoun(named)} "
-        f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}."
+        f"{unexplained_words(gap.before)}{_strain_words_if_bounded(gap)}{_taken_up_words(gap)}."
     ]
+
+
+def _taken_up_words(gap: Diagnosis) -> str:
+    """Clause on what the named effects change, where tolerances take that up without them."""
+    if not gap.evidence.taken_up:
+        return ""
+    changed_quantities = [
+        f"the {percent(bound.value)} of the {bound.name}"
+        for bound in gap.evidence.quantities_beside
+        if bound.value is not None and not bound.holds
+    ]
+    verb = "it changes" if len(gap.causes[0].named) == 1 else "they change"
+    return f"; tolerances take up the rest of {joined(changed_quantities)} that {verb}"
 
 
 def _strain_words_if_bounded(gap: Diagnosis) -> str:

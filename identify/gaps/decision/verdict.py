@@ -157,6 +157,9 @@ def decide(
         ),
         vetoed=is_vetoed,
         held_back_shows=held_back_shows,
+        quantities_beside=share_bounds(named_or_nominal.nominal_misfit, contact_names, matters)
+        if any(strength.is_named for strength in likeliest_strengths)
+        else (),
     )
     return Decision(evidence, weighted_hypotheses, probability_unmeasured, named_hypothesis)
 

@@ -3,6 +3,8 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from msgspec.structs import replace
+
 from identify.gaps import wording
 from identify.gaps.decision_table import DIFFERENCE_P_VALUE, NAMED_PROBABILITY, USUAL_P_VALUE, Bounded
 from identify.gaps.page.advice import next_steps, place, unexplained_ranges_hz
@@ -154,9 +156,11 @@ def decision(gap: Gap) -> str:
     section_html = f"<p>Four questions decide; their answers give: {escape(VERDICTS[gap.verdict])}.</p>" + page.table(
         ("", "", ""), question_rows
     )
-    section_html += "<h3>What matters</h3>" + page.table(
-        ("quantity", "found", "at most (97.5 %)", "limit", ""), [_quantity_row(q) for q in evidence.quantities]
-    )
+    quantity_rows = [_quantity_row(q) for q in evidence.quantities]
+    for quantity in evidence.quantities_beside * evidence.taken_up:
+        quantity_rows.append(_quantity_row(replace(quantity, name=f"{quantity.name}, by the named effects")))
+    section_html += "<h3>What matters</h3>"
+    section_html += page.table(("quantity", "found", "at most (97.5 %)", "limit", ""), quantity_rows)
     if gap.causes:
         likeliest = gap.causes[0]
         words_and_strengths = zip(likeliest.words, likeliest.strengths, strict=True)
@@ -175,14 +179,11 @@ def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     if quantity.why or quantity.value is None:
         return quantity.name, "", "", "", f"not seen: {quantity.why}"
     mark_words = "" if quantity.holds else "not seen" if quantity.not_seen else "beyond"
-    quantity_values = (quantity.value, quantity.upper, quantity.threshold)
-    if quantity.unit == "1":
-        return (quantity.name, *("no bound" if v is None else percent(v) for v in quantity_values), mark_words)
-    return (
-        quantity.name,
-        *("no bound" if v is None else f"{number(v, 3)} {quantity.unit}" for v in quantity_values),
-        mark_words,
-    )
+    value_words = [
+        "no bound" if v is None else percent(v) if quantity.unit == "1" else f"{number(v, 3)} {quantity.unit}"
+        for v in (quantity.value, quantity.upper, quantity.threshold)
+    ]
+    return quantity.name, *value_words, mark_words
 
 
 def prediction(rollout: Rollout) -> str:

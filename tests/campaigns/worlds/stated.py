@@ -22,6 +22,7 @@ class Stated:
     delay_s: float = 1e-5
     high_pass_hz: float = 0.1
     crosstalk: float = 2e-3
+    lateral_motion: float = 3e-3
     force_gain: float = 3e-3
     mass: float = 3e-3
     frequency: float = 2e-3
@@ -87,6 +88,7 @@ def _sensor(sensor: MotionSensor, machine: Machine, rng: np.random.Generator) ->
     body = machine.body(sensor.at.body)
     moved_m = STATED.position_m * float(rng.standard_normal()) if isinstance(body, TrueBeam) else 0.0
     corner_hz = abs(STATED.high_pass_hz * float(rng.standard_normal()))
+    lateral_share = STATED.lateral_motion * float(rng.standard_normal())
     before, after = (STATED.crosstalk * rng.standard_normal(2)).tolist()
     return replace(
         sensor,
@@ -95,6 +97,7 @@ def _sensor(sensor: MotionSensor, machine: Machine, rng: np.random.Generator) ->
         delay_s=STATED.delay_s * float(rng.standard_normal()),
         highpass_hz=corner_hz if sensor.quantity == "acceleration" else 0.0,
         crosstalk=(before, after),
+        lateral_share=lateral_share if sensor.quantity == "acceleration" else 0.0,
     )
 
 

@@ -33,6 +33,7 @@ def drawn(rng):
         quantities_after=tuple(quantity(f"q{k}") for k in range(rng.integers(0, 4))),
         removed=float(rng.choice([-0.2, 0.0, 0.499, 0.5, 0.9, 1.0])),
         vetoed=bool(rng.uniform() < 0.2),
+        quantities_beside=tuple(quantity(f"q{k}") for k in range(rng.choice([0, 0, 1]))),
     )
 
 
@@ -49,7 +50,8 @@ def tabled(e):
         (True, True): "small",
         (True, False): "unexplained",
     }
-    verdict = rows[e.p_value < 0.01, bounded(e.quantities)]
+    beside = not e.quantities_beside or bounded(e.quantities_beside)
+    verdict = rows[e.p_value < 0.01, bounded(e.quantities) and beside]
     if verdict == "unexplained" and named:
         enough = bounded(e.quantities_after) or e.p_value_after >= 0.05
         verdict = "explained" if enough and not e.vetoed else "partly_explained" if e.removed >= 0.5 else verdict
@@ -77,11 +79,31 @@ def test_contradicts_no_number_beside_it():
             assert e.quantities
             assert bounded(e.quantities)
             assert not e.not_seen
+            assert all(q.upper is not None and q.upper < q.threshold for q in e.quantities_beside)
         if e.verdict in ("explained", "partly_explained"):
             assert all(not low <= 0.0 <= high for low, high in (s.interval_95 for s in e.strengths if s.is_named))
             assert e.named
         if e.verdict in ("consistent", "cannot_tell"):
             assert e.p_value >= 0.01
+
+
+@pytest.mark.parametrize(
+    ("upper", "p_value", "verdict"),
+    [(0.4, 1e-9, "small"), (0.6, 1e-9, "explained"), (0.4, 0.5, "consistent"), (0.6, 0.5, "cannot_tell")],
+)
+def test_tolerances_that_take_up_an_effect_make_it_neither_small_nor_absent(upper, p_value, verdict):
+    """A clamp that gives way changes 7 % of the motion, of which frequencies within their tolerances leave 0.2 %."""
+    little = Bounded("motion", "%", 0.1, 0.2, 0.5)
+    evidence = Evidence(
+        p_value=p_value,
+        quantities=(little,),
+        strengths=(Strength("clamp_compliance", 0.99, (0.5, 1.5), 0.0),),
+        p_value_after=0.5,
+        quantities_after=(little,),
+        removed=0.9,
+        quantities_beside=(Bounded("motion", "%", 0.3, upper, 0.5),),
+    )
+    assert evidence.verdict == verdict
 
 
 @pytest.mark.parametrize("upper", [None, math.nan, math.inf])

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from identify.gaps.decision.null_simulations import draw_rig, with_crosstalk
+from identify.gaps.decision.channel_errors import ChannelErrors, with_crosstalk, with_lateral_motion
+from identify.gaps.decision.null_simulations import draw_rig, simulated_machines
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
@@ -66,6 +67,42 @@ def test_channels_show_shares_of_those_beside_them():
     np.testing.assert_array_equal(mixing[:, ~adjacent], np.broadcast_to(values[~adjacent], mixing[:, ~adjacent].shape))
     assert mixing[:, adjacent].std() == pytest.approx(2e-3, rel=0.1)
     assert with_crosstalk(recording, 0.0, np.random.default_rng(1)) == recording
+
+
+def test_accelerometers_show_motion_across_their_axes():
+    """It lasts as long as the measured motion, has its spectrum, is one motion a body, and starts with the force."""
+    rig, samples, silent = BarrelCradle(sensors="acceleration").rig(), 16384, 4096
+    rng, seconds = np.random.default_rng(4), np.arange(samples) / BarrelCradle().sample_rate_hz
+    values = np.exp(-seconds / 2) * rng.standard_normal((len(rig.sensors), samples))
+    values[:, :silent] = 0.0
+    recording = Recording(rig, {"acceleration": Signals(channel_groups(rig)["acceleration"], 0.0, values)}, {})
+    drawings = [with_lateral_motion(recording, 3e-3, silent, np.random.default_rng(seed)) for seed in range(60)]
+    lateral = np.array([drawing.signals["acceleration"].values for drawing in drawings]) - values
+    assert not np.any(lateral[..., :silent])
+    for part in (slice(silent, silent + 4096), slice(-4096, None)):
+        assert lateral[..., part].std() == pytest.approx(3e-3 * np.sqrt(np.mean(values[:, part] ** 2)), rel=0.3)
+    similar = (
+        np.einsum("dst,st->ds", lateral, values) / np.linalg.norm(lateral, axis=2) / np.linalg.norm(values, axis=1)
+    )
+    assert np.sqrt(np.mean(similar**2)) < 0.05
+    assert with_lateral_motion(recording, 0.0, silent, np.random.default_rng(1)) == recording
+
+
+def test_machines_that_confirm_a_veto_are_built_within_the_tolerances():
+    """Those without are predicted better than any that is built, so that they vetoed what is right."""
+    rig, machines = BarrelCradle(sensors="acceleration").rig(), []
+    rows = {"force": 1, "acceleration": len(rig.sensors)}
+    signals = {q: Signals(channel_groups(rig)[q], 0.0, np.zeros((rows[q], 4096))) for q in rows}
+    recording = Recording(rig, signals, {})
+
+    def simulate(_rig, machine, _forces_n, _seed):
+        machines.append(machine)
+        return recording
+
+    assert len(list(simulated_machines(recording, rig, ChannelErrors(np.zeros(1), 0, LABORATORY), simulate, 3))) == 3
+    gains = np.array([[sensor.gain for sensor in machine.sensors] for machine in machines])
+    assert np.std(gains - 1) == pytest.approx(LABORATORY.gain, rel=0.4)
+    assert np.all(np.std(gains, axis=0) > 0)
 
 
 def test_strain_gauges_keep_their_fibre():

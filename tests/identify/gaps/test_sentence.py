@@ -55,6 +55,30 @@ def test_an_effect_that_a_tolerance_would_take_up_is_said_without_shares(gaps):
     assert "0.0 %" not in said
 
 
+def test_what_tolerances_take_up_of_a_named_effect_is_said(gaps):
+    evidence = gaps["explained"].evidence
+    little = tuple(replace(bound, value=2e-3, upper=3e-3, why="") for bound in evidence.quantities)
+    changed = tuple(replace(bound, value=0.066, upper=0.07, why="") for bound in evidence.quantities[:1])
+    hidden = replace(evidence, quantities=little, quantities_beside=changed)
+    assert hidden.verdict == "explained"
+    assert "; tolerances take up the rest of the 6.6 % of the motion that it changes." in sentence(
+        replace(gaps["explained"], evidence=hidden)
+    )
+    assert "take up" not in gaps["explained"].sentence
+
+
+def test_a_small_difference_without_a_name_is_described(gaps):
+    causes = tuple(
+        replace(cause, strengths=tuple(replace(one, inclusion_probability=0.5) for one in cause.strengths))
+        for cause in gaps["small"].causes
+    )
+    evidence = replace(gaps["small"].evidence, strengths=causes[0].strengths)
+    drag = gaps["unexplained"].unknown
+    assert drag is not None
+    said = sentence(replace(gaps["small"], causes=causes, evidence=evidence, unknown=drag))
+    assert "No effect of the library is named for it. The difference looks like" in said
+
+
 def test_what_may_stand_in_the_place_of_an_effect_is_said(gaps):
     mass, clamp = gaps["explained"].causes[0].words[0], gaps["explained"].causes[1].words[0]
     assert f"Instead of {mass} it may be {clamp}: these records hardly tell them apart." in gaps["explained"].sentence

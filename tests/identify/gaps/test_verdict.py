@@ -7,13 +7,13 @@ import pytest
 from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import Difference
-from identify.gaps.decision.comparison import ValidatedHypothesis
-from identify.gaps.decision.judge import predicted_decision
+from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
+from identify.gaps.decision.judge import may_hide_force, predicted_decision
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
 from identify.gaps.decision.verdict import acts_at_effects
 from identify.gaps.decision.verdict import decide as decide_verdict
-from identify.gaps.decision_table import Bounded
+from identify.gaps.decision_table import Bounded, Evidence, Strength
 from identify.gaps.residual.likelihood import Misfit, NominalVariances
 from identify.gaps.results import Matters
 from identify.gaps.rollout.results import Rollout
@@ -171,3 +171,59 @@ def test_an_effect_that_a_pair_names_stands_alone_only_where_it_is_named_there(s
     decision = decide([pair, alone, nominal], vetoed=False)
     assert decision.evidence.named == (mass.hypothesis.candidates[0].name,)
     assert decision.named_hypothesis is (alone if named_alone else pair)
+
+
+def test_what_the_named_effect_changes_is_bounded_beside_it():
+    """The nominal rig, its tolerances fitted, leaves little; with the tolerances as beside the mass it leaves much."""
+    mass, nominal = validated_hypothesis(1.0, "added_mass"), validated_hypothesis(60.0)
+    named = decide([mass, nominal], vetoed=False).evidence
+    assert named.quantities_beside[0].value == mass.nominal_misfit.motion_share
+    unnamed = decide([validated_hypothesis(1.0, "added_mass", 0.1), nominal], vetoed=False).evidence
+    assert not unnamed.named
+    assert not unnamed.quantities_beside
+
+
+def weighted(level, cost, effect="added_mass"):
+    """A hypothesis that leaves this level of the record held back, and has this cost on the one that was fitted."""
+    validated = validated_hypothesis(level, effect)
+    fitted_misfit = replace(validated.misfit, drift_cost=cost - validated.misfit.minus_two_log)
+    return replace(validated, hypothesis=replace(validated.hypothesis, misfit=fitted_misfit))
+
+
+def test_the_split_p_value_is_that_of_the_mixture_by_the_fitted_record():
+    nominal, right, wrong = validated_hypothesis(1.2), weighted(1.0, 0.0), weighted(1.2, 600.0, "linear_spring")
+    gain = nominal.misfit.minus_two_log - right.misfit.minus_two_log
+    assert gain > 20
+    alone = split_p_value([nominal, right])
+    assert alone == pytest.approx(np.exp(-gain / (2 * TEMPERATURE)))
+    assert split_p_value([nominal, right, wrong, wrong]) == pytest.approx(alone, rel=1e-6)
+    preferred_wrongly = [nominal, weighted(1.0, 600.0), weighted(1.2, 0.0, "linear_spring")]
+    assert split_p_value(preferred_wrongly) == pytest.approx(1.0, rel=1e-6)
+    assert split_p_value([nominal]) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("upper", "p_value_after", "is_named", "looks"),
+    [
+        (0.4, 1e-8, True, True),
+        (0.4, 0.5, True, False),
+        (0.4, 1e-8, False, False),
+        (0.6, 0.5, True, False),
+        (0.6, 1e-8, False, True),
+    ],
+)
+def test_a_small_effect_that_leaves_more_than_noise_has_an_unmeasured_force_as_rival(
+    upper, p_value_after, is_named, looks
+):
+    """A drag too small to matter was called a damper, as no force by another law was tried."""
+    motion = Bounded("motion", "1", 0.3, upper, 0.5)
+    strength = Strength("ground_damper", 0.99 if is_named else 0.5, (3.9, 5.4), 0.0)
+    evidence = Evidence(
+        p_value=1e-9,
+        quantities=(motion,),
+        strengths=(strength,),
+        p_value_after=p_value_after,
+        quantities_after=(motion,),
+        removed=0.4,
+    )
+    assert may_hide_force(evidence) is looks
