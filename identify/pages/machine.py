@@ -17,7 +17,7 @@ from identify.pages.page import unbroken_html
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 
-WIDTH, LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 500.0, 34.0, 84.0, 15.0, (120.0, 46.0)
+WIDTH, LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 540.0, 34.0, 84.0, 15.0, (120.0, 46.0)
 """Width of the drawing, its left and right margin, thickness of a beam, width and height of a mass, px."""
 LINE_HEIGHT, LETTER_WIDTH = 17.0, 8.2
 """Height of a line of text, and mean width of a letter, px."""

@@ -68,8 +68,6 @@ def peers(
     for rig in RIGS:
         for name in method or METHODS:
             chosen = METHODS[name]
-            if rig not in chosen.rigs:
-                continue
             if not chosen.installed:
                 missing = ", ".join(chosen.packages)
                 print(
