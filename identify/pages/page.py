@@ -161,7 +161,8 @@ def table(headings: Sequence[str], rows: Rows) -> str:
     """HTML of a table. The first column and cells of words may break, a cell that begins with a number does not."""
     header_html = "".join(f"<th>{escape(cell)}</th>" if cell else "<td></td>" for cell in headings)
     body_html = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{header_html}</tr></thead><tbody>{body_html}</tbody></table></div>'
+    table_html = f"<table><thead><tr>{header_html}</tr></thead><tbody>{body_html}</tbody></table>"
+    return f'<div class="wide" tabindex="0">{table_html}</div>'
 
 
 def _cell(text: str) -> str:
