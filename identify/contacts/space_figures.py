@@ -74,8 +74,6 @@ def space_figures(result: SpaceIdentification, laws: Laws, laws_name: str) -> di
 
 def _orbit(panel: _Panel) -> None:
     """Relative displacement in its circle, coloured by the contact force."""
-    from matplotlib.patheffects import withStroke
-
     axes, estimate = panel.axes, panel.estimate
     (y, z), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
     thinned = slice(None, None, max(1, force.size // POINTS))
@@ -83,8 +81,9 @@ def _orbit(panel: _Panel) -> None:
     panel.figure.colorbar(points, ax=axes, label="contact force, N", location="bottom")
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.sin(angle), np.cos(angle)])
-    line = {"lw": 1.4, "zorder": 3, "path_effects": [withStroke(linewidth=4.0, foreground="w")]}
-    axes.plot(*(1e3 * estimate.values[CLEARANCE] * circle), color=GREEN, label="clearance found", **line)
+    found_mm, line = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
+    axes.plot(*found_mm, color="w", lw=4.0, zorder=3)  # seen upon the points
+    axes.plot(*found_mm, color=GREEN, label="clearance found", **line)
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
         axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", label=reference_label, **line)
