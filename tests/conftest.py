@@ -11,6 +11,7 @@ import shutil
 import subprocess
 from contextlib import chdir
 from dataclasses import dataclass
+from importlib import resources
 
 import jaxtyping
 import pytest
@@ -39,6 +40,12 @@ const pictures = [...page.images].map(image => image.naturalWidth);
 const plots = [...page.querySelectorAll(".plot")].map(plot => plot.scrollHeight);
 this.title = JSON.stringify([page.scrollingElement.scrollWidth, pictures, plots]);
 }, 3000);
+"""
+_CHECK = """
+this.contentDocument.querySelectorAll("details").forEach(one => one.open = true);
+setTimeout(() => this.contentWindow.axe.run().then(({violations}) => {
+this.title = JSON.stringify(violations.map(({id, nodes}) => `${id}: ${nodes[0].html}`));
+}), 2000);
 """
 
 
@@ -77,8 +84,9 @@ class Opened:
 
 
 @pytest.fixture(scope="session")
-def opened(tmp_path_factory):
-    """Opens an HTML file in a window of so many pixels; skips the test where there is no Chromium.
+def framed(tmp_path_factory):
+    """Function that opens HTML in a frame of so many pixels, runs a script when it has loaded, and returns what this
+    wrote as the frame's title, and the messages of the browser; skips the test where there is no Chromium.
 
     The variable CHROMIUM says where it is; what is not there then fails the test.
     """
@@ -86,11 +94,12 @@ def opened(tmp_path_factory):
     if browser is None:
         pytest.skip("no Chromium")
 
-    def open_page(path, width_px):
+    def open_frame(content, width_px, script, colour_scheme="light"):
         folder = tmp_path_factory.mktemp("browser")
-        frame = f'<iframe style="border:0;width:{width_px}px;height:800px" onload="{html.escape(_MEASURE)}"'
+        style = f"border:0;width:{width_px}px;height:800px;color-scheme:{colour_scheme}"
+        frame = f'<iframe style="{style}" onload="{html.escape(script)}" srcdoc="{html.escape(content)}"></iframe>'
         outer = folder / "outer.html"
-        outer.write_text(f'{frame} srcdoc="{html.escape(path.read_text(encoding="utf-8"))}"></iframe>')
+        outer.write_text(frame, encoding="utf-8")
         words = (
             "--headless",
             "--no-sandbox",
@@ -101,9 +110,34 @@ def opened(tmp_path_factory):
         )
         told = ("--enable-logging=stderr", "--dump-dom", outer.as_uri())
         done = subprocess.run([browser, *words, *told], capture_output=True, text=True, check=True, timeout=180)
-        width, pictures, plots = json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1]))
-        said = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+        return json.loads(html.unescape(re.search(r'title="(\[.*?\])"', done.stdout)[1])), done.stderr.splitlines()
+
+    return open_frame
+
+
+@pytest.fixture(scope="session")
+def opened(framed):
+    """Function that opens an HTML file in a window of so many pixels."""
+
+    def open_page(path, width_px):
+        (width, pictures, plots), lines = framed(path.read_text(encoding="utf-8"), width_px, _MEASURE)
+        said = [line for line in lines if "CONSOLE" in line]
         spoken = tuple(line for line in said if not ("[bokeh" in line and "document idle" in line))
         return Opened(width, tuple(pictures), tuple(plots), spoken)
 
     return open_page
+
+
+@pytest.fixture(scope="session")
+def inaccessible(framed):
+    """Function that returns what axe-core finds wrong with an HTML file, in light and dark colours; skips the test
+    without axe-core."""
+    axe_core = pytest.importorskip("axe_core_python", reason="no axe-core")
+    axe = (resources.files(axe_core) / "axe.min.js").read_text(encoding="utf-8")
+
+    def check_page(path, width_px):
+        content = f"{path.read_text(encoding='utf-8')}<script>{axe}</script>"
+        schemes = ("light", "dark")
+        return [finding for scheme in schemes for finding in framed(content, width_px, _CHECK, scheme)[0]]
+
+    return check_page

@@ -166,7 +166,7 @@ def _separated(figure: Any, result: Identification, references: References, refe
     for axes, group, separated_force_n in zip(axes_row, result.contact_groups, result.separated_n, strict=True):
         eta = result.eta_m[group.contact_indices[0]][every_nth]
         force = separated_force_n[: eta.size]
-        axes.plot(1e3 * eta, force, ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law assumed")
+        axes.plot(1e3 * eta, force, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law assumed")
         eta_grid_m = np.linspace(eta.min(), eta.max(), 400)
         laws = [
             sign * estimate.force_n(sign * eta_grid_m, np.zeros_like(eta_grid_m))
@@ -175,11 +175,11 @@ def _separated(figure: Any, result: Identification, references: References, refe
             if name == result.rig.contacts[j].name
         ]
         if laws:
-            axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=RED, lw=1.2, label="law found (without damping)")
+            axes.plot(1e3 * eta_grid_m, np.sum(laws, axis=0), color=BLUE, lw=1.2, label="law found (without damping)")
         _mark_stops(axes, result, group, references, reference_name)
         axes.set(xlabel=f"η of {group.contact.name}, mm", title=group.contact.name)
     axes_row[0].set_ylabel("contact force, N")
-    _legend_outside(figure, axes_row[0], "upper", markerscale=6)
+    _legend_outside(figure, axes_row[0], "upper", markerscale=2)
 
 
 def _histogram(figure: Any, result: Identification, references: References, reference_name: str) -> None:

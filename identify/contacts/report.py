@@ -21,8 +21,9 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
-    "separated": "The contact forces over the relative displacements, separated without assuming a law, and the law "
-    "found.",
+    "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
+    "the law found. Between the stops no force acts, and half their distance is the clearance; beyond them the slope "
+    "is the stiffness.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement.",
     "surface": "The restoring force surface of the main modal equation.",
@@ -115,7 +116,7 @@ def drawing(rig: Rig, report: ContactReport) -> str:
         for contact in report.contacts
     }
     contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
-    caption = "<figcaption>The rig, to scale along the bodies, and what was identified (95 % intervals).</figcaption>"
+    caption = "<figcaption>The rig, to scale along the bodies; clearance and stiffness found (± 95 %).</figcaption>"
     return f"<figure>{rig_drawing(rig, contact_lines)}{caption}</figure>"
 
 

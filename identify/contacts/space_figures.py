@@ -78,13 +78,15 @@ def _orbit(panel: _Panel) -> None:
     (y, z), force = 1e3 * panel.eta_m, np.hypot(*panel.force_n)
     thinned = slice(None, None, max(1, force.size // POINTS))
     points = axes.scatter(z[thinned], y[thinned], c=force[thinned], s=1.5, cmap="viridis", rasterized=True)
-    panel.figure.colorbar(points, ax=axes, label="contact force, N", shrink=0.7)
+    panel.figure.colorbar(points, ax=axes, label="contact force, N", location="bottom")
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.sin(angle), np.cos(angle)])
-    axes.plot(*(1e3 * estimate.values[CLEARANCE] * circle), color=GREEN, lw=1.2, label="clearance found", zorder=3)
+    found_mm, line = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
+    axes.plot(*found_mm, color="w", lw=4.0, zorder=3)  # seen upon the points
+    axes.plot(*found_mm, color=GREEN, label="clearance found", **line)
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
-        axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", lw=1.2, label=reference_label, zorder=3)
+        axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", label=reference_label, **line)
     axes.set(xlabel="η_z, mm", ylabel="η_y, mm", aspect="equal")
 
 
@@ -93,10 +95,10 @@ def _radial(panel: _Panel) -> None:
     axes, estimate = panel.axes, panel.estimate
     radius, normal, _ = panel.polar
     thinned = slice(None, None, max(1, radius.size // POINTS))
-    axes.plot(1e3 * radius[thinned], normal[thinned], ".", ms=1.2, color=BLUE, alpha=0.4, label="separated, no law")
+    axes.plot(1e3 * radius[thinned], normal[thinned], ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
     span = np.linspace(0, radius.max(), 200)
     force = estimate.values[STIFFNESS] * np.maximum(span - estimate.values[CLEARANCE], 0)
-    axes.plot(1e3 * span, force, color=RED, lw=1.2, label="law found (without damping)")
+    axes.plot(1e3 * span, force, color=BLUE, lw=1.2, label="law found (without damping)")
     axes.axvline(1e3 * estimate.values[CLEARANCE], color=GREEN, lw=1.2, label="clearance found")
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
@@ -125,11 +127,11 @@ def _friction(panel: _Panel) -> None:
     speed = (y * vz - z * vy) / radius
     clear = (normal > CLOSED_FORCE_SHARE * np.quantile(normal, 0.995)) & (radius > estimate.values[CLEARANCE])
     ratio = along[clear] / normal[clear]
-    axes.plot(1e3 * speed[clear], ratio, ".", ms=1.5, color=BLUE, alpha=0.4, label="separated, no law")
+    axes.plot(1e3 * speed[clear], ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
     ends = np.quantile(speed[clear], [0.005, 0.995]) if clear.any() else np.zeros(2)
     span = np.linspace(ends[0], ends[1], 200)
     mu, v_0 = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
-    axes.plot(1e3 * span, mu * np.tanh(span / v_0), color=RED, lw=1.2, label="law found")
+    axes.plot(1e3 * span, mu * np.tanh(span / v_0), color=BLUE, lw=1.2, label="law found")
     limit = 3 * abs(mu) + 0.05
     if isinstance(law, Annular):
         reference = law.friction_coefficient * np.tanh(span / law.sliding_speed_m_per_s)

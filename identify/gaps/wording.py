@@ -138,8 +138,8 @@ def removed_share_words(cause: Cause) -> str:
 
 
 def is_effective(cause: Cause) -> bool:
-    """True if the interval of the removed share excludes that the cause removes nothing."""
-    return cause.interval_95[0] > NEGLIGIBLE_SHARE
+    """True if effects are named, or if the interval of the removed share excludes that the cause removes nothing."""
+    return bool(cause.named) or cause.interval_95[0] > NEGLIGIBLE_SHARE
 
 
 def unexplained_words(unexplained: UnexplainedShares) -> str:

@@ -110,6 +110,7 @@ def history_figure(history: History) -> Picture:
     from identify.pages.style import BLUE, GREEN, GREY, RED, picture
 
     colours = (BLUE, RED, GREEN, GREY)
+    markers = "os^v"
     contact_names = list(dict.fromkeys(quantity.of for quantity in history.quantities if quantity.quantity in UNITS))
     recording_positions, axis_label = _axis_positions(history)
 
@@ -135,7 +136,7 @@ def history_figure(history: History) -> Picture:
                     shifted_positions,
                     deviations_percent,
                     half_widths_percent,
-                    fmt="o-",
+                    fmt=f"{markers[contact_index % len(markers)]}-",
                     ms=4,
                     lw=0.8,
                     color=colour,

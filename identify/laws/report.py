@@ -43,6 +43,9 @@ def write_page(
 ) -> None:
     """Write the page; the figures are those of `law_figures`, by their names."""
     laws, unanswered = report.laws, report.unanswered
+    first_names = [name for name in figures if name == "law"]
+    findings_html = page.list_html(f.sentence for f in report.findings) if report.findings else ""
+    found_html = f"<h2>What was found</h2>{''.join(map(_law_section, laws))}" if laws else ""
     page.write(
         path,
         title=title,
@@ -56,30 +59,20 @@ def write_page(
             [f"{law.contact}: {law.verdict}." for law in laws]
             or ["This record tells nothing of the contacts; below stands why, and what to do."],
         ),
+        top_blocks=[
+            f"{findings_html}{found_html}",
+            "".join(page.figure(name, figures[name], _CAPTIONS[name], page.FIRST_PLOT_PX) for name in first_names),
+        ],
         sections=[
-            *(
-                [("What speaks against it", page.list_html(finding.sentence for finding in report.findings))]
-                if report.findings
-                else []
-            ),
-            *([("What was found", "".join(map(_law_section, laws)))] if laws else []),
             *(
                 [("What was refused", page.table(("contact", "why"), [(s.name, s.reason) for s in unanswered]))]
                 if unanswered
                 else []
             ),
             *(
-                [
-                    (
-                        "Figures",
-                        "".join(
-                            page.figure(figure_name, law_figure, _CAPTIONS[figure_name])
-                            for figure_name, law_figure in figures.items()
-                        ),
-                    )
-                ]
-                if figures
-                else []
+                ("Over time", page.figure(name, law_figure, _CAPTIONS[name]))
+                for name, law_figure in figures.items()
+                if name not in first_names
             ),
         ],
         foot_text="Every number of this page stands in law.json, unrounded.",

@@ -20,7 +20,7 @@ COLOUR_BAR = "<colorbar>"
 """Label that matplotlib gives to the axes of a colour bar."""
 _PX_PER_POINT = 1.33
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
-_MARKERS = {"^": "triangle", "v": "inverted_triangle", "|": "dash", "_": "dash"}
+_MARKERS = {"s": "square", "^": "triangle", "v": "inverted_triangle", "|": "dash", "_": "dash"}
 _ALIGNMENTS = {"center": "center", "left": "left", "right": "right"}
 _BASELINES = {
     "center": "middle",
@@ -152,8 +152,12 @@ def _draw_line(line: Any, axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
 
 def _draw_steps(patch: Any, _axes: Any, plot: Any, _figure: Any) -> Iterator[Any]:
     values, edges, _ = patch.get_data()
-    colour, width_px = _hex_colour(patch.get_edgecolor()), _PX_PER_POINT * patch.get_linewidth()
-    yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), line_color=colour, line_width=width_px)
+    line_style = {
+        "line_color": _hex_colour(patch.get_edgecolor()),
+        "line_width": _PX_PER_POINT * patch.get_linewidth(),
+        "line_dash": _DASHES.get(patch.get_linestyle(), "solid"),
+    }
+    yield plot.line(np.repeat(edges, 2)[1:-1], np.repeat(values, 2), **line_style)
 
 
 @dataclass(frozen=True)

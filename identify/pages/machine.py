@@ -13,10 +13,11 @@ from dataclasses import dataclass, field
 from html import escape
 from textwrap import wrap
 
+from identify.pages.page import unbroken_html
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 
-WIDTH, LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 620.0, 34.0, 84.0, 15.0, (120.0, 46.0)
+WIDTH, LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 540.0, 34.0, 84.0, 15.0, (120.0, 46.0)
 """Width of the drawing, its left and right margin, thickness of a beam, width and height of a mass, px."""
 LINE_HEIGHT, LETTER_WIDTH = 17.0, 8.2
 """Height of a line of text, and mean width of a letter, px."""
@@ -100,6 +101,16 @@ class _Layout:
         body_names = [station.body for station in contact_stations(contact)]
         return next(body for body in reversed(self.rig.bodies) if body.name in body_names)
 
+    @property
+    def drawn_forces(self) -> tuple[Station, ...]:
+        """Stations of the forces, those on the ground apart."""
+        return tuple(dict.fromkeys(s for s in self.rig.forces if not self.rig.is_on_ground(s)))
+
+    def force_span_px(self, station: Station) -> tuple[float, float]:
+        """Left and right end of the arrow of a force and its letter."""
+        x_px = self.corner_x_px(station, -0.35)
+        return x_px - 6, x_px + 20
+
     def bottom_px(self, body: Body) -> float:
         return self.tops_px[body.name] + _height_px(body)
 
@@ -110,6 +121,8 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
     layout = _Layout(rig, left_ends_m, (WIDTH - LEFT_MARGIN - RIGHT_MARGIN) / extent_m if extent_m > 0 else 0.0)
     spans_below, spans_above = ({body.name: _TextSpans() for body in rig.bodies} for _ in range(2))
+    for station in layout.drawn_forces:
+        spans_below[station.body].line_for(*layout.force_span_px(station))
     contact_texts: list[tuple[Contact, _Text]] = []
     for contact in rig.contacts:
         text_lines = [contact.name, *contact_lines.get(contact.name, ())]
@@ -117,7 +130,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         contact_texts.append((contact, _contact_text(layout.contact_x_px(contact), text_lines, text_spans)))
     mark_texts: list[tuple[DrawnMark, _Text]] = []
     for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
-        text_lines = wrap(mark.words, MOST_LINE_LETTERS)
+        text_lines = wrap(unbroken_html(mark.words), MOST_LINE_LETTERS)
         mark_texts.append((mark, _mark_text(layout.x_px(mark.station), text_lines, spans_above[mark.station.body])))
     y_px = 0.0
     for body in reversed(rig.bodies):
@@ -195,7 +208,11 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
     if body.is_mass:
         yield _text_element(x_px, top_px + height_px / 2 + 5, "middle", body.name, "name")
     else:
-        yield _text_element(left_px + width_px + 8, top_px + height_px, "start", body.name, "name")
+        contacts_px = [
+            layout.contact_x_px(contact) for contact in layout.rig.contacts if layout.upper_body(contact) == body
+        ]
+        end_px = max(left_px + width_px, *(x_px + STOP_HALF_WIDTH for x_px in contacts_px), 0.0)
+        yield _text_element(end_px + 8, top_px + height_px, "start", body.name, "name")
 
 
 def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
@@ -207,7 +224,7 @@ def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
     foot_px = (
         layout.tops_px[carrier_names[0]]
         if carrier_names
-        else bottom_px + ROW_GAP + LINE_HEIGHT * (text.first_line + len(text.lines) - 2)
+        else bottom_px + ROW_GAP + LINE_HEIGHT * (text.first_line + len(text.lines) - 1)
     )
     css_class = "found" if len(text.lines) > 1 else "fork"
     if contact.law.has_stops:
@@ -257,7 +274,7 @@ def _sensors(layout: _Layout) -> Iterator[str]:
 
 
 def _forces(layout: _Layout) -> Iterator[str]:
-    for station in dict.fromkeys(s for s in layout.rig.forces if not layout.rig.is_on_ground(s)):
+    for station in layout.drawn_forces:
         x_px, y_px = layout.corner_x_px(station, -0.35), layout.bottom_px(layout.rig.body(station.body))
         yield _path_element("force", f"M{x_px:g},{y_px + 34:g}V{y_px + 5:g}m-5,9l5,-9l5,9")
         yield _text_element(x_px + 9, y_px + 33, "start", "F", "dim")

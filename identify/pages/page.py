@@ -22,8 +22,8 @@ FIRST_PLOT_PX = 440
 SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
 
-_UNIT = re.compile(r"(\d) (?=(?:%|N|mm|m|kg|g|Hz|s|ms|dB)\b|%)")
-_BEFORE_NUMBER = re.compile(r"(\bp|[=±]|&[lg]t;) (?=[\d=&])")
+_UNIT = re.compile(r"(\d) (?=(?:N|mm|m|kg|g|Hz|s|ms|dB)\b|[%±])")
+_BEFORE_NUMBER = re.compile(r"(\bp|\w(?= =)|[=±]|&[lg]t;) (?=[\d=&])")
 _STYLE = """
 :root{color-scheme:light dark;--ink:#1c1e21;--dim:#5b6168;--page:#fff;--line:#d8dce0;--card:#f4f6f8;
 --green:#1d7a48;--yellow:#9a6400;--red:#b3321f;--found:#1f5fa8;--cause:#b3411b}
@@ -63,10 +63,9 @@ summary{cursor:pointer;color:var(--dim)}
 .machine .sensor{fill:var(--page);stroke:var(--dim);stroke-width:1.2}
 .machine .body{fill:var(--line);stroke:var(--ink)}
 .machine .mark{fill:none;stroke:var(--cause);stroke-width:2.4}.machine .mark-words{fill:var(--cause);font-weight:600}
-@media print{body{max-width:none}.plot,figure,tr{break-inside:avoid}.first{grid-template-columns:1fr 1fr}}
-@media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;overflow-wrap:anywhere;hyphens:auto;
-min-width:2.9rem}td:first-child:not(.number){min-width:5rem}td.number{
-white-space:normal;overflow-wrap:normal}}
+@media print{body{max-width:none}h2,h3,summary{break-after:avoid}
+.plot,figure,tr{break-inside:avoid}.first{grid-template-columns:1fr 1fr}}
+@media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}
 """
 _PAGE = """<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">
@@ -75,7 +74,7 @@ _PAGE = """<!DOCTYPE html>
 <div class="verdict {colour}"><b>{verdict}</b>{sentences}</div>
 {content}
 <p class="dim">{foot}</p></main>
-<script>addEventListener("beforeprint",()=>document.querySelectorAll("details").forEach(one=>one.open=true))</script>
+<script>addEventListener("beforeprint",()=>document.querySelectorAll(".folded").forEach(one=>one.open=true))</script>
 </body></html>
 """
 
@@ -154,17 +153,19 @@ def list_html(texts: Iterable[str]) -> str:
 
 
 def unbroken_html(html: str) -> str:
-    """Text whose numbers stay on a line with their unit, and with "p =" and "<" before them."""
+    """Text whose numbers stay on a line with their unit and interval, and with "p =" and "<" before them."""
     return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html))
 
 
 def table(headings: Sequence[str], rows: Rows) -> str:
     """HTML of a table. The first column and cells of words may break, a cell that begins with a number does not."""
-    header_html = "".join(f"<th>{escape(cell)}</th>" for cell in headings)
+    header_html = "".join(f"<th>{escape(cell)}</th>" if cell else "<td></td>" for cell in headings)
     body_html = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>\n" for row in rows)
-    return f'<div class="wide"><table><thead><tr>{header_html}</tr></thead><tbody>{body_html}</tbody></table></div>'
+    table_html = f"<table><thead><tr>{header_html}</tr></thead><tbody>{body_html}</tbody></table>"
+    return f'<div class="wide" tabindex="0">{table_html}</div>'
 
 
 def _cell(text: str) -> str:
     class_attribute = ' class="number"' if len(text) < 24 and text[:1] in "0123456789-<>(" and text else ""
-    return f"<td{class_attribute}>{escape(text)}</td>"
+    cell_html = escape(text).replace(" %", "\u00a0%")
+    return f"<td{class_attribute}>{cell_html}</td>"

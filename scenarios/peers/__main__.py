@@ -68,8 +68,6 @@ def peers(
     for rig_name in RIGS:
         for method_name in method or METHODS:
             peer = METHODS[method_name]
-            if rig_name not in peer.rigs:
-                continue
             if not peer.installed:
                 needed = f"it needs {', '.join(peer.packages)}: pip install 'rig-identify[peers]'"
                 print(f"{peer.title} on {TITLES[rig_name]}: skipped; {needed}")

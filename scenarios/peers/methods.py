@@ -20,14 +20,13 @@ THIS_PROJECT = "this project"
 
 @dataclass(frozen=True)
 class Method:
-    """A method by its name: modules that it imports, packages that they come from, what it is told, on which rigs."""
+    """A method by its name: modules that it imports, packages that they come from, and what it is told."""
 
     title: str
     modules: tuple[str, ...]
     packages: tuple[str, ...]
     prior_knowledge: str
     answers: Callable[[Recording], tuple[ContactAnswer, ...]]
-    rigs: tuple[str, ...] = ("sdof", "sdof_noise", "barrel_cradle", "barrel_cradle_noise")
 
     @property
     def versions(self) -> str:
@@ -85,6 +84,5 @@ METHODS = {
         ("mujoco",),
         "linear model; start values off by 20 and 50 %; displacement and velocity",
         lambda recording: mujoco_sysid(peer_data(recording)),
-        ("sdof", "sdof_noise"),
     ),
 }

@@ -38,7 +38,8 @@ def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, see
     force_count = len(channel_errors.force_noise_n)
     gain_tolerance = tolerances.force_gain if force_count > 1 else 0.0  # of one force the rig that is drawn has it
     noisy_recording = with_force_noise(recording, channel_errors.force_noise_n, gain_tolerance, rng)
-    lateral_recording = with_lateral_motion(
+    lateral_share, silent_samples = tolerances.lateral_motion, channel_errors.silent_samples
+    lateral_recording = with_lateral_motion(noisy_recording, lateral_share, silent_samples, rng)
         noisy_recording, tolerances.lateral_motion, channel_errors.silent_samples, rng
     )
     return with_crosstalk(lateral_recording, tolerances.crosstalk, rng)

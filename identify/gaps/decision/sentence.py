@@ -243,7 +243,7 @@ def _not_seen_sentences(gap: Diagnosis) -> list[str]:
     not_seen_sentences = []
     for bound in gap.not_seen:
         quantity_words = bound_words(bound)
-        not_seen_sentences.append(f"Not seen: {quantity_words}{f'; {bound.remedy}' if bound.remedy else ''}.")
+        not_seen_sentences.append(f"Not settled: {quantity_words}{f'; {bound.remedy}' if bound.remedy else ''}.")
     return not_seen_sentences
 
 

@@ -4,11 +4,9 @@ from collections.abc import Iterator
 
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Gap
-from identify.gaps.wording import interval
 from identify.pages.machine import DrawnMark
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
-from rig.model.unmeasured_force import Value
 
 UNLOCATED = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
 """Verdicts that locate no difference."""
@@ -30,8 +28,9 @@ def _channel_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
 def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     """Marks of the named effects of the likeliest cause, the first of several contacts with words.
 
-    An effect of the whole rig has none.
+    An effect of the whole rig has none. One with which the rig predicts no better is doubtful.
     """
+    is_doubtful = gap.evidence.vetoed and gap.verdict == Verdict.UNEXPLAINED
     for cause in gap.causes[:1]:
         for label, words, strength in zip(cause.labels, cause.words, cause.strengths, strict=True):
             position_share = cause.parameters.get(f"{label}.relative_position")
@@ -44,7 +43,7 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
             stations = [contact.at for contact in rig.contacts] if cause.places.get(f"{label}.contact") == "all" else []
             if strength.is_named:
                 for index, marked_station in enumerate([station] if station is not None else stations):
-                    yield DrawnMark(marked_station, "likewise" if index else words)
+                    yield DrawnMark(marked_station, "likewise" if index else f"{'doubtful: ' * is_doubtful}{words}")
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
@@ -62,15 +61,14 @@ def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
     for body_name, growth in unmeasured_force.growth.items():
         yield DrawnMark(
             Station(body_name, rig.body(body_name).length_m / 2),
-            f"stiffness of {body_name} changes by {interval(growth)}",
+            f"stiffness of {body_name} changes by {100 * growth.value:.2g} %",
         )
     if unmeasured_force.body is not None and unmeasured_force.position_m is not None:
         is_pair = unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None
-        position_words = interval(Value(unmeasured_force.position_m, unmeasured_force.position_error_m or 0.0, "m"))
         force_words = "unmeasured pair of forces" if is_pair else "unmeasured force"
         yield DrawnMark(
             Station(unmeasured_force.body, unmeasured_force.position_m),
-            f"{force_words}, {unmeasured_force.rms_n:.3g} N rms, at {position_words}",
+            f"{force_words}, {unmeasured_force.rms_n:.3g} N rms, near {unmeasured_force.position_m:.2f} m",
         )
     if unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None:
         yield DrawnMark(Station(unmeasured_force.against_body, unmeasured_force.against_position_m), "its opposite")

@@ -19,8 +19,8 @@ MAX_CAUSES = 6
 """Causes of a figure at most. Display."""
 MAX_LABELS = 12
 """Labels of an axis at most. Display."""
-LEAST_PERCENT = 1.0
-"""Per cent of its threshold at which a smaller value is drawn. Display."""
+LEAST_PERCENT, UNBOUNDED_PERCENT = 1.0, 1e6
+"""Per cent of its threshold at which a smaller value is drawn, and to which the line of an unbounded one goes."""
 MAX_NAME_CHARACTERS = 34
 """Length above which a name beside a bar is shortened."""
 LOG_ODDS_95 = np.log(19)
@@ -63,16 +63,15 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
     """Unexplained shares over frequency, in per cent; zeros of a logarithmic axis are not drawn."""
     band_edges_hz = [band.low_hz for band in gap.bands] + [gap.bands[-1].high_hz]
     axes = figure.subplots()
-    drawn_curves = [("the model as it is", RED, [band.before for band in gap.bands])]
+    drawn_curves = [("the model as it is", RED, 3.2, "-", [band.before for band in gap.bands])]
     if gap.causes and is_effective(gap.causes[0]):
-        drawn_curves.append(("with the likeliest causes", BLUE, [band.after for band in gap.bands]))
-    drawn_curves.append(("95 % limit of tolerances and noise", GREEN, [band.usual for band in gap.bands]))
-    for label, colour, band_shares in drawn_curves:
-        line_width = 3.2 if colour == RED else 1.4  # seen beside a line that lies on it
-        axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, color=colour, lw=line_width, label=label)
-    axes.axhline(
-        100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=f"matters above {percent(gap.matters.motion)}"
-    )
+        drawn_curves.append(("with the likeliest causes", BLUE, 1.4, "-", [band.after for band in gap.bands]))
+    drawn_curves.append(("95 % limit of tolerances and noise", GREEN, 1.4, ":", [band.usual for band in gap.bands]))
+    for label, colour, line_width, line_style, band_shares in drawn_curves:
+        line = {"color": colour, "lw": line_width, "ls": line_style, "label": label}
+        axes.stairs(100 * np.array(band_shares), band_edges_hz, baseline=None, **line)
+    limit_label = f"matters above {percent(gap.matters.motion)} (whole motion)"
+    axes.axhline(100 * gap.matters.motion, color=INK, lw=1.2, ls="--", label=limit_label)
     axes.set_yscale("log", nonpositive="mask")
     axes.set_xlim(band_edges_hz[0], band_edges_hz[-1])
     axes.set(xlabel="frequency, Hz", ylabel="unexplained share of the acceleration, %")
@@ -80,27 +79,30 @@ def _draw_bands(figure: Any, gap: Gap) -> None:
 
 
 def _draw_quantities(figure: Any, gap: Gap) -> None:
-    """Each deciding quantity over its threshold, with the upper end of its interval, for the rigs without and with the
-    first cause.
+    """Each deciding quantity over its threshold, with the upper end of its interval, or a line to the edge without one,
+    for the rigs without and with the first cause.
     """
     quantities = gap.evidence.quantities
     axes = figure.subplots()
-    drawn_rigs = [("the model as it is", quantities, RED, "s", -0.14)]
+    drawn_rigs = [("the model as it is", quantities, RED, "s", 0.0)]
     if gap.causes and is_effective(gap.causes[0]):
-        drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.14))
+        drawn_rigs.append(("with the likeliest causes", gap.evidence.quantities_after, BLUE, "o", 0.28))
+    right_percent = 200.0
     for label, rig_quantities, colour, marker, offset in drawn_rigs:
         rows = offset + np.arange(len(rig_quantities))
         ends = [[np.nan if x is None else 100 * x / q.threshold for x in (q.value, q.upper)] for q in rig_quantities]
-        values, upper_ends = np.maximum(np.array(ends), LEAST_PERCENT).T  # what is not known is not drawn
+        values, upper_ends = np.maximum(np.array(ends), LEAST_PERCENT).T  # a value that is not known is not drawn
         axes.plot(values, rows, marker, color=colour, label=label)
         for row, value, upper_end in zip(rows, values, upper_ends, strict=True):
-            axes.plot([value, upper_end], [row, row], color=colour, lw=2.0)
+            line_ends = np.nan_to_num([value, upper_end], nan=UNBOUNDED_PERCENT, posinf=UNBOUNDED_PERCENT)
+            axes.plot(line_ends, [row, row], color=colour, lw=2.0)
+        right_percent = max(right_percent, 2 * np.max(np.array(ends), initial=0.0, where=np.isfinite(ends)))
     axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="matters from here")
     axes.set_xscale("log")
-    axes.set_xlim(left=0.7 * LEAST_PERCENT)
+    axes.set_xlim(0.7 * LEAST_PERCENT, right_percent)
     axes.set_yticks(np.arange(len(quantities)), [_shortened_name(quantity.name) for quantity in quantities])
     axes.set_ylim(len(quantities) - 0.5, -0.5)
-    axes.set(xlabel="difference over the least that matters, %")
+    axes.set(xlabel="difference relative to the least that matters, %")
     figure.legend(loc="outside upper center", ncols=3)
 
 

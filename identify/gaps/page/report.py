@@ -34,17 +34,20 @@ CAPTIONS = {
     "The bar is the mean, over which of them is true, of what -2 ln p tells them apart by, as the logarithm of odds. "
     "Grey: the same setting again.",
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
-    "Nineteen of twenty null simulations (rig.json within its tolerances) stay below the green line; a share "
-    "below the dashed line is too small to matter.",
-    "decided_quantities": "The motion, the contact forces and the contact parameters that decide: each difference, and "
-    "the upper end of its 95 % interval as a line, over the least that matters.",
+    "Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share of the "
+    "whole motion from which a difference matters.",
+    "decided_quantities": "What decides: the difference in the motion, the contact forces and the contact parameters. "
+    "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. It is settled as too "
+    "small to matter if the line ends left of the dashed one.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
+    "unknown_law": "The force that would explain the rest, at the marked place, over the motion there: mean values.",
 }
 """Captions of the wide pictures; the others carry their titles."""
-DRAWING_CAPTION = "The rig, to scale along the bodies; what differs is marked at its place."
 DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("large_bands",)) | {
-    Verdict.UNEXPLAINED: ("unknown_law", "large_bands")
+    Verdict.CONSISTENT: ("decided_quantities", "large_bands"),
+    Verdict.SMALL: ("decided_quantities", "large_bands"),
+    Verdict.UNEXPLAINED: ("unknown_law", "large_bands"),
 }
 """Figures beside the drawing of the rig, by verdict: the first that there is."""
 
@@ -56,7 +59,9 @@ def write_all(
     from identify.gaps.page.pictures import pictures
 
     make_folder(folder)
-    drawing = rig_drawing(corrected_rig, {}, marks(gap, corrected_rig))
+    drawn_marks = marks(gap, corrected_rig)
+    caption = f"The rig, to scale along the bodies{'; what differs is marked at its place' * bool(drawn_marks)}."
+    drawing = f"{rig_drawing(corrected_rig, {}, drawn_marks)}<figcaption>{caption}</figcaption>"
     write_page(gap, pictures(gap), title, folder / "gap.html", sources, findings, drawing)
     write_bytes(to_json(corrected_rig), folder / "rig.json")
     write_json(gap, folder / "gap.json")
@@ -79,7 +84,7 @@ def write_page(
     decisive_figure = next((name for name in _decisive_figures(gap) if name in figure_by_name), None)
     first_column = page.list_html(findings) if findings else ""
     if drawing:
-        first_column += f"<figure>{drawing}<figcaption>{DRAWING_CAPTION}</figcaption></figure>"
+        first_column += f"<figure>{drawing}</figure>"
     first_column += f"<h2>What to do next</h2>{next_steps_list(gap)}"
     second_column = (
         page.figure(
@@ -119,6 +124,8 @@ def write_page(
 
 def _decisive_figures(gap: Gap) -> tuple[str, ...]:
     """Names of the figures that may stand beside the drawing; of quantities if another than the motion decides."""
+    if gap.evidence.vetoed and gap.verdict in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED):
+        return ("prediction_motion", *DECISIVE_FIGURES[gap.verdict])
     ratios = {q.name: q.value / q.threshold for q in gap.evidence.quantities if q.value is not None and not q.holds}
     if max(ratios, key=lambda name: ratios[name], default="motion") != "motion":
         return ("decided_quantities", *DECISIVE_FIGURES[gap.verdict])

@@ -111,11 +111,22 @@ def test_names_cannot_break_the_page(identification, page):
     assert "<i>" not in text
 
 
-def test_a_browser_shows_all_of_it_on_a_phone(opened, identification, tmp_path):
-    write_results(identification, tmp_path, "mass", {c.name: c.law for c in identification.rig.contacts}, "true")
-    browser_page = opened(tmp_path / "contact.html", PHONE_PX)
+@pytest.fixture(scope="module")
+def drawn_page(identification, tmp_path_factory):
+    """contact.html with its figures, which lie beside it."""
+    laws, folder = {c.name: c.law for c in identification.rig.contacts}, tmp_path_factory.mktemp("drawn")
+    write_results(identification, folder, "mass", laws, "true")
+    return folder / "contact.html"
+
+
+def test_the_page_is_accessible(inaccessible, drawn_page):
+    assert inaccessible(drawn_page, PHONE_PX) == []
+
+
+def test_a_browser_shows_all_of_it_on_a_phone(opened, drawn_page):
+    browser_page = opened(drawn_page, PHONE_PX)
     assert browser_page.scroll_px <= PHONE_PX
     assert browser_page.pictures_px == ()  # all are plots to work with
-    assert len(browser_page.plots_px) == len(list(tmp_path.glob("*.png"))) > 0
+    assert len(browser_page.plots_px) == len(list(drawn_page.parent.glob("*.png"))) > 0
     assert min(browser_page.plots_px) > 200
     assert browser_page.console == ()

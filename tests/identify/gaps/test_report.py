@@ -168,7 +168,7 @@ def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
 def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
     gap = gaps["cannot_tell"]
     assert gap.sentence.startswith("These records do not tell whether rig.json is right")
-    assert "Not seen: the force of contact_1 (noise hides it); excite the rig more strongly." in gap.sentence
+    assert "Not settled: the force of contact_1 (noise hides it); excite the rig more strongly." in gap.sentence
     assert next_steps(gap)[:2] == [
         "Do not rely on rig.json yet.",
         "Excite the rig more strongly, and diagnose again.",
@@ -335,6 +335,11 @@ def test_a_browser_shows_all_of_it_on_a_phone(opened, written):
     assert len(seen.pictures_px) + len(seen.plots_px) == len(figures)
     assert min(*seen.pictures_px, *seen.plots_px) > 0
     assert seen.console == ()
+
+
+def test_the_page_is_accessible(inaccessible, written):
+    _, _, _, path = written
+    assert inaccessible(path, PHONE_PX) == []
 
 
 def test_the_exported_curves_are_those_of_the_page(diagnosis):

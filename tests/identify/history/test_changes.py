@@ -154,6 +154,13 @@ def test_dates_stand_on_the_axis_where_they_ascend(days, label, tmp_path):
             assert f"{date:%Y-%m-%dT%H:%M:%SZ}" in {row["recorded"] for row in rows}
 
 
+def test_the_page_is_accessible(inaccessible, tmp_path):
+    rng = np.random.default_rng(1)
+    result = history_of([Observation(name=name, recorded=None, report=report(rng)) for name in ("a", "b", "c")])
+    write_page(result, history_figure(result), tmp_path / "history.html")
+    assert inaccessible(tmp_path / "history.html", 375) == []
+
+
 @pytest.fixture(scope="module")
 def recordings(tmp_path_factory):
     """Recordings of one mass whose clearance wears by 2 % in all."""

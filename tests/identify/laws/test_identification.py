@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from identify.checks.findings import Finding
 from identify.commands.cli import app
 from identify.laws import CUBIC, FORMULA, PIECEWISE, Laws, identify_law, symbolic
-from identify.laws.report import write_page
+from identify.laws.report import law_figures, write_page
 from identify.laws.results import LawReport
 from identify.laws.symbolic import Formula, search, simplify
 from identify.pages.wording import interval
@@ -247,6 +247,12 @@ def test_the_page_of_a_law_stands_alone(clearance, command, tmp_path):
         assert interval(1e3 * knee.value, 1e3 * knee.standard_error, "mm") in text
     assert f"some.mcap {sha256(b'a recording').hexdigest()[:12]}" in text
     assert clearance.result.formula in text
+
+
+def test_the_page_is_accessible(inaccessible, clearance, tmp_path):
+    report = LawReport(rig="one mass", laws=(clearance.result,), unanswered=(), findings=())
+    write_page(report, law_figures([clearance]), "mass", tmp_path / "law.html")
+    assert inaccessible(tmp_path / "law.html", 375) == []
 
 
 def test_a_finding_makes_the_page_amber(clearance, tmp_path):

@@ -32,3 +32,17 @@ def test_a_wide_table_and_a_long_word_need_no_sideways_scrolling(opened, tmp_pat
 def test_what_is_wrong_with_a_page_is_seen(opened, tmp_path, html, found):
     """Else the tests of the pages could not fail."""
     assert found(opened(written(tmp_path / "page.html", html), PHONE_PX))
+
+
+@pytest.mark.parametrize(
+    ("html", "found"),
+    [
+        (page.table(("a value, N", *["far"] * 40), [["12 ± 1"] * 41]) + page.picture("a figure", b""), []),
+        ('<p style="color:#555">dark on dark</p>', ["color-contrast"]),
+        ('<img src="">', ["image-alt"] * 2),
+    ],
+)
+def test_what_a_reader_without_good_eyes_cannot_use_is_seen(inaccessible, tmp_path, html, found):
+    assert [
+        finding.partition(":")[0] for finding in inaccessible(written(tmp_path / "page.html", html), PHONE_PX)
+    ] == found

@@ -81,3 +81,8 @@ def test_the_page_needs_no_other_file_and_writes_words_as_words(plan, tmp_path):
     assert "<2 times>" not in html
     for text in ("5.0000 ± 0.0098 mm", "will not be told", "plan.json", "spare", "calibration"):
         assert text in html
+
+
+def test_the_page_is_accessible(inaccessible, plan, tmp_path):
+    page.write_page(plan, BarrelCradle().rig(), tmp_path / "plan.html")
+    assert inaccessible(tmp_path / "plan.html", 375) == []
