@@ -57,12 +57,9 @@ def checked_space_contacts(recording: Recording, use: Use, tolerances: Tolerance
 
 
 def space_findings(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
-    """Findings of the check of each plane rig, without what weight does to displacements at rest."""
-    findings: dict[Finding, None] = {}
-    for direction in recording.rig.directions:
-        plane = plane_recording(from_rest_position(recording), direction)
-        found = check_recording(plane, use, tolerances)
-        findings |= dict.fromkeys(without_dead_force(found, () if np.any(plane.forces_n) else plane.force_names))
+    """Findings of the check, without what weight does to displacements at rest."""
+    findings = check_recording(from_rest_position(recording), use, tolerances)
+    findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
     return tuple(f for f in findings if f.cause != "not at rest")
 
 
@@ -125,10 +122,7 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
 
 def annular_records(rig: Rig, separations: tuple[Separation, Separation]) -> dict[str, AnnularRecord]:
     """Record of every annular contact."""
-    names = [
-        [name for name, station in zip(rig.force_names, rig.forces, strict=True) if station.direction == direction]
-        for direction in rig.directions
-    ]
+    names = [rig.force_names_in(direction) for direction in rig.directions]
     parameters = [separation.forces.nuisances.parameters for separation in separations]
     records = {}
     for contact in (c for c in rig.contacts if c.law.spatial):
