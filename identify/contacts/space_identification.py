@@ -21,8 +21,8 @@ from rig.recording import Recording
 
 NO_MODAL_EQUATIONS = "NIFO and the restoring force surface are made of rigs that move in one direction"
 COUPLED_RINGS = (
-    "springs to the ground couple the slow motions of the contacts, which accelerometers miss: of rings this coupling is "
-    "left out, in no interval"
+    "springs to the ground couple the slow motions of the contacts, which accelerometers miss: of rings this coupling "
+    "is left out, and in no interval"
 )
 
 
