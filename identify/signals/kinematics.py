@@ -99,6 +99,7 @@ class Kinematics:
             excited_from=max(0, self.excited_from - (samples.start or 0)),
             start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
             base=self.base and self.base.segment(samples),
+            across=self.across and self.across.segment(samples),
         )
 
     @property
