@@ -20,9 +20,9 @@ from identify.linear.joined import contact_groups, group_rig_of
 from identify.signals.kinematics import Use, kinematics
 from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
 from rig.errors import RigError
-from rig.model.description import Rig, Sensor, contact_stations
+from rig.model.description import Direction, Rig, Sensor, contact_stations
 from rig.model.tolerances import LABORATORY, Tolerances
-from rig.recording import Recording
+from rig.recording import Recording, plane_recording
 
 WAVEFORM_CAUSES = (
     "dead",
@@ -52,11 +52,13 @@ def check_recording(
 ) -> tuple[Finding, ...]:
     """Findings on the channels, the clock and rig.json; empty for a sound recording.
 
-    First each channel's samples by themselves, then all channels against the linear model of rig.json. A segment of a
-    longer record does not begin at rest and is not compared with the model.
+    First each channel's samples by themselves, then all channels of each direction against the linear model of rig.json
+    in it. A segment of a longer record does not begin at rest and is not compared with the model.
     """
-    findings = _waveform_findings(recording, use)
-    findings += _model_findings(recording, use, tolerances or recording.rig.tolerances or LABORATORY, findings)
+    waveform_findings, tolerances = _waveform_findings(recording, use), tolerances or recording.rig.tolerances
+    findings = list(waveform_findings)
+    for direction in recording.rig.directions:
+        findings += _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
     if not any(f.cause in ("units", "gain") for f in findings):
         findings += _out_of_range_findings(recording, use)
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
@@ -109,10 +111,11 @@ def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[st
 
 
 def _model_findings(
-    recording: Recording, use: Use, tolerances: Tolerances, waveform_findings: list[Finding]
+    of_all: Recording, direction: Direction, use: Use, tolerances: Tolerances, waveform_findings: list[Finding]
 ) -> list[Finding]:
-    """Findings by the linear model, after those by the waveforms."""
-    rig, force_names = recording.rig, recording.force_names
+    """Findings by the linear model of one direction, after those by the waveforms."""
+    force_names, recording = of_all.rig.force_names_in(direction), plane_recording(of_all, direction)
+    rig = recording.rig
     if rig.base_sensors:
         return []  # the comparison takes forces alone
     excluded = {c for f in waveform_findings if f.cause in EXCLUDING_CAUSES for c in _channels_at_fault(f, force_names)}

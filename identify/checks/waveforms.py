@@ -25,8 +25,8 @@ HELD_SAMPLES = 8
 SPIKE_RATIO = 25.0
 """Smallest deviation of a spike from its neighbours, over the usual one."""
 IMPACT_RATIO, SEPARATION_RATIO, MAX_SPIKES = 8.0, 2.0, 60
-"""Deviation of another channel that makes an impact of a spike; gap between the spikes and impacts of an only channel;
-most spikes that are single faults."""
+"""Deviation of another channel that makes an impact of a spike; size of a spike over that of impacts; most spikes that
+are single faults."""
 TONE_RATIO = 3.0
 """Mains hum is larger than twice this multiple of the neighbouring lines."""
 TONE_SHARE = 2e-3
@@ -145,13 +145,23 @@ def neighbour_deviation(samples: Row) -> Row:
 def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
     """Finding: single samples that their neighbours do not explain; not at the record's ends.
 
-    What other channels show too is an impact. In an only channel, spikes stand out from all impacts.
+    What other channels show too is an impact, and so are jumps of half to any size in this channel that others mostly
+    show. In an only channel, spikes stand out from all impacts.
     """
     margin = deviation.size // 50
     interior = deviation[margin:-margin]
-    spikes = [int(k) + margin for k in np.flatnonzero(interior > SPIKE_RATIO) if _is_single(deviation, int(k) + margin)]
-    if other_deviations:
-        spikes = [k for k in spikes if max(float(d[k - 3 : k + 4].max()) for d in other_deviations) < IMPACT_RATIO]
+    jumps = margin + np.flatnonzero(interior > SPIKE_RATIO / SEPARATION_RATIO)
+    jumps = jumps[[_is_single(deviation, int(k)) for k in jumps]]
+    sizes = deviation[jumps]
+    spikes = [int(k) for k in jumps[sizes > SPIKE_RATIO]]
+    if other_deviations and spikes:
+        shown = {int(k): max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jumps}
+        alone = np.array([shown[int(k)] < IMPACT_RATIO for k in jumps])
+        spikes = [
+            k
+            for k in spikes
+            if shown[k] < IMPACT_RATIO and np.mean(alone[sizes > deviation[k] / SEPARATION_RATIO]) > 0.5
+        ]
     elif spikes:
         peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][
             : MAX_SPIKES + 1

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.stats import norm, t
 
 from identify.contacts.annular_fit import AnnularFit, annular_fit
 from identify.contacts.annular_law import (
@@ -19,11 +18,16 @@ from identify.contacts.annular_law import (
     ring_motion,
 )
 from identify.contacts.annular_record import DIRECTIONS, AnnularRecord, closed_samples
-from identify.contacts.joint_fit import DRIFT_PULL_LIMIT, NOISE_RATIO_LIMIT, PAUSE_SHARE, WANDER_LIMIT
+from identify.contacts.joint_fit import (
+    check_bridged,
+    check_drift,
+    half_differences,
+    small_sample_factor,
+    unexplained_share,
+)
 from identify.contacts.law_fit import LEAST_HALF_SAMPLES, misfit_excess
 from identify.contacts.linearization import Jacobian
-from identify.contacts.refusals import RefusalCode, refused
-from identify.signals.scores import PARTS, informative_parts, part_scores, quiet_deviation
+from identify.signals.scores import informative_parts, part_scores
 
 CENTER_SHARE = 0.05
 """Largest standard error of the centre over the clearance for which the centre is known."""
@@ -103,10 +107,8 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     planes, residuals = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
     starts = informative_parts(np.hypot(*planes[:, :, STIFFNESS]))
     by_parts = np.sum([part_scores(*rows, starts) for rows in zip(planes, residuals, strict=True)], axis=0)
-    degrees_of_freedom = PARTS - to_law.shape[1]
-    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
     rows = (
-        small_sample_factor * by_parts,
+        small_sample_factor(to_law.shape[1]) * by_parts,
         record.samples_per_error * by_dense[:pull_count],
         curve.curvature @ by_knots,
     )
@@ -125,8 +127,13 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
         force_n=record.force_n + values[-DIRECTIONS:, None],
-        unexplained=_unexplained(fit),
-        halves=_halves(by_parts[:, [CLEARANCE, STIFFNESS]]),
+        unexplained=unexplained_share(
+            [
+                (residual[record.used], plane.force_n[record.used], plane.noise_n)
+                for residual, plane in zip(residuals, record.planes, strict=True)
+            ]
+        ),
+        halves=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
     )
 
 
@@ -177,39 +184,11 @@ def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.nd
 
 def _check_slow_motion(fit: AnnularFit) -> None:
     """Raises ContactRefusedError as `estimate_annular` says."""
-    record, curve = fit.record, fit.record.drift_spline
-    if curve.knots and np.mean((curve.curvature @ fit.state.knots - curve.target) ** 2) > DRIFT_PULL_LIMIT:
-        raise refused(RefusalCode.DRIFT_TOO_LARGE)
+    record = fit.record
+    check_drift(record.drift_spline, fit.state.knots)
     drifts = [plane.drift for plane in record.planes if plane.drift is not None and not plane.spring_n_per_m]
-    if not drifts:
-        return
-    force = record.force_n + fit.state.values[-DIRECTIONS:, None]
-    closed = closed_samples(record, force)
-    between_s = np.diff(np.flatnonzero(np.diff(closed.astype(int)) == 1)) * record.decimation / record.sample_rate_hz
-    between_s = np.sort(between_s)[: round((1 - PAUSE_SHARE) * between_s.size)]
-    wander_s = np.sqrt(np.mean(between_s**3) / 6) if between_s.size else np.inf
-    wander_m = max(drift.noise_density for drift in drifts) * wander_s
-    depth_m = float(np.median(np.hypot(*force[:, closed]))) / fit.state.values[STIFFNESS]
-    if wander_m > WANDER_LIMIT * depth_m:
-        raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
-
-
-def _unexplained(fit: AnnularFit) -> float:
-    """Root mean square of the residual beyond the sensors' noise over the force's, as in `joint_fit`."""
-    used = fit.record.used
-    residual = fit.state.residual_n.reshape(DIRECTIONS, -1)[:, used]
-    left, force = 0.0, 0.0
-    for p, plane in enumerate(fit.record.planes):
-        noise_n = min(float(quiet_deviation(residual[p])), NOISE_RATIO_LIMIT * plane.noise_n)
-        noise = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual[p].size))
-        left += max(float(np.var(residual[p])) - noise, 0.0)
-        force += max(float(np.var(plane.force_n[used])) - noise, 0.0)
-    return float(np.sqrt(left / force)) if force > 0 else 0.0
-
-
-def _halves(by_parts: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
-    """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
-    scatter = np.maximum(np.sqrt(np.sum(by_parts**2, axis=0)), 1e-300)
-    half = len(by_parts) // 2
-    clearance, stiffness = (by_parts[:half].sum(axis=0) - by_parts[half:].sum(axis=0)) / scatter
-    return float(clearance), float(stiffness)
+    if drifts:
+        force = record.force_n + fit.state.values[-DIRECTIONS:, None]
+        closed, density = closed_samples(record, force), max(drift.noise_density for drift in drifts)
+        depth_m = float(np.median(np.hypot(*force[:, closed]))) / fit.state.values[STIFFNESS]
+        check_bridged(closed, record.decimation / record.sample_rate_hz, density, depth_m)

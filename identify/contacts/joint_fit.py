@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.stats import norm, t
 
 from identify.contacts.contact_record import LEAST_CLOSED_SHARE, ContactRecord, clearly_closed
@@ -176,8 +176,7 @@ def fit_joint(
     free_to_laws, start_pulls = free_parameters(touched, sides_known), initial_pulls(record)
     candidates = guesses(without_nuisances(record, start_pulls), nominal, touched)
     fit = first_fit(record, free_to_laws, candidates, start_pulls, form)
-    if _curvature_pull(curve, fit.state) > DRIFT_PULL_LIMIT:
-        raise refused(RefusalCode.DRIFT_TOO_LARGE)
+    check_drift(curve, fit.state.knots)
     _check_bridged(record, fit.state)
     is_single = len(touched) == 1
     forms = forms if is_single and touched.any() else ()
@@ -190,12 +189,10 @@ def fit_joint(
     )
     dense_in_laws = np.concatenate([dense_by_free[:pull_count], scaled_to_laws @ dense_by_free[pull_count:]])
     influence = derivatives.columns(knots_by_free, dense_in_laws) * fit.weights[:, None] ** 2  # by residuals
-    degrees_of_freedom = PARTS - free_count  # parts are few: Student's t, so that 1.96 standard errors cover 95 %
-    small_sample_factor = np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975)
     part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     by_parts = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
-        "scatter": small_sample_factor * by_parts,
+        "scatter": small_sample_factor(free_count) * by_parts,
         "tolerances": record.samples_per_error * dense_by_free[:pull_count],
         "drift": curve.curvature @ knots_by_free,
     }
@@ -217,9 +214,11 @@ def fit_joint(
             drift_m=drift_m,
             drift_m_per_s=drift_m_per_s,
             pulls=state.pulls,
-            unexplained_share=_unexplained_share(record, state),
-            half_differences=_half_differences(
-                by_parts @ scaled_to_laws[block].T, [_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT]
+            unexplained_share=unexplained_share([(state.residual_n, record.force_n, record.noise_n)]),
+            half_differences=half_differences(
+                by_parts
+                @ scaled_to_laws[block].T
+                @ np.stack([_clearance_gradient((lower, upper)), STIFFNESS_GRADIENT], axis=1)
             ),
             form=SPRING if not (lower or upper) else replace(state.form, spring_indices=()),
             exponent=state.form.exponent(state.law_parameters),
@@ -229,45 +228,57 @@ def fit_joint(
     return tuple(estimate_at(len(LAW) * i, *sides) for i, sides in enumerate(touched.tolist()))
 
 
-def _unexplained_share(record: ContactRecord, state: State) -> float:
-    """Root mean square of the residual beyond the sensors' noise, as a share of the force's.
+def small_sample_factor(free_count: int) -> float:
+    """Factor of the scatter of few parts, less the free parameters: Student's t, so that 1.96 standard errors cover
+    95 %."""
+    degrees_of_freedom = PARTS - free_count
+    return float(np.sqrt(PARTS / degrees_of_freedom) * t.ppf(0.975, degrees_of_freedom) / norm.ppf(0.975))
+
+
+def unexplained_share(forces: Sequence[tuple[Signal, Signal, float]]) -> float:
+    """Root mean square of the residuals (first) beyond the sensors' noise (third), as a share of the forces' (second).
 
     The noise is that of the quietest parts, at most `NOISE_RATIO_LIMIT` times the sensors', and three standard
     deviations of its variance in a part of n samples, sqrt(2 / n) of it.
     """
-    noise_n = min(float(quiet_deviation(state.residual_n)), NOISE_RATIO_LIMIT * record.noise_n)
-    noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / state.residual_n.size))
-    residual_square, force_square = (
-        max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (state.residual_n, record.force_n)
-    )
-    return float(np.sqrt(residual_square / force_square)) if force_square > 0 else 0.0
+    squares = np.zeros(2)
+    for residual_n, force_n, sensor_noise_n in forces:
+        noise_n = min(float(quiet_deviation(residual_n)), NOISE_RATIO_LIMIT * sensor_noise_n)
+        noise_square = noise_n**2 * (1 + 3 * np.sqrt(2 * PARTS / residual_n.size))
+        squares += [max(float(np.var(signal_n)) - noise_square, 0.0) for signal_n in (residual_n, force_n)]
+    return float(np.sqrt(squares[0] / squares[1])) if squares[1] > 0 else 0.0
 
 
-def _half_differences(by_parts: Float[np.ndarray, "parts 4"], gradients: list[LawParameters]) -> tuple[float, float]:
+def half_differences(influence: Float[np.ndarray, "parts 2"]) -> tuple[float, float]:
     """Influence of the record's first half on clearance and stiffness less that of its second, over their scatter."""
-    influence = by_parts @ np.stack(gradients, axis=1)
     scatter = np.maximum(np.sqrt(np.sum(influence**2, axis=0)), 1e-300)
     first, second = influence[: len(influence) // 2].sum(axis=0), influence[len(influence) // 2 :].sum(axis=0)
     clearance, stiffness = (first - second) / scatter
     return float(clearance), float(stiffness)
 
 
-def _curvature_pull(curve: Spline, state: State) -> float:
-    """Mean square of the drift's curvature less the measured one, in standard deviations; usually 1 to 2."""
-    return float(np.mean((curve.curvature @ state.knots - curve.target) ** 2)) if curve.knots else 0.0
+def check_drift(curve: Spline, knots: Float[np.ndarray, " knots"]) -> None:
+    """Raises ContactRefusedError if the drift's curvature less the measured one exceeds `DRIFT_PULL_LIMIT`; its mean
+    square is usually 1 to 2 squared standard deviations."""
+    if curve.knots and np.mean((curve.curvature @ knots - curve.target) ** 2) > DRIFT_PULL_LIMIT:
+        raise refused(RefusalCode.DRIFT_TOO_LARGE)
 
 
 def _check_bridged(record: ContactRecord, state: State) -> None:
-    """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
-    penetrations."""
+    """Raises ContactRefusedError as `check_bridged`, unless a spring tells the slow motion."""
     if record.drift is None or record.drift.spring_n_per_m > 0 or state.form.spring_indices:
         return
     is_closed = clearly_closed(record)
-    closing_samples = np.flatnonzero(np.diff(is_closed.astype(int)) == 1)
-    open_times_s = np.sort(np.diff(closing_samples) * record.decimation / record.sample_rate_hz)
-    open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
-    wander_m = record.drift.noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
     depth_m = float(np.median(np.abs(record.force_n[is_closed]))) / state.stiffness_n_per_m
+    check_bridged(is_closed, record.decimation / record.sample_rate_hz, record.drift.noise_density, depth_m)
+
+
+def check_bridged(is_closed: Bool[np.ndarray, " fewer"], sample_s: float, noise_density: float, depth_m: float) -> None:
+    """Raises ContactRefusedError if the noise, integrated twice between closures, exceeds `WANDER_LIMIT`
+    penetrations."""
+    open_times_s = np.sort(np.diff(np.flatnonzero(np.diff(is_closed.astype(int)) == 1)) * sample_s)
+    open_times_s = open_times_s[: round((1 - PAUSE_SHARE) * open_times_s.size)]
+    wander_m = noise_density * np.sqrt(np.mean(open_times_s**3) / 6) if open_times_s.size else np.inf
     if wander_m > WANDER_LIMIT * depth_m:
         raise refused(RefusalCode.DRIFT_NOT_BRIDGED, wander_um=float(1e6 * wander_m), penetration_um=1e6 * depth_m)
 

@@ -16,7 +16,7 @@ from identify.contacts.station_spectra import (
     sensed_accelerations,
 )
 from identify.linear.model import Response, has_high_passed_springs
-from identify.linear.nuisance import ObservedBase, ObservedSignals
+from identify.linear.nuisance import ObservedAcross, ObservedBase, ObservedSignals
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig
@@ -66,10 +66,7 @@ def observation_of(
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
     rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
-    displacements = lines.spectra(motion.displacement_m)
-    accelerations = (
-        lines.spectra(motion.acceleration_m_per_s2) if record.from_rest else sensed_accelerations(motion, lines)
-    )
+    displacements, accelerations = _station_spectra(record, motion, lines)
     station_signals = np.where(in_metres, displacements, accelerations)
     station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
     shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
@@ -92,6 +89,7 @@ def observation_of(
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=observed_base,
+        across=_observed_across(record, lines, in_metres),
     )
     gauge_names = tuple(s.name for s in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
@@ -99,6 +97,29 @@ def observation_of(
     errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
     noise_power = (samples * record.noise_m_per_s2**2)[:, None] * np.abs(station_response) ** 2
     return observed, errors, np.concatenate([noise_power, gauge_rows.noise_power])
+
+
+def _station_spectra(
+    record: SeparationInput, motion: Kinematics, lines: SpectralLines
+) -> tuple[Complex[np.ndarray, "stations lines"], Complex[np.ndarray, "stations lines"]]:
+    """Spectra of displacements and accelerations."""
+    accelerations = (
+        lines.spectra(motion.acceleration_m_per_s2) if record.from_rest else sensed_accelerations(motion, lines)
+    )
+    return lines.spectra(motion.displacement_m), accelerations
+
+
+def _observed_across(
+    record: SeparationInput, lines: SpectralLines, in_metres: Bool[np.ndarray, "stations lines"]
+) -> ObservedAcross | None:
+    """Motion in the other direction at the stations where it is measured too."""
+    across, stations = record.motion.across, record.motion.stations
+    if across is None:
+        return None
+    pairs = [(i, row) for i, station in enumerate(stations) if (row := across.row(station)) is not None]
+    sensors, rows = [i for i, _ in pairs], [row for _, row in pairs]
+    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, across, lines))
+    return ObservedAcross(sensors, np.where(in_metres[sensors], displacements, accelerations), displacements)
 
 
 def noise_observation(
@@ -116,6 +137,7 @@ def noise_observation(
         displacements=displacements,
         bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
         base=observed.base and observed.base.at_rest,
+        across=observed.across and observed.across.at_rest,
     )
 
 

@@ -84,9 +84,12 @@ def separate_planes(recordings: Sequence[Recording], use: Use, tolerances: Toler
         max(map(highest_driven_hz, driven)) if driven else max(highest_vibration_hz(motion) for _, motion in measured)
     )
     excited_from = min((motion.excited_from for motion in driven), default=0)
+    across = [motion for _, motion in measured[::-1]] if len(measured) > 1 else [None]
     return tuple(
-        _separated(recording, gauges, replace(motion, excited_from=excited_from), highest_excited_hz, tolerances)
-        for recording, (gauges, motion) in zip(recordings, measured, strict=True)
+        _separated(
+            recording, gauges, replace(motion, excited_from=excited_from, across=other), highest_excited_hz, tolerances
+        )
+        for recording, (gauges, motion), other in zip(recordings, measured, across, strict=True)
     )
 
 
@@ -300,7 +303,8 @@ def _error_density(
 ) -> float:
     """One-sided density of a station's acceleration error in the band of the drift, m/s^2/sqrt(Hz).
 
-    It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain and position.
+    It is the sensor's noise, and the errors of the slow acceleration by the tolerances of gain, position and the share
+    of the other direction.
     """
     row = motion.stations.index(station)
     body_stations = [i for i, s in enumerate(motion.stations) if s.body == station.body]
@@ -317,6 +321,9 @@ def _error_density(
             body_stations.index(row)
         ]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
+    if motion.across and (other := motion.across.row(station)) is not None:
+        across_m_per_s2 = _slow_acceleration(motion.across.acceleration_m_per_s2[other], motion)
+        error_power += tolerances.cross_axis**2 * np.mean(across_m_per_s2**2)
     return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 

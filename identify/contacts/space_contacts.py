@@ -3,6 +3,7 @@ both; contacts of one direction are those of its plane rig."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -18,14 +19,17 @@ from identify.contacts.acceptance import (
 from identify.contacts.annular_estimate import AnnularEstimate, estimate_annular
 from identify.contacts.annular_law import CLEARANCE, DAMPING, STIFFNESS
 from identify.contacts.annular_record import AnnularRecord, annular_record
+from identify.contacts.contact_record import ContactRecord
 from identify.contacts.determination import determine
 from identify.contacts.outcomes import NO_OUTCOMES, UNCERTAIN_SHARE, Outcomes
 from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode, refused
 from identify.contacts.separation import Separation, check_described, separate_planes
+from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import Use
+from identify.signals.spectra import decimated, oversampled
 from rig.model.contact_laws.annular import Annular
-from rig.model.description import Rig, contact_stations
+from rig.model.description import Contact, Rig, contact_stations
 from rig.model.modes import condensed
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording, plane_recording
@@ -57,12 +61,9 @@ def checked_space_contacts(recording: Recording, use: Use, tolerances: Tolerance
 
 
 def space_findings(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
-    """Findings of the check of each plane rig, without what weight does to displacements at rest."""
-    findings: dict[Finding, None] = {}
-    for direction in recording.rig.directions:
-        plane = plane_recording(from_rest_position(recording), direction)
-        found = check_recording(plane, use, tolerances)
-        findings |= dict.fromkeys(without_dead_force(found, () if np.any(plane.forces_n) else plane.force_names))
+    """Findings of the check, without what weight does to displacements at rest."""
+    findings = check_recording(from_rest_position(recording), use, tolerances)
+    findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
     return tuple(f for f in findings if f.cause != "not at rest")
 
 
@@ -108,7 +109,11 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     planes = [plane_recording(counted, direction) for direction in rig.directions]
     planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
     y, z = separate_planes(planes, use, tolerances)
-    records, annular, refusals = annular_records(rig, (y, z)), dict[str, AnnularEstimate](), dict[str, Refusal]()
+    records, annular, refusals = (
+        annular_records(rig, (y, z), tolerances),
+        dict[str, AnnularEstimate](),
+        dict[str, Refusal](),
+    )
     for name, record in records.items():
         law = rig.contact(name).law
         assert isinstance(law, Annular)
@@ -123,23 +128,23 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *_annular_findings(annular, records)))
 
 
-def annular_records(rig: Rig, separations: tuple[Separation, Separation]) -> dict[str, AnnularRecord]:
+def annular_records(
+    rig: Rig, separations: tuple[Separation, Separation], tolerances: Tolerances
+) -> dict[str, AnnularRecord]:
     """Record of every annular contact."""
-    names = [
-        [name for name, station in zip(rig.force_names, rig.forces, strict=True) if station.direction == direction]
-        for direction in rig.directions
-    ]
+    names = [rig.force_names_in(direction) for direction in rig.directions]
     parameters = [separation.forces.nuisances.parameters for separation in separations]
     records = {}
     for contact in (c for c in rig.contacts if c.law.spatial):
         planes = []
         for separation in separations:
-            (index,) = (
-                k
-                for k, place in enumerate(separation.contact_groups)
-                if separation.rig.contact(contact.name) in [separation.rig.contacts[j] for j in place.contact_indices]
+            in_plane = separation.rig.contact(contact.name)
+            (record,) = (
+                record
+                for group, record in zip(separation.contact_groups, separation.records, strict=True)
+                if in_plane in [separation.rig.contacts[j] for j in group.contact_indices]
             )
-            planes.append(separation.records[index])
+            planes.append(_with_whole_band(record, separation, in_plane, tolerances))
         records[contact.name] = annular_record(
             (planes[0], planes[1]),
             (parameters[0], parameters[1]),
@@ -147,6 +152,35 @@ def annular_records(rig: Rig, separations: tuple[Separation, Separation]) -> dic
             separations[0].motion.quiet_samples,
         )
     return records
+
+
+def _with_whole_band(
+    record: ContactRecord, separation: Separation, contact: Contact, tolerances: Tolerances
+) -> ContactRecord:
+    """Contact record whose gains, delays and cross-axis shares change the relative displacement in the whole band.
+
+    The separation knows them in the band of the forces alone. A delay tau and the damping of a contact press nearly
+    alike, by k tau v and c v: what of tau v is left out counts as damping.
+    """
+    motion, samples, nuisance_m = separation.motion, record.eta_m.size, record.nuisance_m.copy()
+    parameters = list(compress(separation.forces.nuisances.parameters, record.shifts_eta))
+    for sign, station in ((1.0, contact.at), (-1.0, contact.against)):
+        if station is None or (row := motion.row(station)) is None:
+            continue
+        sensor = motion.displaced_by[row].name
+        tolerance = tolerances.of_sensor(sensor)
+        changes_m = {
+            NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],
+            NuisanceKind.DELAY: -tolerance.delay_s * motion.velocity_m_per_s[row],
+        }
+        if motion.across and (across := motion.across.row(station)) is not None:
+            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.across.displacement_m[across]
+        for kind, change_m in changes_m.items():
+            if (parameter := Nuisance(kind, sensor)) in parameters:
+                whole_m = sign * change_m[:samples]
+                band_m = oversampled(decimated(whole_m, record.decimation), record.decimation)[:samples]
+                nuisance_m[parameters.index(parameter)] += whole_m - band_m
+    return replace(record, nuisance_m=nuisance_m)
 
 
 def _check_certain(estimate: AnnularEstimate) -> None:

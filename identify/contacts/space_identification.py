@@ -20,6 +20,10 @@ from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
 NO_MODAL_EQUATIONS = "NIFO and the restoring force surface are made of rigs that move in one direction"
+COUPLED_RINGS = (
+    "springs to the ground couple the slow motions of the contacts, which accelerometers miss: of rings this coupling "
+    "is left out, and in no interval"
+)
 
 
 @dataclass(frozen=True)
@@ -105,9 +109,15 @@ def identify_in_space(
         channels_used=(*rig.force_names, *motions[0].channels, *motions[1].channels),
         findings=contacts.findings,
         noise_from=noise_source(motions[0], contacts.separations[0].rig),
-        notes=(NO_MODAL_EQUATIONS,),
+        notes=(NO_MODAL_EQUATIONS, *([COUPLED_RINGS] if _rings_are_coupled(contacts) else [])),
     )
     return SpaceIdentification(report, rig, contacts, tolerances or rig.tolerances or LABORATORY)
+
+
+def _rings_are_coupled(contacts: SpaceContacts) -> bool:
+    """True if springs couple the slow motion of some contact to that of others, beside a ring."""
+    slow_n_per_m = [separation.forces.slow_n_per_m for separation in contacts.separations]
+    return bool(contacts.records) and any(np.any(k - np.diag(np.diag(k))) for k in slow_n_per_m)
 
 
 def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:

@@ -96,6 +96,11 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         "contacts: the forces of both directions are separated by themselves."
     )
     yield tolerances_sentence(result.tolerances)
+    if result.tolerances.cross_axis:
+        yield (
+            "Where both directions are measured, each sensor shows a share of the motion across, fitted along: 0 +- "
+            f"{100 * result.tolerances.cross_axis:.2g} % (standard deviation)."
+        )
     motions = [separation.motion for separation in result.contacts.separations]
     for direction, motion in zip("yz", motions, strict=True):
         places = "; ".join(places_of(body.name, motion.stations) for body in result.rig.bodies)
@@ -110,3 +115,4 @@ def _assumptions(result: SpaceIdentification) -> Iterator[str]:
         "for which the open contact has none. The centre follows where the contact is closed at rest."
     )
     yield f"The accelerations' noise is taken from {result.report.noise_from}."
+    yield from (f"{note[:1].upper()}{note[1:]}." for note in result.report.notes)

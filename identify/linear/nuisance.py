@@ -29,6 +29,7 @@ class NuisanceKind(StrEnum):
     POSITION = "position"
     DELAY = "delay"
     HIGH_PASS = "high-pass"
+    CROSS_AXIS = "cross-axis share"
     ZERO = "zero"
     TRUNCATION = "modes left out at"
     CROSSTALK = "crosstalk"
@@ -95,6 +96,20 @@ class ObservedBase:
 
 
 @dataclass(frozen=True)
+class ObservedAcross:
+    """Signals and displacements of the motion across, in the other direction, at the places of some sensors."""
+
+    sensors: list[int]
+    signals: Complex[np.ndarray, "some lines"]
+    displacements: Complex[np.ndarray, "some lines"]
+
+    @property
+    def at_rest(self) -> "ObservedAcross":
+        """The same places without motion across."""
+        return replace(self, signals=0 * self.signals, displacements=0 * self.displacements)
+
+
+@dataclass(frozen=True)
 class SensorPattern:
     """Change as a function of measured signals: `pattern` times the weighted sum of the sensors' accelerations."""
 
@@ -147,6 +162,7 @@ class ObservedSignals:
     bodies: tuple[BodyMotion, ...]
     further_changes: tuple[Change, ...] = ()
     base: ObservedBase | None = None
+    across: ObservedAcross | None = None
 
     @property
     def is_motion_sensed(self) -> bool:
@@ -164,6 +180,7 @@ def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[
     """Changes by every tolerance above zero, then the further ones; by tolerances that all modes of a body have in
     common only on request."""
     yield from _sensor_changes(observed)
+    yield from _cross_axis_changes(observed)
     yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
@@ -188,6 +205,23 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
                     displacements = factor * absolute_displacements if channel == displacement_sensor else None
                     pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
                     yield Change(Nuisance(kind, channel.name), [i], signals, displacements, pattern)
+
+
+def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
+    """Changes by the share of the motion across that each sensor shows."""
+    across = observed.across
+    for i, signals, displacements in (
+        zip(across.sensors, across.signals, across.displacements, strict=True) if across else ()
+    ):
+        sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
+        for channel in dict.fromkeys((sensor, displacement_sensor)):
+            if share := observed.tolerances.of_sensor(channel.name).cross_axis:
+                yield Change(
+                    Nuisance(NuisanceKind.CROSS_AXIS, channel.name),
+                    [i],
+                    share * signals[None] * (channel == sensor),
+                    share * displacements[None] if channel == displacement_sensor else None,
+                )
 
 
 def _base_changes(observed: ObservedSignals) -> Iterator[Change]:

@@ -187,6 +187,12 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
         """Channel names of the forces: force, or force_1, force_2, ..."""
         return force_names(len(self.forces))
 
+    def force_names_in(self, direction: Direction) -> tuple[str, ...]:
+        """Channel names of the forces in one direction."""
+        return tuple(
+            n for n, station in zip(self.force_names, self.forces, strict=True) if station.direction == direction
+        )
+
     def body(self, name: str) -> Body:
         """Body of that name; raises RigError if there is none."""
         for body in self.bodies:

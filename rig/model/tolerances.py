@@ -22,6 +22,7 @@ class SensorTolerance(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
     gain: float | None = None
     position_m: float | None = None
     delay_s: float | None = None
+    cross_axis: float | None = None
     high_pass_hz: float | None = None
 
 
@@ -45,6 +46,9 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Position of every sensor."""
     delay_s: float = 1e-5
     """Delay of every sensor against the force."""
+    cross_axis: float = 0.01
+    """Share of the motion across its direction that every sensor shows, by its transverse sensitivity and the angle at
+    which it is mounted; used by `identify contact` where both directions are measured at one place."""
     high_pass_hz: float = 0.1
     """Corner of the first-order high-pass of an AC-coupled accelerometer that the description does not mention."""
     crosstalk: float = 2e-3
@@ -105,6 +109,7 @@ EXACT = Tolerances(
     gain=0.0,
     position_m=0.0,
     delay_s=0.0,
+    cross_axis=0.0,
     high_pass_hz=0.0,
     crosstalk=0.0,
     lateral_motion=0.0,

@@ -17,41 +17,64 @@ from rig.model.sensing import named_sensor
 from rig.simulation.excitation import Excitation, excitation_of
 
 
-class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Settings that all reference rigs have: sensors, record and exciting force."""
+
+    damping_ratio: float = 0.01
+    """Damping ratio of every mode, of one mass that with open contacts."""
+    sensors: str = "displacement+acceleration"
+    """Quantities measured at every station, and in both directions of a rig in space, joined by +."""
+    noise_density: float = 0.0
+    """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
+    sample_rate_hz: float = 4096.0
+    """Rate of every channel, Hz."""
+    step_s: float = 2.0**-14
+    """Time step of the simulation, s."""
+    duration_s: float = 60.0
+    """Length of the recording, s."""
+    excitation: str = "gaussian"
+    """Kind of the force: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
+    rms_n: float = 14.0
+    """Root mean square of the force, N."""
+    low_hz: float = 0.5
+    """Lower end of the force's band, Hz."""
+    high_hz: float = 100.0
+    """Upper end of the force's band, Hz."""
+    seed: int = 1
+    """Seed of the random force; a force in each direction has one of its own."""
+
+    def force(self) -> Excitation:
+        """Exciting force of these settings."""
+        return excitation_of(
+            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
+        )
+
+
+class Sdof(_Settings, frozen=True, kw_only=True):
     """The one-mass rig (figure 1 and table 1): a mass on a spring between two stops."""
 
     mass_kg: float = 1.0
     """Mass, kg."""
     frequency_hz: float = 5.0
     """Natural frequency with open contacts, Hz."""
-    damping_ratio: float = 0.01
-    """Damping ratio with open contacts."""
     clearance_m: float = 1e-3
     """Clearance on each side, m."""
     stiffness_n_per_m: float = 1e4
     """Stiffness of each stop, N/m."""
     contact_damping_n_s_per_m: float = 0.0
     """Damping of a closed stop, N s/m."""
-    sensors: str = "displacement+acceleration"
-    """Quantities measured at every station, joined by +."""
-    noise_density: float = 0.0
-    """Noise density of the accelerometer, m/s^2/sqrt(Hz)."""
     sample_rate_hz: float = 512.0
     """Rate of every channel, Hz."""
     step_s: float = 2.0**-13
     """Time step of the simulation, s."""
     duration_s: float = 825.0
     """Length of the recording, s."""
-    excitation: str = "gaussian"
-    """Kind of the force: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
     rms_n: float = 0.5
     """Root mean square of the force, N."""
     low_hz: float = 0.0
     """Lower end of the force's band, Hz."""
     high_hz: float = 15.0
     """Upper end of the force's band, Hz."""
-    seed: int = 1
-    """Seed of the random force."""
 
     def rig(self) -> Rig:
         """Rig of these settings."""
@@ -74,14 +97,8 @@ class Sdof(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True
             sample_rate_hz=self.sample_rate_hz,
         )
 
-    def force(self) -> Excitation:
-        """Exciting force of these settings."""
-        return excitation_of(
-            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
-        )
 
-
-class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BarrelCradle(_Settings, frozen=True, kw_only=True):
     """The barrel in its cradle (figure 10 and table 2): a clamped and a free beam that meet at two contacts."""
 
     length_m: float = 1.0
@@ -98,30 +115,8 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """Stiffness of the stops of contact_2, N/m."""
     contact_damping_n_s_per_m: float = 0.0
     """Damping of a closed stop, N s/m."""
-    damping_ratio: float = 0.01
-    """Damping ratio of every mode of both beams."""
     stations: Literal[4, 6, 8, 10] = 6
     """Stations per beam; the contacts are always among them."""
-    sensors: str = "displacement+acceleration"
-    """Quantities measured at every station, joined by +."""
-    noise_density: float = 0.0
-    """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
-    sample_rate_hz: float = 4096.0
-    """Rate of every channel, Hz."""
-    step_s: float = 2.0**-14
-    """Time step of the simulation, s."""
-    duration_s: float = 60.0
-    """Length of the recording, s."""
-    excitation: str = "gaussian"
-    """Kind of the force: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
-    rms_n: float = 14.0
-    """Root mean square of the force, N."""
-    low_hz: float = 0.5
-    """Lower end of the force's band, Hz."""
-    high_hz: float = 100.0
-    """Upper end of the force's band, Hz."""
-    seed: int = 1
-    """Seed of the random force."""
 
     def rig(self) -> Rig:
         """Rig of these settings."""
@@ -164,12 +159,6 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
             sample_rate_hz=self.sample_rate_hz,
         )
 
-    def force(self) -> Excitation:
-        """Exciting force of these settings."""
-        return excitation_of(
-            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
-        )
-
     def _positions(self, barrel_overlap_m: float) -> tuple[tuple[str, tuple[float, ...]], ...]:
         """Station positions by beam: the contacts and those that condition the modal transformation best."""
         cradle_shares, barrel_shares = _STATION_SHARES[self.stations]
@@ -182,7 +171,7 @@ class BarrelCradle(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
         )
 
 
-class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
     """The barrel as a tube that lies in two rings of its cradle, a clamped tube, and moves up, down and sideways."""
 
     length_m: float = 1.0
@@ -211,28 +200,10 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Friction coefficient of both contacts."""
     gravity_m_per_s2: float = 9.81
     """Acceleration of gravity, m/s^2."""
-    damping_ratio: float = 0.01
-    """Damping ratio of every mode of both tubes."""
-    sensors: str = "displacement+acceleration"
-    """Quantities measured at every station in both directions, joined by +."""
-    noise_density: float = 0.0
-    """Noise density of the accelerometers, m/s^2/sqrt(Hz)."""
-    sample_rate_hz: float = 4096.0
-    """Rate of every channel, Hz."""
     step_s: float = 2.0**-15
     """Time step of the simulation, s."""
-    duration_s: float = 60.0
-    """Length of the recording, s."""
-    excitation: str = "gaussian"
-    """Kind of the forces: gaussian, burst, sweep, stepped_sine, multisine, hammer or free_decay."""
     rms_n: float = 60.0
     """Root mean square of each force, N."""
-    low_hz: float = 0.5
-    """Lower end of the forces' band, Hz."""
-    high_hz: float = 100.0
-    """Upper end of the forces' band, Hz."""
-    seed: int = 1
-    """Seed of the random forces."""
 
     def rig(self) -> Rig:
         """Rig of these settings."""
@@ -282,12 +253,6 @@ class BarrelCradleAnnular(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
             ),
             sample_rate_hz=self.sample_rate_hz,
             gravity_m_per_s2=self.gravity_m_per_s2,
-        )
-
-    def force(self) -> Excitation:
-        """Exciting force of these settings, with a seed of its own in each direction."""
-        return excitation_of(
-            self.excitation, rms_n=self.rms_n, low_hz=self.low_hz, high_hz=self.high_hz, seed=self.seed
         )
 
 

@@ -40,8 +40,6 @@ def with_channel_errors(recording: Recording, channel_errors: ChannelErrors, see
     noisy_recording = with_force_noise(recording, channel_errors.force_noise_n, gain_tolerance, rng)
     lateral_share, silent_samples = tolerances.lateral_motion, channel_errors.silent_samples
     lateral_recording = with_lateral_motion(noisy_recording, lateral_share, silent_samples, rng)
-        noisy_recording, tolerances.lateral_motion, channel_errors.silent_samples, rng
-    )
     return with_crosstalk(lateral_recording, tolerances.crosstalk, rng)
 
 

@@ -80,6 +80,17 @@ def test_what_other_channels_show_too_is_an_impact(row, force):
     assert "spikes" not in causes(struck, force, [changed(row[::-1], 9000, 9.0)])
 
 
+def test_a_jump_like_those_that_other_channels_show_is_an_impact_and_a_larger_one_is_a_spike(row, force):
+    rng = np.random.default_rng(4)
+    struck, shown = (r + 0.1 * rng.standard_normal(row.size) for r in (row, row[::-1]))
+    for k in range(3000, 15000, 1000):
+        struck[k] += 4.0
+        shown[k] += 3.0 * (k != 9000)  # of one of them the other channel shows nothing
+    assert "spikes" in causes(struck, force, [row[::-1]])
+    assert "spikes" not in causes(struck, force, [shown])
+    assert "spikes" in causes(changed(struck, 9500, 60.0), force, [shown])
+
+
 def test_motion_before_the_force_is_told_from_noise(row, force):
     early = np.roll(row, -1500)
     assert waveforms.noise_finding("x", RATE, early, force).cause == "force"

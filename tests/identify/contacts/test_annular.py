@@ -14,12 +14,15 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.pooled import pooled_report
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode
 from identify.contacts.ring_shares import ring_shares
+from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
 from identify.signals.drift import spline
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
+from rig.model.description import PointSpring, Station
+from rig.model.tolerances import EXACT
 from rig.recording import Recording, Signals, channel_groups, plane_recording
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
@@ -45,9 +48,10 @@ def machine(gravity):
 
 
 @cache
-def recorded(gravity):
+def recorded(gravity, sensors=()):
     """Recording of the reference rig, and what is true of it."""
     built = machine(gravity)
+    built = dataclasses.replace(built, sensors=sensors or built.sensors)
     truth = simulated(built, 60.0, round(SECONDS * RATE_HZ), RATE_HZ, 1)
     rig = believed_rig(built)
     rows = {"force": truth.forces_n, "acceleration": truth.accelerations.reshape(len(rig.sensors), -1)}
@@ -312,3 +316,42 @@ def test_check_takes_both_directions():
     }
     findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
     assert recording.rig.sensors[12].name in {name for finding in findings for name in finding.channels}
+    values[12] = values[4]  # the barrel's y at that place
+    names = (recording.rig.sensors[4].name, recording.rig.sensors[12].name)
+    findings = identify.check(dataclasses.replace(recording, signals=wrong), tolerances="exact").findings
+    assert [f.channels for f in findings if f.cause == "copy"] == [names]
+
+
+def test_the_share_of_the_motion_across_is_in_the_intervals():
+    """Accelerometers that show up to 2 % of the motion across: with its tolerance nothing is off by more than the
+    intervals say; without it values are."""
+    shares = np.random.default_rng(3).uniform(-0.02, 0.02, (8, 2))
+    built = machine(True)
+    sensors = tuple(dataclasses.replace(s, crossing=tuple(c)) for s, c in zip(built.sensors, shares, strict=True))
+    recording, truth = recorded(True, sensors)
+    known, ignored = (
+        identify.contact(recording, tolerances=replace(EXACT, cross_axis=share)).report for share in (0.01, 0.0)
+    )
+    assert not known.findings
+    errors = {}
+    for report in (known, ignored):
+        for contact, ring, rest_m in zip(report.contacts, built.rings, truth.rest_m, strict=True):
+            estimates = (contact.clearance_m, contact.stiffness_n_per_m, contact.center_y_m, contact.center_z_m)
+            true = (ring.clearance_m, ring.stiffness_n_per_m, *-rest_m)
+            errors.setdefault(report is known, []).extend(
+                abs(e.value - x) / e.standard_error for e, x in zip(estimates, true, strict=True)
+            )
+    assert max(errors[True]) < 2 * COVERED
+    assert max(errors[False]) > 3 * COVERED
+
+
+def test_that_ground_springs_couple_the_slow_motions_of_rings_is_said(found):
+    recording, _ = recorded(False)
+    springs = tuple(
+        PointSpring(station=Station("barrel", x, direction), stiffness_n_per_m=1.0)
+        for x in (0.0, 1.0)
+        for direction in "yz"
+    )
+    held = dataclasses.replace(recording, rig=replace(recording.rig, springs=springs))
+    assert COUPLED_RINGS in identify.contact(held, tolerances="exact").report.notes
+    assert COUPLED_RINGS not in found[0].report.notes
