@@ -86,3 +86,9 @@ def _name_as_text(value: dict[str, Any]) -> None:
     """Take a node's number as its name."""
     if isinstance(value.get(NODE), int) and not isinstance(value[NODE], bool):
         value[NODE] = str(value[NODE])
+
+
+def place_name(body: Any, position_m: float) -> str:
+    """Position on a body in words; the name of the node where the places of a modal basis have no axis."""
+    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(position_m)
+    return f"{position_m:g} m" if node is None else f"node {node}"

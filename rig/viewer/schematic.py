@@ -10,8 +10,8 @@ from rig.model.contact_laws import walls_m
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
+from rig.model.nodes import place_name
 from rig.model.space import plane_rigs
-from rig.model.structure import Structure
 from rig.viewer.palette import BELIEVED_INK, FORCE_INK, INK, SENSOR_INK
 from rig.viewer.svg import GREY, Drawing
 
@@ -253,7 +253,7 @@ def _draw_sensors(drawing: Drawing, layout: _SchematicLayout) -> None:
         place = (
             ""
             if station.body in layout.slot_items
-            else f"  {_place_name(layout.rig.body(station.body), station.position_m)}"
+            else f"  {place_name(layout.rig.body(station.body), station.position_m)}"
         )
         drawing.text(
             x + 4, top - GAP_PX - 10, ", ".join(dict.fromkeys(letters)) + place, SENSOR_INK, turned=-60, size=11
@@ -311,9 +311,3 @@ def _grounded(
     drawing.ground(x, bottom + ATTACHED_PX)
     for k, words in enumerate(f"{value:g} {unit}" for value, unit in values if value):
         drawing.text(x + 12, bottom + ATTACHED_PX - 8 - 14 * k, words, size=11)
-
-
-def _place_name(body: Body, position_m: float) -> str:
-    """Position on a body in words; the name of the node where the places of a modal basis have no axis."""
-    node = None if not isinstance(body, Structure) or body.has_axis else body.node_at(position_m)
-    return f"{position_m:g} m" if node is None else f"node {node}"

@@ -56,12 +56,12 @@ def test_the_next_writers_place_is_left_alone(tmp_path, monkeypatch, interruptio
     """A writer that has renamed its file owns nothing beside it any more, not even when it is interrupted."""
     next_part = tmp_path / "value.part"
 
-    def settle_as_the_next_begins(part_path, path):
+    def rename_as_the_next_begins(part_path, path):
         sync_and_rename(part_path, path)
         next_part.write_text("the next")
 
     for user in ("rig.files", "rig.recording.writer"):
-        monkeypatch.setattr(f"{user}.settle", settle_as_the_next_begins)
+        monkeypatch.setattr(f"{user}.sync_and_rename", rename_as_the_next_begins)
     write_bytes(b"whole", tmp_path / "value")
     assert next_part.read_text() == "the next"
     with suppress(KeyboardInterrupt), writing(tmp_path / "value", RIG, channel_groups(RIG), {}):

@@ -51,7 +51,7 @@ def test_a_stop_that_nothing_reaches_does_not_choose_the_force():
         assert rattling_level(with_law(lower_clearance_m=far_m), 0.5, 15.0).rms_n == usual_n
     unreached = rattling_level(with_law(lower_clearance_m=1.0, upper_clearance_m=1.0), 0.5, 15.0)
     assert unreached.rms_n == 1.0
-    assert "no contact has a clearance of at most 0.1 m" in unreached.why
+    assert "no contact has a clearance of at most 0.1 m" in unreached.reason
     assert rattling_level(with_law(lower_clearance_m=1e-3, upper_clearance_m=3e-3), 0.5, 15.0).rms_n > usual_n
 
 
