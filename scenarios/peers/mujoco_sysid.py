@@ -108,7 +108,7 @@ def _control(
 def _parameters(recording: PeerData, sysid: Any) -> Any:
     """Parameters of the toolbox, as shares of the true values so that their sizes are alike."""
     moving = np.isin(np.arange(recording.model.omega.size), _moving_modes(recording))
-    compliance_m_per_n = -np.diag(stepper(recording.model, moving, 1.0, False).eta_by_contact)
+    compliance_m_per_n = -np.diag(stepper(recording.model, moving, 1.0, False).static_eta_by_contact)
     parameters = sysid.ParameterDict()
     for j, name in enumerate(recording.names):
 
