@@ -19,7 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.observation import FittedMotion, ContactObservation, ContactSignals, Results, Signal
+from identify.gaps.residual.observation import ContactObservation, ContactSignals, FittedMotion, Results, Signal
 from identify.gaps.residual.tangent import Tangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
