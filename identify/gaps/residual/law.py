@@ -19,7 +19,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from identify.contacts.contact_record import CLOSED_FORCE_SHARE, ContactRecord
 from identify.contacts.initial_guess import regressed_guess
 from identify.gaps.residual.nuisance import LIMIT
-from identify.gaps.residual.observation import ContactMotion, ContactObservation, ContactSignals, Results, Signal
+from identify.gaps.residual.observation import ContactObservation, ContactSignals, FittedMotion, Results, Signal
 from identify.gaps.residual.tangent import Tangent
 from identify.linear.joined import GroupLaw
 from identify.signals.spectra import decimated
@@ -111,7 +111,7 @@ class ContactResidual:
     law: GroupLaw
     adjusted_law: GroupLaw
     unknowns: Float[np.ndarray, " unknowns"]
-    motion: ContactMotion
+    motion: FittedMotion
     residual: Float[np.ndarray, " rows"]
 
     @property
@@ -247,11 +247,11 @@ def contact_motion(
     unknowns: Float[np.ndarray, " unknowns"],
     added_force_n: float | Float[np.ndarray, " times"] = 0.0,
     added_eta_m: float | Float[np.ndarray, " samples"] = 0.0,
-) -> ContactMotion:
+) -> FittedMotion:
     """Motion with the drift; added_force_n and added_eta_m come on top of force and relative displacement."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]
     drift_m, drift_m_per_s = drift_spline.value @ knots_m, drift_spline.rate @ knots_m
-    return ContactMotion(
+    return FittedMotion(
         signals.force_n + added_force_n,
         signals.eta_m + _at_sample_rate(drift_m, signals.decimation) + added_eta_m,
         signals.eta_rate_m_per_s + _at_sample_rate(drift_m_per_s, signals.decimation),
@@ -263,7 +263,7 @@ def contact_residual(
     observation: ContactObservation,
     law: GroupLaw,
     unknowns: Float[np.ndarray, " unknowns"],
-    motion: ContactMotion,
+    motion: FittedMotion,
 ) -> ContactResidual:
     """Residual at given unknowns and at the motion that they cause."""
     drift_spline, knots_m = observation.drift_spline, unknowns[: observation.drift_spline.knots]

@@ -38,7 +38,7 @@ FinerMotions = RecentValues[list[Results]]
 
 
 @dataclass(frozen=True, eq=False)
-class ContactMotion:
+class FittedMotion:
     """Contact force before its law, and relative displacement and its rate, with the drift and what parameters add."""
 
     force_n: Float[np.ndarray, " times"]
@@ -66,7 +66,7 @@ class ContactSignals:
     finer_motions: FinerMotions = field(repr=False)
 
     def low_passed(
-        self, law_function: Callable[..., Results], motion: ContactMotion, takes_time: bool, rate_multiple: int = 1
+        self, law_function: Callable[..., Results], motion: FittedMotion, takes_time: bool, rate_multiple: int = 1
     ) -> Float[np.ndarray, "*rows times"]:
         """Law of a motion, and of the time if it takes that, low-passed to `rate_multiple` times the force's rate."""
 
