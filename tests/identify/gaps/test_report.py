@@ -253,6 +253,23 @@ def test_what_decides_stands_beside_the_drawing(gaps, tmp_path):
         assert 0 < html.index(CAPTIONS[first]) < html.index(CAPTIONS[folded])
 
 
+def test_a_veto_shows_the_motion_first_and_doubts_what_is_marked(gaps, rig_of, tmp_path):
+    gap = gaps["vetoed"]
+    write_page(gap, pictures(gap), "title", tmp_path / "gap.html")
+    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert 0 < html.index(CAPTIONS["prediction_motion"]) < html.index(CAPTIONS["large_bands"])
+    assert [mark.words for mark in marks(gap, rig_of(gap))] == [f"doubtful: {gap.causes[0].words[0]}"]
+
+
+def test_what_nothing_bounds_is_drawn_to_the_edge(gaps):
+    (axes,) = pictures(gaps["cannot_tell"])["decided_quantities"].figure.axes
+    ends = [
+        line.get_xdata()[1] for line in axes.lines if len(set(line.get_ydata())) == 1 and len(line.get_xdata()) == 2
+    ]
+    quantities = gaps["cannot_tell"].evidence.quantities
+    assert [end > axes.get_xlim()[1] for end in ends[: len(quantities)]] == [q.upper is None for q in quantities]
+
+
 @pytest.mark.parametrize(
     ("change", "stations", "words"),
     [
