@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import cache
+from itertools import compress
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from identify.contacts.contact_record import ContactRecord
 from identify.contacts.pooled import pooled_report
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode
 from identify.contacts.ring_shares import ring_shares
+from identify.contacts.separation import separate_planes
+from identify.contacts.space_contacts import annular_records
 from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
@@ -22,7 +25,7 @@ from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import PointSpring, Station
-from rig.model.tolerances import EXACT
+from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups, plane_recording
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
@@ -343,6 +346,25 @@ def test_the_share_of_the_motion_across_is_in_the_intervals():
             )
     assert max(errors[True]) < 2 * COVERED
     assert max(errors[False]) > 3 * COVERED
+
+
+def test_a_delay_shifts_the_relative_displacement_in_the_whole_band():
+    recording, _ = recorded(False)
+    planes = [plane_recording(recording, direction) for direction in "yz"]
+    y, z = separate_planes(planes, "auto", LABORATORY)
+    ring = annular_records(recording.rig, (y, z), LABORATORY)["contact_1"].planes[0]
+    parameters = list(compress(y.forces.nuisances.parameters, ring.shifts_eta))
+    row = parameters.index(Nuisance(NuisanceKind.DELAY, "barrel_0000mm_acceleration"))
+    velocity = y.motion.velocity_m_per_s[y.motion.row(Station("barrel", 0.0)), : ring.eta_m.size]
+    shift = -LABORATORY.delay_s * velocity
+
+    def error(nuisance_m):
+        inside = slice(4096, -4096)
+        return np.std((nuisance_m - shift)[inside]) / np.std(shift[inside])
+
+    (separated,) = (r for r in y.records if np.array_equal(r.force_n, ring.force_n))
+    assert error(ring.nuisance_m[row]) < 1e-3
+    assert error(separated.nuisance_m[row]) > 3e-3  # in the band of the forces alone
 
 
 def test_that_ground_springs_couple_the_slow_motions_of_rings_is_said(found):
