@@ -6,14 +6,22 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from jaxtyping import Float
 
 from identify.checks import waveforms
 from identify.checks.continuity import discontinuity_findings
 from identify.checks.findings import Finding, merge_by_cause
-from identify.checks.gross import gross_faults
+from identify.checks.gross import SOUND_MISFIT, ToleranceQuestions, gross_faults
 from identify.checks.masses import mass_findings
 from identify.checks.prediction import linear_check
-from identify.checks.pulls import broken_tolerances, tolerance_finding
+from identify.checks.pulls import (
+    BrokenTolerance,
+    broken_tolerances,
+    joint_cost,
+    misfit_within_tolerances,
+    tolerance_finding,
+)
+from identify.checks.rigs import Trial
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import contact_groups, group_rig_of
@@ -149,13 +157,36 @@ def _channel_findings(
     discontinuities = discontinuity_findings(rig, full_spectra(), usable_indices)
     if any(f.cause == "jump" for f in discontinuities):
         return discontinuities
-    gross = gross_faults(rig, spectra, usable_indices, full_spectra)
+
+    @cache
+    def tolerance_fit(trusted: tuple[int, ...]) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
+        check = linear_check(rig, full_spectra(), [*trusted])
+        return broken_tolerances(rig, check, [*trusted], tolerances)
+
+    def explain() -> bool:
+        broken, pulls = tolerance_fit(tuple(usable_indices))
+        check = linear_check(rig, full_spectra(), usable_indices)
+        return not broken and misfit_within_tolerances(rig, check, usable_indices, tolerances, pulls) < SOUND_MISFIT
+
+    def pull_and_size_of(trial: Trial) -> tuple[float, float]:
+        if trial.changed_rig is None:
+            return 0.0, 0.0
+        nominal_cost, changed_cost = (
+            joint_cost(r, linear_check(r, full_spectra(), usable_indices), usable_indices, tolerances)
+            for r in (rig, trial.changed_rig)
+        )
+        return float(np.sqrt(max(nominal_cost - changed_cost, 0.0))), trial.tolerances_off(tolerances)
+
+    questions = ToleranceQuestions(explain, pull_and_size_of)
+    gross = gross_faults(rig, spectra, usable_indices, full_spectra, questions)
     findings = list(gross.findings) or discontinuities
     if gross.is_sound and len(gross.trusted_indices) > len(rig.contacts) + 1:
         trusted = gross.trusted_indices
-        violations, _ = broken_tolerances(rig, linear_check(rig, full_spectra(), trusted), trusted, tolerances)
+        violations, _ = tolerance_fit(tuple(trusted))
         is_doubted = violations and not findings
-        replaced = gross_faults(rig, spectra, trusted, full_spectra, is_doubted=True).findings if is_doubted else ()
+        replaced = (
+            gross_faults(rig, spectra, trusted, full_spectra, questions, is_doubted=True).findings if is_doubted else ()
+        )
         findings += replaced or [tolerance_finding(violation) for violation in violations]
     return findings
 

@@ -11,13 +11,14 @@ from jaxtyping import Float
 from identify.checks.channels import channel_finding, force_finding, gain_finding
 from identify.checks.findings import Finding, merge_by_cause
 from identify.checks.prediction import LinearCheck, Prediction, linear_check
+from identify.checks.pulls import required_pull, required_size
 from identify.checks.relations import relation
 from identify.checks.rigs import Trial, rig_trials
 from identify.checks.spectra import Spectra
 from rig.model.description import Rig
 
 SOUND_MISFIT = 0.3
-"""Largest misfit that tolerances may explain."""
+"""Largest misfit that is taken for one of tolerances, if they explain no larger one."""
 CURED_SHARE = 0.5
 """A change that leaves more than this share of the misfit, and no sound fit, explains nothing."""
 DOUBTED_SHARE = 0.6
@@ -45,12 +46,27 @@ class GrossFaults:
     is_sound: bool
 
 
+@dataclass(frozen=True)
+class ToleranceQuestions:
+    """Questions to the joint fit of all tolerances, answered on demand: do errors within them explain the record, and
+    by how many standard deviations does a change of rig.json explain it better, of how many tolerances?"""
+
+    explain: Callable[[], bool]
+    pull_and_size_of: Callable[[Trial], tuple[float, float]]
+
+
 def gross_faults(
-    rig: Rig, spectra: Spectra, usable: list[int], full_spectra: FullSpectra, is_doubted: bool = False
+    rig: Rig,
+    spectra: Spectra,
+    usable: list[int],
+    full_spectra: FullSpectra,
+    tolerances: ToleranceQuestions,
+    is_doubted: bool = False,
 ) -> GrossFaults:
     """Findings by the change with the smallest misfit.
 
-    A change of one channel, a force, two swapped channels, all gains or rig.json; or several channels excluded.
+    A change of one channel, a force, two swapped channels, all gains or rig.json; or several channels excluded. Where
+    errors within all tolerances explain the record, only a change of rig.json that these errors do not replace.
     `full_spectra` gives the spectra on all lines. In a record with a sound fit that is doubted, only a change that fits
     much better is reported.
     """
@@ -62,6 +78,12 @@ def gross_faults(
     force_faults = [f for f in force_findings if f.cause in ("force", "filtered")]
     if misfit < SOUND_MISFIT and (force_faults or not is_doubted):
         return GrossFaults(tuple(force_faults), usable, not force_faults)
+    if misfit >= SOUND_MISFIT and tolerances.explain():
+        best_trial = min(rig_trials(rig, spectra, usable), key=lambda t: t.misfit)
+        (finding,) = best_trial.findings()
+        pull, size_in_tolerances = tolerances.pull_and_size_of(best_trial)
+        is_pulled = pull > required_pull(finding.cause) and size_in_tolerances > required_size(finding.cause)
+        return GrossFaults((finding,) if is_pulled else (), usable, not is_pulled)
     trials = [
         *force_trials,
         *_channel_trials(rig, check, usable, full_spectra),

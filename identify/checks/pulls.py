@@ -15,9 +15,17 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.checks.findings import Cause, Finding, force_in_words
-from identify.checks.prediction import LinearCheck, Prediction, Projector
-from identify.linear.model import Response, ResponseCache, input_shapes, real_product, response_of
-from identify.linear.nuisance import SINGLE_FORCE_NAME, BodyMotion, Nuisance, ObservedSignals, changes_of, elastic_modes
+from identify.checks.observation import observed_motion
+from identify.checks.prediction import LinearCheck, Projector
+from identify.linear.model import real_product
+from identify.linear.nuisance import (
+    SINGLE_FORCE_NAME,
+    BodyMotion,
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    changes_of,
+)
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
 
@@ -33,11 +41,15 @@ BATCH_SAMPLES = 1024
 
 @dataclass(frozen=True)
 class Suspect:
-    """A nuisance parameter, or a common error of several; its column is the change by `unit`, relative or in SI."""
+    """A nuisance parameter, or a common error of several; its column is the change by `unit`, relative or in SI.
+
+    Modes beyond the band are not told from those that a description leaves out: they are no finding.
+    """
 
     kind: str
     of: str
     unit: float
+    is_told: bool = True
 
 
 def suspects_of(
@@ -49,7 +61,12 @@ def suspects_of(
     tolerances: Tolerances,
 ) -> tuple[list[Suspect], Complex[np.ndarray, "added sensors lines"]]:
     """All nuisance parameters; then, with columns of their own, densities, the clock and delays of forces."""
-    suspects = [_suspect_of(p, tolerances) for p in parameters]
+    names_beyond = {
+        (body.response.body.name, m + 1)
+        for body in bodies
+        for m in np.flatnonzero(body.response.dynamics.natural_hz > omega[-1] / (2 * np.pi)).tolist()
+    }
+    suspects = [_suspect_of(p, tolerances, (p.owner, p.mode_number) not in names_beyond) for p in parameters]
     added_suspects = []
     clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
@@ -71,7 +88,7 @@ def suspects_of(
     return [*suspects, *(suspect for suspect, _ in added_suspects)], np.stack([column for _, column in added_suspects])
 
 
-def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
+def _suspect_of(parameter: Nuisance, tolerances: Tolerances, is_in_band: bool) -> Suspect:
     """Nuisance parameter with its tolerance as the unit."""
     sensor_tolerance = tolerances.of_sensor(parameter.owner)
     unit = {
@@ -83,9 +100,10 @@ def _suspect_of(parameter: Nuisance, tolerances: Tolerances) -> Suspect:
         "mass": tolerances.mass,
         "frequency": tolerances.frequency,
         "damping": tolerances.damping,
+        "modes left out at": 1.0,
     }[parameter.kind]
     name = parameter.owner + ("" if parameter.mode_number is None else f" {parameter.mode_number}")
-    return Suspect(parameter.kind, name, unit)
+    return Suspect(parameter.kind, name, unit, is_in_band and parameter.kind != NuisanceKind.TRUNCATION)
 
 
 @dataclass(frozen=True)
@@ -106,12 +124,9 @@ def broken_tolerances(
     """
     if len(channel_indices) <= check.contact_count:
         return [], np.zeros(0)
-    observed = _observed(rig, check, channel_indices, tolerances)
+    observed = observed_motion(rig, check, channel_indices, tolerances)
     projector = Projector(check, channel_indices)
-    nuisance_parameters, columns = [], []
-    for change in changes_of(observed):
-        nuisance_parameters.append(change.parameter)
-        columns.append(_Column.of(projector(change.at_all_sensors(len(channel_indices)))))
+    nuisance_parameters, columns = _nuisance_columns(observed, projector)
     if not nuisance_parameters:
         return [], np.zeros(0)
     candidates, added_columns = suspects_of(
@@ -122,24 +137,37 @@ def broken_tolerances(
     return _broken_and_pulls(residual, columns, len(nuisance_parameters), candidates, tolerances)
 
 
-def _observed(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> ObservedSignals:
-    """Motion as these channels show it, with the contact forces that explain it best."""
-    sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
-    prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
-    signals = prediction.accelerations[channel_indices]
-    return ObservedSignals(
-        sensors=sensors,
-        displaced_by=sensors,
-        tolerances=tolerances,
-        omega=omega,
-        sensor_response=np.ones_like(signals),
-        signals=signals,
-        force_accelerations=check.acceleration_by_force[:, channel_indices],
-        displacements=np.zeros_like(signals),
-        bodies=tuple(
-            _body_motion(rig, response_of(rig, body, cache), check, channel_indices, prediction) for body in rig.bodies
-        ),
-    )
+def _nuisance_columns(observed: ObservedSignals, projector: Projector) -> tuple[list[Nuisance], list["_Column"]]:
+    """Nuisance parameters and their columns X."""
+    parameters, columns = [], []
+    for change in changes_of(observed):
+        parameters.append(change.parameter)
+        columns.append(_Column.of(projector(change.at_all_sensors(len(observed.sensors)))))
+    return parameters, columns
+
+
+def joint_cost(rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances) -> float:
+    """Least cost |r - X theta|^2 + |theta|^2 of errors within the tolerances."""
+    projector = Projector(check, channel_indices)
+    _, columns = _nuisance_columns(observed_motion(rig, check, channel_indices, tolerances), projector)
+    residual = projector((check.spectra.acceleration - check.acceleration_by_all_forces)[channel_indices])
+    pulls = _scores(residual, columns, len(columns), [], np.ones(residual.shape[1], residual.dtype)).pulls
+    return float(np.sum((residual - _column_sum(columns, pulls)) ** 2, dtype=float) + pulls @ pulls)
+
+
+def misfit_within_tolerances(
+    rig: Rig,
+    check: LinearCheck,
+    channel_indices: list[int],
+    tolerances: Tolerances,
+    pulls: Float[np.ndarray, " nuisances"],
+) -> float:
+    """Misfit of these channels without the changes by the nuisance parameters' pulls."""
+    acceleration = check.spectra.acceleration.copy()
+    observed = observed_motion(rig, check, channel_indices, tolerances)
+    for pull, change in zip(pulls, changes_of(observed), strict=True):
+        acceleration[channel_indices] -= pull * change.at_all_sensors(len(channel_indices))
+    return check.misfit(check.spectra.with_rows(acceleration), channel_indices)
 
 
 def _broken_and_pulls(
@@ -161,8 +189,9 @@ def _broken_and_pulls(
         violated_indices = [
             k
             for k, candidate in enumerate(candidates)
-            if k not in free_columns
-            and abs(scores.scores[k]) > max(_required_pull(candidate), min_pull)
+            if candidate.is_told
+            and k not in free_columns
+            and abs(scores.scores[k]) > max(required_pull(candidate.kind), min_pull)
             and _exceeds_tolerance(candidate, float(scores.sizes[k]), tolerances)
         ]
         if not violated_indices or len(broken) == MAX_BROKEN_COUNT:
@@ -226,25 +255,19 @@ def _scores(
     return _Scores(unexplained / np.sqrt(variance), sizes, pulls, free_sizes)
 
 
-def _required_pull(candidate: Suspect) -> float:
+def required_pull(kind: str) -> float:
     """Smallest score that counts: of the clock, which is one question, or of one of many tolerances."""
-    return MIN_CLOCK_PULL if candidate.kind == "clock" else MIN_BROKEN_PULL
+    return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_PULL
+
+
+def required_size(kind: str) -> float:
+    """Smallest change of rig.json that counts, in tolerances: the pull of one is no larger than it is off."""
+    return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_TOLERANCES
 
 
 def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
     return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
-
-
-def _body_motion(
-    rig: Rig, response: Response, check: LinearCheck, channel_indices: list[int], prediction: Prediction
-) -> BodyMotion:
-    """Modal accelerations by the forces and the contact forces; as many elastic modes as sensors may be off."""
-    inputs = input_shapes(rig, response, rig.forces)
-    forces = np.concatenate([prediction.force_spectra, prediction.contact_spectra])
-    sensor_count = sum(check.spectra.sensors[i].station.body == response.body.name for i in channel_indices)
-    elastic = elastic_modes(response, min(sensor_count, response.mode_count))
-    return BodyMotion(response, response.accelerance * real_product(inputs.T, forces), elastic)
 
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:

@@ -14,6 +14,7 @@ from identify.checks.prediction import linear_check
 from identify.checks.spectra import Spectra
 from identify.linear.model import ResponseCache
 from rig.model.description import Body, Rig, Station
+from rig.model.tolerances import Tolerances
 
 
 @dataclass(frozen=True)
@@ -21,7 +22,8 @@ class Trial:
     """Trial change of a record or of rig.json: its misfit, and the findings if it is the best one.
 
     trusted_channels may be trusted beside it. sensors_alone: these channels, the forces and rig.json are right as they
-    are. A trial with more freedom has an allowance above one, a factor on its misfit.
+    are. A trial with more freedom has an allowance above one, a factor on its misfit. A change of rig.json has its
+    changed_rig, and what the tolerances allow of it by their names: `factors` on the believed values.
     """
 
     misfit: float
@@ -29,6 +31,16 @@ class Trial:
     findings: Callable[[], tuple[Finding, ...]]
     sensors_alone: bool = True
     allowance: float = 1.0
+    changed_rig: Rig | None = None
+    factors: tuple[tuple[str, float], ...] = ()
+
+    def tolerances_off(self, tolerances: Tolerances) -> float:
+        """Distance of the changed rig.json from the believed one, in standard deviations of the logarithms, as the
+        values are positive; infinite where no tolerance allows the change at all."""
+        allowed = [(getattr(tolerances, name), factor) for name, factor in self.factors]
+        if not allowed or any(tolerance == 0 for tolerance, _ in allowed):
+            return np.inf
+        return float(np.linalg.norm([np.log(factor) / tolerance for tolerance, factor in allowed]))
 
 
 MAX_CHANGE_FACTOR = 3.0
@@ -44,8 +56,13 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
     def misfit(candidate: Rig, candidate_spectra: Spectra = spectra) -> float:
         return linear_check(candidate, candidate_spectra, usable, cache).prediction(usable).misfit
 
-    def trial(trial_misfit: float, finding: Callable[[], Finding]) -> Trial:
-        return Trial(trial_misfit, usable, lambda: (finding(),), False)
+    def trial(
+        trial_misfit: float,
+        finding: Callable[[], Finding],
+        changed_rig: Rig | None = None,
+        factors: tuple[tuple[str, float], ...] = (),
+    ) -> Trial:
+        return Trial(trial_misfit, usable, lambda: (finding(),), False, changed_rig=changed_rig, factors=factors)
 
     def best_factor(rig_of: Callable[[float], Rig], factor: float = MAX_CHANGE_FACTOR) -> tuple[float, float]:
         grid = np.linspace(-np.log(factor), np.log(factor), 13)
@@ -59,26 +76,32 @@ def rig_trials(rig: Rig, spectra: Spectra, usable: list[int]) -> Iterator[Trial]
 
     for body in rig.bodies:
         for changed_body, description in _other_ends(rig, body):
-            yield trial(misfit(_with_body(rig, changed_body)), partial(_ends_finding, body.name, description))
+            changed_rig = _with_body(rig, changed_body)
+            yield trial(misfit(changed_rig), partial(_ends_finding, body.name, description), changed_rig)
         if body.length_m:
             yield trial(misfit(rig, _mirrored_spectra(spectra, body)), partial(_mirrored_finding, body.name, spectra))
-        for finding_of, change in BODY_CHANGES.items():
+        for finding_of, (change, exponents) in BODY_CHANGES.items():
             factor, least_misfit = best_factor(partial(_with_changed_body, rig, body, change))
-            yield trial(least_misfit, partial(finding_of, body.name, factor))
+            changed_rig = _with_changed_body(rig, body, change, factor)
+            factors = tuple((name, factor**exponent) for name, exponent in exponents.items())
+            yield trial(least_misfit, partial(finding_of, body.name, factor), changed_rig, factors)
     clock_factor, least_misfit = best_factor(partial(_with_clock, rig), 1.2)
-    yield trial(least_misfit, partial(_clock_finding, clock_factor))
+    factors = (("frequency", clock_factor),) * len(rig.bodies)
+    yield trial(least_misfit, partial(_clock_finding, clock_factor), _with_clock(rig, clock_factor), factors)
     for force_index, (name, stated) in enumerate(zip(rig.force_names, rig.forces, strict=True)):
         for other_station in _other_positions(rig.body(stated.body), stated):
             stations = (*rig.forces[:force_index], other_station, *rig.forces[force_index + 1 :])
             changed_rig = replace(rig, force_at=stations if len(stations) > 1 else other_station)
-            yield trial(misfit(changed_rig), partial(_force_place_finding, name, other_station))
+            yield trial(misfit(changed_rig), partial(_force_place_finding, name, other_station), changed_rig)
     for contact in rig.contacts:
         for side in ("at", "against"):
             stated_side = getattr(contact, side)
             for other_station in _other_positions(rig.body(stated_side.body), stated_side) if stated_side else ():
                 contacts = tuple(replace(c, **{side: other_station}) if c is contact else c for c in rig.contacts)
                 changed_rig = replace(rig, contacts=contacts)
-                yield trial(misfit(changed_rig), partial(_contact_place_finding, contact.name, other_station))
+                yield trial(
+                    misfit(changed_rig), partial(_contact_place_finding, contact.name, other_station), changed_rig
+                )
 
 
 def _with_clock(rig: Rig, factor: float) -> Rig:
@@ -198,9 +221,13 @@ def _clock_finding(factor: float) -> Finding:
     )
 
 
-BODY_CHANGES: dict[Callable[[str, float], Finding], Callable[[Body, float], Body]] = {
-    _mass_finding: lambda body, x: body.scale_mass(x),
-    _density_finding: lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),
-    _frequency_finding: lambda body, x: body.scale_frequencies(x),
-    _damping_finding: lambda body, x: body.scale_damping(x**3),
+BODY_CHANGES: dict[Callable[[str, float], Finding], tuple[Callable[[Body, float], Body], dict[str, float]]] = {
+    _mass_finding: (lambda body, x: body.scale_mass(x), {"mass": 1.0}),
+    _density_finding: (
+        lambda body, x: body.scale_mass(x).scale_frequencies(x**-0.5),
+        {"mass": 1.0, "frequency": -0.5},
+    ),
+    _frequency_finding: (lambda body, x: body.scale_frequencies(x), {"frequency": 1.0}),
+    _damping_finding: (lambda body, x: body.scale_damping(x**3), {"damping": 3.0}),
 }
+"""Change of a body by a factor x, and the exponents of x in what the tolerances allow."""

@@ -121,7 +121,7 @@ def _stop_outcomes(
     is_touched = np.array(touched_stops(without_nuisances(record, initial_pulls(record))))
     if len(names) == 1:
         (estimate,) = fit_joint(record, nominal, _present_stops(nominal[0], record, is_touched)[None], forms)
-        check_certain(estimate)
+        check_certain(estimate, record.drift is not None)
         return Outcomes({names[0]: estimate}, {})
     if len(names) > MOST_CONTACTS:
         raise refused(RefusalCode.TOO_MANY_CONTACTS, contacts=f"{len(names)} contacts", at_most=MOST_CONTACTS)
@@ -172,15 +172,17 @@ def _stops_beside_spring(
         return _outcomes_in_reach(names, laws, record, is_touched, np.array([-eta_m.min(), eta_m.max()]), are_springs)
     touched = np.zeros((len(names), 2), dtype=bool)
     touched[~are_springs] = _present_stops(laws[~are_springs][0], stop_record, is_touched)
-    return _certain_outcomes(names, fit_joint(record, laws, touched))
+    return _certain_outcomes(names, laws, touched, record)
 
 
-def _certain_outcomes(names: Sequence[str], estimates: Sequence[JointEstimate]) -> Outcomes:
+def _certain_outcomes(
+    names: Sequence[str], laws: NominalLaws, touched: Bool[np.ndarray, "contacts 2"], record: ContactRecord
+) -> Outcomes:
     """Outcomes of one stop and a spring, each refused by itself if it is uncertain."""
     outcomes = NO_OUTCOMES
-    for name, estimate in zip(names, estimates, strict=True):
+    for name, estimate in zip(names, fit_joint(record, laws, touched), strict=True):
         try:
-            check_certain(estimate)
+            check_certain(estimate, record.drift is not None)
         except ContactRefusedError as error:
             outcomes |= Outcomes({}, {name: error.refusal})
         else:
@@ -217,7 +219,7 @@ def _spring_outcome(name: str, nominal: NominalLaws, record: ContactRecord) -> O
     if not np.ptp(record.eta_m):
         raise refused(RefusalCode.STANDS_STILL)
     (estimate,) = fit_joint(record, nominal, np.zeros((1, 2), dtype=bool))
-    check_certain(estimate)
+    check_certain(estimate, record.drift is not None)
     return Outcomes({name: estimate}, {})
 
 
@@ -277,7 +279,7 @@ def _certain_estimates(
     estimates = fit_joint(record, nominal, touched)
     try:
         for estimate in estimates:
-            check_certain(estimate)
+            check_certain(estimate, record.drift is not None)
     except ContactRefusedError:
         if len(estimates) == 1:
             raise

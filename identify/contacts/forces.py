@@ -17,6 +17,7 @@ from identify.contacts.observation import (
     SeparationInput,
     noise_observation,
     observation_of,
+    station_rows,
     with_driven_modes,
     with_modes_at_rest,
 )
@@ -133,15 +134,16 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
     is_floating = {r.body.name: not is_held(r) for r in responses}
     if slow_by_gauges and any(is_floating.values()):
         raise RigError("a body floats, whose slow motion no strain gauge shows")
-    in_metres = np.array([[motion.zero_known and not is_floating[s.body]] for s in motion.stations]) & lines.is_slow
+    rows = station_rows(record, lines, np.array([not is_floating[s.body] for s in motion.stations]))
     input_accelerances = accelerances(rig, responses, rig.inputs, [*motion.sensors, *gauges.sensors])
     force_spectra = lines.spectra(motion.forces_n)
     input_accelerations = input_accelerances[:force_count] * force_spectra[:, None]
-    observed, gauge_errors, noise_power = observation_of(record, lines, responses, in_metres, input_accelerations)
+    observed, gauge_errors, noise_power = observation_of(record, lines, responses, rows, input_accelerations)
     signals, sensor_response = observed.signals, observed.sensor_response
     least_power = 1e-12 * float(np.mean(np.abs(signals) ** 2))
     noise_alone = noise_observation(rig, motion, observed, random_noise(noise_power, least_power, lines))
-    corner_hz = LOWEST_CORNER_HZ if gauges.sensors and not motion.zero_known else 0.0
+    lacks_slow_motion = any(s.measures.order > 0 for s in motion.displaced_by) if motion.zero_known else gauges.sensors
+    corner_hz = LOWEST_CORNER_HZ if lacks_slow_motion else 0.0
     observed = with_modes_at_rest(record, observed, force_spectra, corner_hz, gauge_errors)
     noise_alone = with_modes_at_rest(record, noise_alone, 0 * force_spectra, corner_hz, gauge_errors)
     states, noise_m = None, np.zeros(len(rig.contacts))
@@ -153,11 +155,15 @@ def _weighted_rows(record: SeparationInput, slow_by_gauges: bool) -> _WeightedRo
         weights = force_weights(input_accelerances[force_count:] * sensor_response, errors)
         unexplained_signals = signals - sensor_response * input_accelerations.sum(axis=0)
         if not record.from_rest:
-            states = initial_states(responses, motion, in_metres, lines, sensor_response * input_accelerances, errors)
+            states = initial_states(responses, motion, rows, lines, sensor_response * input_accelerances, errors)
             unexplained_signals = unexplained_signals - states.signals
         if slow_by_gauges:
             by_contacts = input_accelerances[force_count:]
-            corner_hz, noise_m = quietest_corner(record.signs, by_contacts, weights, noise_power * padding_ratio, lines)
+            padded_power = noise_power * padding_ratio
+            acceleration_power = padded_power[: len(motion.stations)] / np.abs(rows.response) ** 2
+            corner_hz, noise_m = quietest_corner(
+                record.signs, by_contacts, weights, padded_power, acceleration_power, lines
+            )
         if is_first_pass:
             inputs = np.concatenate([force_spectra, contact_spectra(weights, unexplained_signals)])
             observed = with_driven_modes(record, observed, inputs, corner_hz, gauge_errors)
@@ -223,15 +229,8 @@ def _contact_forces(record: SeparationInput, slow_by_gauges: bool) -> ContactFor
 def _noise_n(
     weights: ForceWeights, noise_power: Float[np.ndarray, "rows lines"], motion: Kinematics, lines: SpectralLines
 ) -> Float[np.ndarray, " contacts"]:
-    """Standard deviation of the sensors' noise in the contact forces, N.
-
-    It is white in the measured quantity: differentiated n times it has (2 n + 1) (f / f_N)^(2 n) times its mean power
-    at the frequency f.
-    """
-    orders = np.zeros((len(noise_power), 1))  # gauges stay as they are
-    orders[: len(motion.sensors), 0] = [max(0, 2 - s.measures.order) for s in motion.sensors]
-    colour = (2 * orders + 1) * (lines.omega / (np.pi * lines.rate_hz)) ** (2 * orders)
-    padded_power = noise_power * colour * lines.padded_samples / motion.samples  # over the silence behind, too
+    """Standard deviation of the sensors' noise in the contact forces, N."""
+    padded_power = noise_power * lines.padded_samples / motion.samples  # over the silence behind, too
     force_noise_spectra = contact_spectra(weights, random_noise(padded_power, 0.0, lines))
     return np.asarray(lines.signals(force_noise_spectra, motion.samples // lines.decimation).std(axis=1))
 

@@ -22,15 +22,12 @@ from msgspec.structs import replace as with_fields
 
 from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import Change, Nuisance, NuisanceKind
+from identify.linear.nuisance import CONVERGED_SHARE, Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
 from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
 from identify.signals.noise import spectrogram_noise_density
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
-
-CONVERGED_SHARE = 0.4
-"""Share of a body's modes, the lowest, whose strain is certain."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,9 @@
 """Observation of a record, the input of the separation: spectra of all stations and strain gauges, the power of their
-noise, and the modes that move, by the sensors or by the forces."""
+noise, and the modes that move, by the sensors or by the forces.
+
+A station with an acceleration and a displacement sensor is observed on every line by the quieter of the two: noise of
+the density s_x of displacements is one of omega^2 s_x in accelerations.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -11,6 +15,7 @@ from identify.contacts.gauges import GaugeErrors, Gauges
 from identify.contacts.slow_motion import with_slow_modes
 from identify.contacts.station_spectra import (
     SpectralLines,
+    StationRows,
     driven_body_motion,
     observed_body_motion,
     sensed_accelerations,
@@ -28,13 +33,15 @@ RINGING_S = 12.0
 
 @dataclass(frozen=True)
 class SeparationInput:
-    """Arguments of a separation: rig, motion of the stations, samples per sample of the forces, standard deviation of
-    the accelerations' noise per sample (m/s^2), tolerances, gauges, and whether the record begins at rest."""
+    """Arguments of a separation: rig, motion of the stations, samples per sample of the forces, standard deviation per
+    sample of the accelerations' noise (m/s^2) and of that of the sensors of displacements (in their units), tolerances,
+    gauges, and whether the record begins at rest."""
 
     rig: Rig
     motion: Kinematics
     decimation: int
     noise_m_per_s2: Float[np.ndarray, " stations"]
+    displacement_noise: Float[np.ndarray, " stations"]
     tolerances: Tolerances
     gauges: Gauges
     from_rest: bool
@@ -53,22 +60,42 @@ class SeparationInput:
         return np.array([[float(s == c.at) - float(s == c.against) for s in stations] for c in contacts])
 
 
+def station_rows(record: SeparationInput, lines: SpectralLines, is_held: Bool[np.ndarray, " stations"]) -> StationRows:
+    """Rows of the stations: displacements on slow lines where their zero is known, measured and the body is held, and
+    wherever the sensor of the displacement is quieter than that of the acceleration."""
+    motion, omega = record.motion, lines.omega
+    sensor_pairs = list(zip(motion.sensors, motion.displaced_by, strict=True))
+    orders = np.array([[sensor.measures.order, displaced.measures.order] for sensor, displaced in sensor_pairs])
+    differentiations = np.maximum(0, 2 - orders)
+    nyquist_omega = np.pi * lines.rate_hz
+    colour = (2 * differentiations[:, :1] + 1) * (omega / nyquist_omega) ** (2 * differentiations[:, :1])
+    by_acceleration = record.noise_m_per_s2[:, None] ** 2 * colour
+    by_displacement = record.displacement_noise[:, None] ** 2 * omega ** (2 * differentiations[:, 1:])
+    base_order = motion.base.displaced_by.measures.order if motion.base else None
+    has_both = (orders[:, 1] < orders[:, 0]) & (base_order is None or orders[:, 1] == base_order)
+    is_quieter = has_both[:, None] & ~lines.is_slow & (by_displacement < by_acceleration)
+    shows_zero = motion.zero_known & is_held & (orders[:, 1] == 0)
+    in_metres = (shows_zero[:, None] & lines.is_slow) | is_quieter
+    scale_per_s2 = np.where(is_quieter.any(axis=1), np.max(omega * is_quieter, axis=1) ** 2, 1.0)
+    acceleration_variance = np.where(in_metres & has_both[:, None], by_displacement, by_acceleration)
+    return StationRows(in_metres, scale_per_s2, omega, acceleration_variance)
+
+
 def observation_of(
     record: SeparationInput,
     lines: SpectralLines,
     responses: tuple[Response, ...],
-    in_metres: Bool[np.ndarray, "stations lines"],
+    rows: StationRows,
     input_accelerations: Complex[np.ndarray, "inputs rows lines"],
 ) -> tuple[ObservedSignals, GaugeErrors, Float[np.ndarray, "rows lines"]]:
-    """Observation by the spectra of accelerations, of displacements where `in_metres`, and of strain; the errors of
-    gauges beside the tolerances; the power of the noise.
+    """Observation by the spectra of the stations' rows and of strain; the errors of gauges beside the tolerances; the
+    power of the noise.
 
     Where springs act on high-passed displacements, gauges tell nothing of the slow motion.
     """
     rig, motion, gauges, samples = record.rig, record.motion, record.gauges, record.motion.samples
     displacements, accelerations = _station_spectra(record, motion, lines)
-    station_signals = np.where(in_metres, displacements, accelerations)
-    station_response = np.where(in_metres, -1 / lines.omega**2, 1.0).astype(complex)
+    station_signals, station_response = rows.signals(displacements, accelerations), rows.response
     shows_slow_motion = [not (has_high_passed_springs(responses) or s.high_pass_hz) for s in gauges.sensors]
     is_usable = ~lines.is_slow | np.array(shows_slow_motion, bool)[:, None]
     gauge_rows = gauges.rows(lines, float(np.mean(np.abs(accelerations) ** 2)), is_usable)
@@ -89,14 +116,14 @@ def observation_of(
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=observed_base,
-        across=_observed_across(record, lines, in_metres),
+        across=_observed_across(record, lines, rows.in_metres),
+        by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
     gauge_names = tuple(s.name for s in gauges.sensors)
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     truncation = gauges.truncation(rig, responses, gauge_rows.response)
     errors = GaugeErrors(len(station_signals), gauge_names, input_names, gauge_rows.zero_error, truncation)
-    noise_power = (samples * record.noise_m_per_s2**2)[:, None] * np.abs(station_response) ** 2
-    return observed, errors, np.concatenate([noise_power, gauge_rows.noise_power])
+    return observed, errors, np.concatenate([samples * rows.noise_variance, gauge_rows.noise_power])
 
 
 def _station_spectra(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from identify.contacts.joint_fit import JointEstimate
 from identify.contacts.law_form import STIFFNESS_GRADIENT
-from identify.contacts.refusals import Refusal, RefusalCode, refused
+from identify.contacts.refusals import Refusal, RefusalCode, RemedyCode, refused
 
 UNCERTAIN_SHARE = 0.1
 """Standard error over the value, of clearance and of stiffness, from which an estimate is refused."""
@@ -31,12 +31,14 @@ class Outcomes:
 NO_OUTCOMES = Outcomes({}, {})
 
 
-def check_certain(estimate: JointEstimate) -> None:
-    """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted."""
+def check_certain(estimate: JointEstimate, lacks_slow_motion: bool) -> None:
+    """Raises ContactRefusedError if clearance or stiffness is too uncertain, misfit of the law's form not counted.
+    Displacement sensors would help where the record lacks the contact's slow motion."""
     without_misfit = replace(estimate, covariances={**estimate.covariances, "law": 0 * estimate.covariance})
     stiffness = ("stiffness", estimate.stiffness_n_per_m, without_misfit.error(STIFFNESS_GRADIENT))
     clearance = ("clearance", estimate.clearance_m, without_misfit.clearance_error_m)
     for quantity, value, standard_error in [stiffness] if estimate.is_spring else [clearance, stiffness]:
         if not standard_error < UNCERTAIN_SHARE * value:
             percent = min(100 * standard_error / max(value, 1e-12), 100)
-            raise refused(RefusalCode.UNCERTAIN, quantity=quantity, uncertain_percent=percent)
+            remedy = None if lacks_slow_motion else RemedyCode.RECORD_LONGER_OR_EXCITE_MORE
+            raise refused(RefusalCode.UNCERTAIN, remedy, quantity=quantity, uncertain_percent=percent)

@@ -31,6 +31,7 @@ class RemedyCode(StrEnum):
     EXCITE_MORE_OR_CHECK_RIG = "excite_more_or_check_rig"
     CHECK_NOISE_OR_EXCITE_MORE = "check_noise_or_excite_more"
     RECORD_LONGER_OR_OTHER_FORCE = "record_longer_or_other_force"
+    RECORD_LONGER_OR_EXCITE_MORE = "record_longer_or_excite_more"
     EXCITE_MORE_OR_SEPARATE_STOPS = "excite_more_or_separate_stops"
     SEPARATE_STOPS = "separate_stops"
     DESCRIBE_SPRING = "describe_spring"
@@ -88,6 +89,8 @@ REMEDIES: Mapping[RemedyCode, str] = {
     RemedyCode.CHECK_NOISE_OR_EXCITE_MORE: "check their noise and gains, or excite the rig more strongly",
     RemedyCode.RECORD_LONGER_OR_OTHER_FORCE: "record longer, excite the rig more strongly, or measure displacements at "
     "its places; if it never opens, give it the law of a spring",
+    RemedyCode.RECORD_LONGER_OR_EXCITE_MORE: "record longer, or excite the rig more strongly; if it never opens, give "
+    "it the law of a spring",
     RemedyCode.EXCITE_MORE_OR_SEPARATE_STOPS: "excite the rig more strongly, use stops that differ more, or measure "
     "the force at one of them",
     RemedyCode.SEPARATE_STOPS: "let clearances or stiffnesses in rig.json differ as theirs do, use stops that differ "

@@ -20,7 +20,7 @@ from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift, spline
 from identify.signals.kinematics import Kinematics, Use, kinematics
-from identify.signals.noise import NOISE_BAND, acceleration_noise
+from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
 from rig.model.modes import condensed
@@ -101,13 +101,23 @@ def _separated(
     least_hz = LEAST_FORCE_BAND_HZ if gauges.sensors else 0.0
     band_end_hz = min(max(FORCE_BAND_RATIO * highest_excited_hz, least_hz), motion.trusted_hz[1])
     decimation = max(1, int(motion.sample_rate_hz / 2 / band_end_hz))
-    noise_m_per_s2, group_rig = acceleration_noise(motion, rig), group_rig_of(rig)
+    noise_m_per_s2, noise_of_displacements = acceleration_noise(motion, rig), displacement_noise(motion, rig)
+    group_rig = group_rig_of(rig)
     from_rest = recording.start_s > 0 or motion.excited_from > 0
     if motion.zero_known:
         _check_displacements(rig, motion)
     pull = mass_pull(rig, motion, tolerances)
     forces = separated_forces(
-        SeparationInput(group_rig, motion, decimation, noise_m_per_s2, tolerances, gauges, from_rest)
+        SeparationInput(
+            rig=group_rig,
+            motion=motion,
+            decimation=decimation,
+            noise_m_per_s2=noise_m_per_s2,
+            displacement_noise=noise_of_displacements,
+            tolerances=tolerances,
+            gauges=gauges,
+            from_rest=from_rest,
+        )
     )
     if forces.slow_motion:
         motion = forces.slow_motion.added_to(motion)

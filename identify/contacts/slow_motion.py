@@ -159,15 +159,16 @@ def quietest_corner(
     by_contacts: Complex[np.ndarray, "contacts rows lines"],
     weights: Complex[np.ndarray, "contacts rows lines"],
     noise_power: Float[np.ndarray, "rows lines"],
+    acceleration_power: Float[np.ndarray, "stations lines"],
     lines: SpectralLines,
 ) -> tuple[float, Float[np.ndarray, " contacts"]]:
     """Corner of L, Hz, with the least noise of the relative displacements, and that noise's standard deviation (m).
 
-    noise_power is that of the sensors over the padded record: that of accelerometers integrated twice above the
-    corner, and what all sensors make of the contact forces below it.
+    noise_power is that of the rows over the padded record, acceleration_power that of the stations as accelerations:
+    integrated twice above the corner, and what all rows make of the contact forces below it.
     """
     stations = signs.shape[1]
-    integrated_power = np.einsum("cs,sl->cl", signs**2, noise_power[:stations]) / lines.omega**4
+    integrated_power = np.einsum("cs,sl->cl", signs**2, acceleration_power) / lines.omega**4
     by_contacts_m = np.einsum("cs,jsl->cjl", signs, by_contacts[:, :stations]) / lines.omega**2
     by_rows_m = np.einsum("cjl,jrl->crl", by_contacts_m, weights)
     modelled_power = np.einsum("crl,rl->cl", np.abs(by_rows_m) ** 2, noise_power)

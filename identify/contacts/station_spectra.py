@@ -12,7 +12,7 @@ from scipy.ndimage import uniform_filter1d
 from identify.linear.free_motion import InitialStates, estimated_states, free_motions, unit_free_spectra
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import BodyMotion, Change, elastic_modes
+from identify.linear.nuisance import BodyMotion, Change, elastic_modes, modes_near_band
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from rig.errors import RigError
@@ -27,8 +27,6 @@ LEAST_VARIANCE_SHARE = 1e-9
 """Least variance of a station's error over the mean variance."""
 CONDITION_LIMIT = 1e12
 """Condition number of the normal equations up to which contact forces are separable."""
-BAND_MARGIN = 1.25
-"""Modes up to this multiple of the band's end have tolerances; those beyond are taken as exact."""
 START_TRANSIENT_S = 0.5
 """Start of a record that does not begin at rest, in which fast modes ring of what was before."""
 
@@ -71,6 +69,35 @@ class SpectralLines:
     def correlated_line_count(self) -> int:
         """Number of neighbouring lines over which errors are averaged."""
         return max(1, round(ERROR_SMOOTHING_HZ * self.padded_samples / self.rate_hz))
+
+
+@dataclass(frozen=True)
+class StationRows:
+    """Signals of the stations in the separation: accelerations, or on the lines `in_metres` displacements times a scale
+    in which their noise is near that of the accelerations. acceleration_variance is the variance of the noise as
+    accelerations, per sample and line, (m/s^2)^2."""
+
+    in_metres: Bool[np.ndarray, "stations lines"]
+    scale_per_s2: Float[np.ndarray, " stations"]
+    omega: Float[np.ndarray, " lines"]
+    acceleration_variance: Float[np.ndarray, "stations lines"]
+
+    @cached_property
+    def response(self) -> Complex[np.ndarray, "stations lines"]:
+        """Signals per acceleration."""
+        return np.where(self.in_metres, -self.scale_per_s2[:, None] / self.omega**2, 1.0).astype(complex)
+
+    @property
+    def noise_variance(self) -> Float[np.ndarray, "stations lines"]:
+        """Variance of the signals' noise per sample on each line."""
+        return np.asarray(self.acceleration_variance * np.abs(self.response) ** 2)
+
+    def signals(
+        self,
+        displacements: Complex[np.ndarray, "*some stations lines"],
+        accelerations: Complex[np.ndarray, "*some stations lines"],
+    ) -> Complex[np.ndarray, "*some stations lines"]:
+        return np.where(self.in_metres, self.scale_per_s2[:, None] * displacements, accelerations)
 
 
 @dataclass(frozen=True)
@@ -137,7 +164,7 @@ def observed_body_motion(
 
 def has_hidden_modes(response: Response, motion: Kinematics) -> bool:
     """True if a body has more modes near the band than stations."""
-    return _modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
+    return modes_near_band(response) > sum(s.body == response.body.name for s in motion.stations)
 
 
 def driven_body_motion(
@@ -163,14 +190,8 @@ def driven_body_motion(
     return replace(
         body_motion,
         acceleration=np.concatenate([body_motion.acceleration, hidden_accelerations]),
-        elastic_indices=elastic_modes(response, max(observed_mode_count, _modes_near_band(response))),
+        elastic_indices=elastic_modes(response, max(observed_mode_count, modes_near_band(response))),
     )
-
-
-def _modes_near_band(response: Response) -> int:
-    """Number of modes up to `BAND_MARGIN` times the band's end."""
-    omega = response.dynamics.omega
-    return int(np.count_nonzero(response.dynamics.natural_hz < BAND_MARGIN * omega[-1] / (2 * np.pi)))
 
 
 def start_transient_s(rig: Rig, slow_n_per_m: Float[np.ndarray, "contacts contacts"]) -> float:
@@ -194,7 +215,7 @@ def sensed_accelerations(motion: Kinematics, lines: SpectralLines) -> Complex[np
 def initial_states(
     responses: tuple[Response, ...],
     motion: Kinematics,
-    in_metres: Bool[np.ndarray, "stations lines"],
+    rows: StationRows,
     lines: SpectralLines,
     by_input: Complex[np.ndarray, "inputs stations lines"],
     errors: StationErrors,
@@ -210,11 +231,13 @@ def initial_states(
     orders = [s.measures.order for s in motion.sensors]
 
     def unit_spectra(part: SpectralLines, length: int) -> Complex[np.ndarray, "states stations lines"]:
-        return unit_free_spectra(motions, orders, in_metres, lines.omega, lambda rows: part.spectra(rows[:, :length]))
+        in_metres, omega = rows.in_metres, lines.omega
+        spectra = unit_free_spectra(motions, orders, in_metres, omega, lambda x: part.spectra(x[:, :length]))
+        return rows.signals(spectra, spectra)
 
     start_spectra, end_spectra = unit_spectra(untapered, samples), unit_spectra(untapered, padding_samples)
     end_shift = np.exp(-1j * lines.omega * samples / lines.rate_hz)
-    measured = np.where(in_metres, untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
+    measured = rows.signals(untapered.spectra(motion.displacement_m), sensed_accelerations(motion, untapered))
     is_spring_held = np.array([m.is_held for m in motions])
     state_estimate = estimated_states(
         np.concatenate([start_spectra, end_shift * end_spectra]),

@@ -11,7 +11,7 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Complex, Float, Int
+from jaxtyping import Bool, Complex, Float, Int
 
 from identify.linear.model import Response, real_product
 from identify.signals.kinematics import CORNER_HZ, integrated
@@ -20,6 +20,10 @@ from rig.model.tolerances import Tolerances
 
 SINGLE_FORCE_NAME = "the force"
 RECORD_NAME = "the record"
+BAND_MARGIN = 1.25
+"""Modes up to this multiple of the band's end have tolerances; those beyond are taken as exact."""
+CONVERGED_SHARE = 0.4
+"""Share of a body's modes, the lowest, whose sum is certain."""
 
 
 class NuisanceKind(StrEnum):
@@ -147,8 +151,9 @@ class ObservedSignals:
     """Signals that the sensors deliver of the true motion, and its parts that the changes need.
 
     force_accelerations are those by each measured force on a body; displacements those at the sensors' stations, which
-    the sensors `displaced_by` gave. sensor_response is a sensor's signal per acceleration. further_changes are those by
-    parameters that no tolerance states. Where a base is measured, all motion is relative to it.
+    the sensors `displaced_by` gave, as they gave the signals on the lines `by_displacements`, if any. sensor_response
+    is a sensor's signal per acceleration. further_changes are those by parameters that no tolerance states. Where a
+    base is measured, all motion is relative to it.
     """
 
     sensors: tuple[Sensor, ...]
@@ -163,6 +168,17 @@ class ObservedSignals:
     further_changes: tuple[Change, ...] = ()
     base: ObservedBase | None = None
     across: ObservedAcross | None = None
+    by_displacements: Bool[np.ndarray, "sensors lines"] | None = None
+
+    def share_of(self, channel: Sensor, row: int, base: ObservedBase | None = None) -> Bool[np.ndarray, " lines"]:
+        """Lines on which a channel gives the signal of a row, or the motion of the base in it."""
+        sensor, displacement_sensor = self.sensors[row], self.displaced_by[row]
+        if base is not None:
+            sensor, displacement_sensor = base.sensor, base.displaced_by
+        is_displaced = np.zeros(self.omega.size, dtype=bool)
+        if self.by_displacements is not None:
+            is_displaced = self.by_displacements[row]
+        return ((channel == sensor) & ~is_displaced) | ((channel == displacement_sensor) & is_displaced)
 
     @property
     def is_motion_sensed(self) -> bool:
@@ -174,6 +190,12 @@ def elastic_modes(response: Response, count: int) -> Int[np.ndarray, " some"]:
     """Modes among the first `count` that bend a body; none for a single mass."""
     body = response.body
     return np.arange(body.rigid_modes, max(count, body.rigid_modes) if not body.is_mass else body.rigid_modes)
+
+
+def modes_near_band(response: Response, margin: float = BAND_MARGIN) -> int:
+    """Number of modes up to `margin` times the band's end."""
+    dynamics = response.dynamics
+    return int(np.count_nonzero(dynamics.natural_hz < margin * dynamics.omega[-1] / (2 * np.pi)))
 
 
 def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[Change]:
@@ -200,7 +222,9 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
             for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
                 if np.any(factor):
                     response = observed.sensor_response[[i]]
-                    signals = factor * (observed.signals[[i]] + response * base_acceleration) * (channel == sensor)
+                    signals = (
+                        factor * (observed.signals[[i]] + response * base_acceleration) * observed.share_of(channel, i)
+                    )
                     absolute_displacements = observed.displacements[[i]] + base_displacement
                     displacements = factor * absolute_displacements if channel == displacement_sensor else None
                     pattern = SensorPattern(factor * response, unit_rows[i]) if observed.is_motion_sensed else None
@@ -233,8 +257,9 @@ def _base_changes(observed: ObservedSignals) -> Iterator[Change]:
     for channel in dict.fromkeys((base.sensor, base.displaced_by)):
         for kind, factor in _chain_changes(channel, observed.tolerances, observed.omega).items():
             if np.any(factor):
-                base_signals = observed.sensor_response * (base.acceleration + base.station_accelerations)
-                signals = -factor * base_signals * (channel == base.sensor)
+                shares = np.stack([observed.share_of(channel, i, base) for i in all_sensors])
+                station_accelerations = base.station_accelerations * (channel == base.sensor)
+                signals = -factor * observed.sensor_response * (shares * base.acceleration + station_accelerations)
                 displacements = np.tile(-factor * base.displacement, (len(all_sensors), 1))
                 yield Change(
                     Nuisance(kind, channel.name),
@@ -296,7 +321,7 @@ def _position_changes(observed: ObservedSignals, motion: BodyMotion, rows: list[
         for channel in dict.fromkeys((sensor, displacement_sensor)):
             if tolerance_m := observed.tolerances.of_sensor(channel.name).position_m:
                 change = tolerance_m * slope_acceleration[None]
-                signals = observed.sensor_response[i] * change * (channel == sensor)
+                signals = observed.sensor_response[i] * change * observed.share_of(channel, i)
                 displacements = double_integral * change if channel == displacement_sensor else None
                 pattern = None
                 if motion.sensor_weights is not None:

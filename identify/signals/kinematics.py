@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from identify.signals.beginning import QUIET_S, excitation_start, lead_in
 from identify.signals.measured_base import MeasuredBase, excitations, forces_on_bodies
 from rig.errors import RigError
-from rig.model.description import ON_GROUND, Sensor, Station, contact_stations
+from rig.model.description import ON_GROUND, Rig, Sensor, Station, contact_stations
 from rig.model.quantities import QUANTITIES
 from rig.model.sensing import PASSBAND
 from rig.recording import Recording
@@ -37,10 +37,11 @@ class Kinematics:
     """Motion of every station on one clock, from the first sample on, without the record's end.
 
     sensors are those of each station's acceleration, displaced_by those of its displacement. Every row is right within
-    trusted_hz. zero_known is False if a constant displacement cannot be seen. lost_m_per_s2 is the slow part of the
-    acceleration that an integrated displacement at a contact lacks, zero elsewhere. excited_from is the first sample
-    with a force, 0 without a quiet start. start_s is the time of the first sample in the record. slow_by_gauges is True
-    if strain gauges gave the slow displacements. across is the motion in the other direction of a rig in space.
+    trusted_hz. zero_known is True if displacement sensors show the zero of all stations or, in a record that begins at
+    rest, of those at contacts. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement at a
+    contact lacks, zero elsewhere. excited_from is the first sample with a force, 0 without a quiet start. start_s is
+    the time of the first sample in the record. slow_by_gauges is True if strain gauges gave the slow displacements.
+    across is the motion in the other direction of a rig in space.
 
     Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
     inertial force on each kilogram, minus the base's acceleration (N/kg).
@@ -193,7 +194,7 @@ def kinematics(
         displaced_by=tuple(_nearest_sensor(station_sensors[s], 0) for s in body_stations),
         sample_rate_hz=rate_hz,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
-        zero_known=not integrates,
+        zero_known=not integrates or _contacts_show_zero(recording.rig, station_sensors, transform.excited_from),
         forces_n=forces_n,
         displacement_m=displacement,
         velocity_m_per_s=velocity,
@@ -286,6 +287,13 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
         if station in contact_sides and 0 not in by_order:  # the spectrum is the acceleration's
             lost_m_per_s2[row] = transform.usable_samples(spectrum * below_corner)
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
+
+
+def _contacts_show_zero(rig: Rig, station_sensors: ByStation, excited_from: int) -> bool:
+    """True if displacements are measured at both sides of every contact, in a record that begins at rest."""
+    sides = {side for contact in rig.contacts for side in contact_stations(contact)}
+    sides |= {ON_GROUND} if rig.base_sensors else set()
+    return bool(rig.contacts) and excited_from > 0 and all(0 in station_sensors.get(side, {}) for side in sides)
 
 
 def _measured_base(motion: _Motion, by_order: dict[int, Sensor], least_order: int) -> MeasuredBase:

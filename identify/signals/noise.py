@@ -1,4 +1,4 @@
-"""Noise of accelerations and of single channels.
+"""Noise of accelerations, of the sensors of displacements, and of single channels.
 
 From the quiet start of a record, from the sensors' description, or from the quietest times of the highest frequencies.
 """
@@ -40,10 +40,25 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
         return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), base_noise) for s in motion.sensors])
     return np.array(
         [
-            _noise_from_high_band(row, s, motion)
+            _noise_from_high_band(row, max(0, 2 - s.measures.order), motion.sample_rate_hz)
             for s, row in zip(motion.sensors, motion.acceleration_m_per_s2, strict=True)
         ]
     )
+
+
+def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stations"]:
+    """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
+    quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
+    derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+    rows = [derivatives[s.measures.order][i] for i, s in enumerate(motion.displaced_by)]
+    source = noise_source(motion, rig)
+    if source == "the quiet start of the record":
+        return np.array([row[: motion.quiet_samples].std() for row in rows])
+    if source == "noise_density in rig.json":
+        base_density = motion.base.displaced_by.noise_density if motion.base else 0.0
+        densities = [np.hypot(s.noise_density, base_density) for s in motion.displaced_by]
+        return np.sqrt(motion.sample_rate_hz / 2) * np.array(densities)
+    return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in rows])
 
 
 def noise_source(motion: Kinematics, rig: Rig) -> Source:
@@ -65,9 +80,8 @@ def _described_noise(sensor: Sensor, rate_hz: float) -> float:
     )
 
 
-def _noise_from_high_band(row: Float[np.ndarray, " samples"], sensor: Sensor, motion: Kinematics) -> float:
-    """Noise as loud as the quietest parts of a high band: an upper bound of its rms."""
-    rate_hz, differentiations = motion.sample_rate_hz, max(0, 2 - sensor.measures.order)
+def _noise_from_high_band(row: Float[np.ndarray, " samples"], differentiations: int, rate_hz: float) -> float:
+    """White noise, differentiated so often, as loud as the quietest parts of a high band: an upper bound of its rms."""
     low_share, high_share = (noise_power_ratio * 2 for noise_power_ratio in NOISE_BAND)
     high_passed = sosfilt(butter(4, (low_share, high_share), "bandpass", output="sos"), row)
     part_samples = max(1, round(PART_S * rate_hz))

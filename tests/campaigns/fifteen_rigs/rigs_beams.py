@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +22,13 @@ from tests.campaigns.fifteen_rigs.rigs_lumped import excited, ground_sensor, on_
 from tests.campaigns.fifteen_rigs.session import UserSession, write_record
 
 GRID = Grid(2048.0, 20.0, 16)
-MODES, RATIO = 14, 0.01
+MODES, RATIO = 40, 0.01
+"""Modes of a beam, as many as `rig init` gives it: without the higher ones it lacks compliance where a stop acts."""
 BOTH = f"{ACCELERATION},{DISPLACEMENT}"
 PLATE = SupportedPlate(0.6, 0.4, 0.004)
 PLATE_POINTS = [(0.15, 0.1), (0.15, 0.2), (0.3, 0.3), (0.38, 0.13), (0.47, 0.28), (0.5, 0.2)]
 PLATE_MODES, PLATE_KNOWN = 80, 60
+PLATE_GRID, FAST_PLATE_GRID = Grid(1024.0, 25.0, 16), Grid(4096.0, 12.0, 4)
 
 
 def beam_stations(places_m: Sequence[float]) -> list[tuple[str, float]]:
@@ -118,7 +121,7 @@ def describe_shaken_cantilever(session: UserSession) -> None:
     import_map(session)
 
 
-def plate(folder: Path, rng: np.random.Generator) -> Sequence[TrueContact]:
+def plate(folder: Path, rng: np.random.Generator, grid: Grid = PLATE_GRID) -> Sequence[TrueContact]:
     modal = PLATE.body(PLATE_MODES, RATIO, PLATE_POINTS)
     shapes = np.array([modal.shapes(k) for k in range(len(PLATE_POINTS))])[:, :PLATE_KNOWN]
     analysis = {
@@ -128,14 +131,13 @@ def plate(folder: Path, rng: np.random.Generator) -> Sequence[TrueContact]:
     }
     (folder / "analysis.json").write_text(json.dumps(analysis))
     stops = [contact(f"stop_{k}", ("plate", float(k)), rng, 1e-4, 1e5, 10.0) for k in (1, 3)]
-    grid = Grid(1024.0, 25.0, 16)
     places = [("plate", float(k)) for k in range(len(PLATE_POINTS))]
     instruments = [*sensors(places, ACCELERATION), *sensors([places[1], places[3]], DISPLACEMENT)]
     assembly = Assembly({"plate": built(modal, rng)}, stops, [places[0], places[4]])
     return excited(folder, rng, assembly, instruments, (20.0, 400.0), 1.5, grid)
 
 
-def describe_plate(session: UserSession) -> None:
+def describe_plate(session: UserSession, grid: Grid = PLATE_GRID) -> None:
     """Written by hand from the modal analysis, as rig/model/README.md has it: nodes by name, no positions."""
     analysis = json.loads((session.folder / "analysis.json").read_bytes())
     nodes = [{"node": str(k), "values": values} for k, values in enumerate(analysis.pop("shapes"))]
@@ -155,7 +157,7 @@ def describe_plate(session: UserSession) -> None:
             for quantity, nodes in ((ACCELERATION, range(6)), (DISPLACEMENT, (1, 3)))
             for k in nodes
         ],
-        "sample_rate_hz": 1024.0,
+        "sample_rate_hz": grid.rate_hz,
     }
     session.write("lab/rig.json", json.dumps(rig))
     import_map(session)
@@ -168,4 +170,5 @@ RIGS = {
     "roller": FieldRig(roller, describe_roller, BY_DISPLACEMENTS),
     "shaken_cantilever": FieldRig(shaken_cantilever, describe_shaken_cantilever, BY_DISPLACEMENTS),
     "plate": FieldRig(plate, describe_plate),
+    "plate_4096hz": FieldRig(partial(plate, grid=FAST_PLATE_GRID), partial(describe_plate, grid=FAST_PLATE_GRID)),
 }

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 from identify.checks import check_recording, naming_first_finding
 from rig.effects import effect_named
 from rig.errors import RigError
+from rig.model.tolerances import LABORATORY
 from rig.recording import Recording, Signals, read
 from rig.simulation.plants import modal
 from rig.simulation.record import record
@@ -54,6 +55,23 @@ NAMED = (
 )
 def test_a_sound_recording_has_no_finding(sound, rig):
     assert check_recording(sound(rig)) == ()
+
+
+@pytest.mark.parametrize("rig", ["two beams, four accelerometers", "cantilever, three accelerometers"])
+@pytest.mark.parametrize("seed", [2, 6])
+def test_errors_drawn_by_their_tolerances_have_no_finding(off_by_tolerances, rig, seed):
+    assert check_recording(off_by_tolerances(rig, seed)) == ()
+
+
+def test_damping_that_is_off_within_three_tolerances_is_no_finding(damped):
+    """Its misfit is that of a gross fault, which errors within the tolerances explain as well."""
+    factor = float(np.exp(2.6 * LABORATORY.damping))
+    assert check_recording(damped("cantilever, three accelerometers", factor)) == ()
+
+
+def test_modes_that_a_machine_lacks_have_no_finding(of_few_modes):
+    """Far above the band they add a compliance where forces act, as the modes do that every description leaves out."""
+    assert check_recording(of_few_modes("cantilever, hard blows")) == ()
 
 
 def test_the_beginning_of_a_force_is_no_discontinuity(tmp_path):

@@ -192,9 +192,15 @@ CASES = {
     ),
     "a stop that never opens": Case(
         RefusalCode.UNCERTAIN,
-        RemedyCode.RECORD_LONGER_OR_OTHER_FORCE,
+        RemedyCode.RECORD_LONGER_OR_EXCITE_MORE,
         made(D, of=with_law(D, STRUT)),
         {"described as a spring": made(with_law(D, STRUT), of=with_law(D, STRUT))},
+    ),
+    "a stop that never opens, by accelerometers": Case(
+        RefusalCode.UNCERTAIN,
+        RemedyCode.RECORD_LONGER_OR_OTHER_FORCE,
+        made(A, of=with_law(A, STRUT)),
+        {"described as a spring": made(with_law(A, STRUT), of=with_law(A, STRUT))},
     ),
     "a stop behind another that is not reached": Case(
         RefusalCode.NOT_REACHED,

@@ -38,7 +38,7 @@ def test_a_place_that_refuses_gives_the_evidence_that_the_words_need(code, evide
 def test_every_code_has_words_and_a_place_and_every_remedy_is_some_codes():
     assert set(CAUSES) == set(RefusalCode) == {code for code, _ in places()}
     assert set(REMEDIES) == set(RemedyCode)
-    unusual = {RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS}
+    unusual = {RemedyCode.RECORD_LONGER_FROM_REST_OR_DISPLACEMENTS, RemedyCode.RECORD_LONGER_OR_EXCITE_MORE}
     assert {remedy for _, remedy in CAUSES.values()} | unusual == set(RemedyCode)
 
 

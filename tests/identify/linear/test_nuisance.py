@@ -1,11 +1,21 @@
 """Nuisance parameters: what each adds to what sensors deliver, in standard deviations of the tolerances."""
 
+from dataclasses import replace as replace_fields
+
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from identify.linear.model import ResponseCache, real_product, response_of
-from identify.linear.nuisance import BodyMotion, NuisanceKind, ObservedSignals, changes_of, crosstalk_of, elastic_modes
+from identify.linear.nuisance import (
+    BodyMotion,
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    changes_of,
+    crosstalk_of,
+    elastic_modes,
+)
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof
 
@@ -111,6 +121,21 @@ def test_a_gain_and_a_delay_change_what_a_sensor_delivers_as_its_own_response_do
         )
         expected = (changed_sensor.response(OMEGA) - sensor.response(OMEGA)) * accelerations[i] / share
         np.testing.assert_allclose(change.signals[0], expected, rtol=1e-5)
+
+
+def test_of_two_sensors_at_a_station_each_changes_the_lines_that_it_gives(beams):
+    """Gain, delay and position of either one together are those of a station with a single sensor."""
+    single = observed(beams)
+    displaced_by = tuple(replace(s, name=f"{s.name} 2", quantity="displacement") for s in beams.sensors)
+    by_displacements = np.tile(np.arange(OMEGA.size) < 10, (len(beams.sensors), 1))
+    both = replace_fields(single, displaced_by=displaced_by, by_displacements=by_displacements)
+    changes, singles = ({c.parameter: c.signals for c in changes_of(o)} for o in (both, single))
+    for kind in (NuisanceKind.GAIN, NuisanceKind.DELAY, NuisanceKind.POSITION):
+        for sensor, other in zip(beams.sensors, displaced_by, strict=True):
+            by_sensor, by_other = (changes[Nuisance(kind, s.name)] for s in (sensor, other))
+            assert not np.any(by_sensor[:, :10])
+            assert not np.any(by_other[:, 10:])
+            np.testing.assert_allclose(by_sensor + by_other, singles[Nuisance(kind, sensor.name)])
 
 
 def test_crosstalk_is_a_share_of_a_channel_beside_that_measures_the_same(beams):

@@ -9,6 +9,7 @@ from msgspec.structs import replace as changed
 from identify.signals.kinematics import kinematics
 from identify.signals.noise import (
     acceleration_noise,
+    displacement_noise,
     noise_source,
     rounding_noise_density,
     spectrogram_noise_density,
@@ -33,6 +34,25 @@ def test_the_description_or_the_highest_frequencies_tell_the_noise(simulate, tmp
         motion = kinematics(replace(recording, rig=rig, signals=signals))
         assert noise_source(motion, rig) == source
         assert acceleration_noise(motion, rig) == pytest.approx(true, rel=tolerance)
+
+
+def test_the_noise_of_a_displacement_sensor_is_white_in_its_unit(simulate, tmp_path):
+    settings = Sdof(duration_s=30.0, step_s=2.0**-12, sensors="displacement")
+    recording, density = read(simulate(settings, tmp_path / "r.mcap")), 1e-7
+    true_m = density * np.sqrt(recording.rig.sample_rate_hz / 2)
+    motion_m = recording.signals["displacement"]
+    noise_m = true_m * np.random.default_rng(0).standard_normal(motion_m.values.shape)
+    noisy = {**recording.signals, "displacement": replace(motion_m, values=motion_m.values + noise_m)}
+    later = {k: replace(s, values=np.ascontiguousarray(s.values[:, 2048:])) for k, s in noisy.items()}
+    told = changed(recording.rig, sensors=tuple(changed(s, noise_density=density) for s in recording.rig.sensors))
+    for rig, signals, source, tolerance in (
+        (recording.rig, noisy, "the quiet start of the record", 0.1),
+        (told, later, "noise_density in rig.json", 1e-9),
+        (recording.rig, later, "the highest frequencies of the record", 0.5),
+    ):
+        motion = kinematics(replace(recording, rig=rig, signals=signals))
+        assert noise_source(motion, rig) == source
+        assert displacement_noise(motion, rig) == pytest.approx(true_m, rel=tolerance)
 
 
 def ringing(duration_s):

@@ -1,0 +1,79 @@
+"""Motion of a record as the linear model of rig.json has it: the input of the columns of its nuisance parameters."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from jaxtyping import Complex
+
+from identify.checks.prediction import LinearCheck
+from identify.linear.model import Response, ResponseCache, input_shapes, real_product, response_of
+from identify.linear.nuisance import (
+    CONVERGED_SHARE,
+    BodyMotion,
+    Change,
+    Nuisance,
+    NuisanceKind,
+    ObservedSignals,
+    elastic_modes,
+    modes_near_band,
+)
+from rig.model.description import Rig, Sensor
+from rig.model.tolerances import Tolerances
+
+MODE_MARGIN = 2.0
+"""Modes up to this multiple of the band's end may be off: the frequency of one there changes the motion at the band's
+end by 0.9 times its own relative error, which is less than `MIN_MODEL_ERROR_SHARE` for the default tolerance."""
+
+Inputs = Complex[np.ndarray, "inputs lines"]
+
+
+def observed_motion(
+    rig: Rig, check: LinearCheck, channel_indices: list[int], tolerances: Tolerances
+) -> ObservedSignals:
+    """Motion as these channels show it, with the contact forces that explain it best.
+
+    Modes near the band may be off, whether or not as many sensors stand on their body.
+    """
+    sensors, omega = tuple(check.spectra.sensors[i] for i in channel_indices), check.spectra.omega
+    prediction, cache = check.prediction(channel_indices), ResponseCache(omega, 0)
+    signals = prediction.accelerations[channel_indices]
+    inputs = np.concatenate([prediction.force_spectra, prediction.contact_spectra])
+    responses = [response_of(rig, body, cache) for body in rig.bodies]
+    return ObservedSignals(
+        sensors=sensors,
+        displaced_by=sensors,
+        tolerances=tolerances,
+        omega=omega,
+        sensor_response=np.ones_like(signals),
+        signals=signals,
+        force_accelerations=check.acceleration_by_force[:, channel_indices],
+        displacements=np.zeros_like(signals),
+        bodies=tuple(_body_motion(rig, response, inputs) for response in responses),
+        further_changes=tuple(c for r in responses for c in _truncation_changes(rig, r, sensors, inputs)),
+    )
+
+
+def _body_motion(rig: Rig, response: Response, inputs: Inputs) -> BodyMotion:
+    """Modal accelerations by the forces and the contact forces."""
+    modal_force = real_product(input_shapes(rig, response, rig.forces).T, inputs)
+    elastic = elastic_modes(response, modes_near_band(response, MODE_MARGIN))
+    return BodyMotion(response, response.accelerance * modal_force, elastic)
+
+
+def _truncation_changes(rig: Rig, response: Response, sensors: Sequence[Sensor], inputs: Inputs) -> Iterator[Change]:
+    """Changes by the modes that a description leaves out, of each force on a body and each station there: the share
+    of its highest modes, beyond the band, in the motion is the standard deviation of what modes beyond them would add.
+    """
+    first_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
+    if response.body.is_mass or first_mode >= response.mode_count:
+        return
+    stations = list(dict.fromkeys(s.station for s in sensors if s.station.body == response.body.name))
+    shapes = response.shapes(stations)[:, first_mode:]
+    input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
+    for name, input_shape, force in zip(input_names, input_shapes(rig, response, rig.forces), inputs, strict=True):
+        if stations and np.any(input_shape):
+            accelerance = real_product(shapes * input_shape[first_mode:], response.accelerance[first_mode:])
+            for station, signal in zip(stations, accelerance * force, strict=True):
+                rows = [i for i, s in enumerate(sensors) if s.station == station]
+                parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[rows[0]].name} by {name}")
+                yield Change(parameter, rows, np.tile(signal, (len(rows), 1)))
