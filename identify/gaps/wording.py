@@ -131,7 +131,7 @@ def cause_name(cause: Cause) -> str:
 
 def removed_share_words(cause: Cause) -> str:
     """Removed share of the mismatch with its 95 % interval: "97.0 % (95.1 to 98.2 %)"; "nothing" if negligible."""
-    if not is_effective(cause) and cause.explained < DESCRIPTION_EXPLAINED:
+    if cause.interval_95[0] <= NEGLIGIBLE_SHARE and cause.explained < DESCRIPTION_EXPLAINED:
         return "nothing"
     lower_words, upper_words = (percent(share).removesuffix(" %") for share in cause.interval_95)
     return f"{percent(cause.explained)} ({lower_words} to {upper_words} %)"

@@ -1,15 +1,14 @@
 """Judgement of hypotheses, and of something unmeasured, on the validation record.
 
-The verdict may be vetoed by prediction: the rig with the named effects has to move as the machine does.
+The verdict may be vetoed by prediction (`predicted`).
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identify.gaps.decision.bounds import Difference, contact_distances, share_bounds
-from identify.gaps.decision.channel_errors import channel_errors_of
 from identify.gaps.decision.comparison import (
     ValidatedHypothesis,
     explained_share,
@@ -19,17 +18,15 @@ from identify.gaps.decision.comparison import (
     validate_hypotheses,
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
-from identify.gaps.decision.notes import Attempt, attempted
+from identify.gaps.decision.notes import attempted
 from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
-from identify.gaps.decision.null_simulations import simulated_machines
+from identify.gaps.decision.predicted import PredictedDecision, predicted_decision, predicted_rollout
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
-    RIVAL_PROBABILITY,
     Decision,
     ForceRivals,
     acts_at_effects,
     decide,
-    strengths_exclude_neutral,
 )
 from identify.gaps.decision_table import (
     DIFFERENCE_P_VALUE,
@@ -41,10 +38,7 @@ from identify.gaps.decision_table import (
 )
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
-from identify.gaps.residual.spectra import record_of
 from identify.gaps.results import Matters, Note
-from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction, log_ratio_of
-from identify.gaps.rollout.results import Rollout
 from identify.gaps.search.contact_laws import with_contact_fit
 from identify.gaps.search.hypothesis import MIN_GAIN
 from identify.gaps.search.nominal import fit_nuisance
@@ -57,26 +51,6 @@ CERTAIN_P_VALUE = DIFFERENCE_P_VALUE / 10
 """p-value below which no further part of the combination raises it above `DIFFERENCE_P_VALUE`."""
 INCOMPLETE_VERDICTS = (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 """Verdicts that leave something to be described."""
-CONFIRMING_SIMULATIONS = 3
-"""Simulated machines with the named effects, within the tolerances, made where the prediction improves by less than
-expected. Effort."""
-
-
-@dataclass(frozen=True)
-class PredictedDecision:
-    """Decision among hypotheses, and the prediction with its named effects.
-
-    ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion.
-    """
-
-    ranked: Sequence[ValidatedHypothesis]
-    decision: Decision
-    rollout_attempt: Attempt[Rollout] = field(default_factory=Attempt)
-    ruled_out: tuple[ValidatedHypothesis, ...] = ()
-
-    @property
-    def is_vetoed(self) -> bool:
-        return self.rollout_attempt.result is not None and self.rollout_attempt.result.vetoed
 
 
 @dataclass(frozen=True)
@@ -278,73 +252,4 @@ def minus_two_log_with_force(
     followed_share = force_fit.free_directions / force_fit.at_fit_place.whitened_record.row_count
     return misfit_with.minus_two_log + followed_share * (
         misfit_without.band_cost + misfit_without.line_cost - misfit_with.band_cost - misfit_with.line_cost
-    )
-
-
-def predicted_rollout(
-    prepared: PreparedRecordings, nominal_residual: Residual, named_set: ValidatedHypothesis
-) -> Rollout:
-    """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
-    effects."""
-    if prepared.predict is None:
-        return Rollout(code="not_simulated")
-    validation, predict = prepared.validation_recording, prepared.predict
-    corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
-    nulls = prepared.null_reference.predictions
-    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
-    if not rollout.falls_short:
-        return rollout
-    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
-    channel_errors, log_ratios = channel_errors_of(validation.record), []
-    for simulation in simulated_machines(
-        validation.recording, named_set.rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
-    ):
-        record = record_of(simulation, tolerances=validation.record.tolerances)
-        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
-        log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
-    return confirm_by_simulations(rollout, log_ratios)
-
-
-def predicted_decision(
-    ranked: Sequence[ValidatedHypothesis],
-    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
-    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
-) -> PredictedDecision:
-    """Decide among hypotheses; veto the named effects if they predict the motion worse.
-
-    After a veto the decision is repeated without the vetoed hypothesis, among those likelier than `RIVAL_PROBABILITY`
-    whose strengths exclude their neutral values, until one is not vetoed. If all are, the first decision stays, with
-    its veto. decide takes hypotheses, and whether their named effects are vetoed.
-    """
-    first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
-    rivals = [
-        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
-    ]
-    rivals = [rival for rival in rivals if strengths_exclude_neutral(rival.hypothesis)]
-    ruled_out: list[ValidatedHypothesis] = []
-    while latest_decision.is_vetoed:
-        vetoed_set = latest_decision.decision.named_hypothesis
-        ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is vetoed_set]
-        rivals = [rival for rival in rivals if rival is not vetoed_set]
-        if not rivals:
-            return first_decision
-        latest_decision = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
-    return (
-        replace(latest_decision, ruled_out=tuple(ruled_out))
-        if latest_decision.decision.corrects_rig
-        else first_decision
-    )
-
-
-def _decision_with_rollout(
-    ranked: Sequence[ValidatedHypothesis],
-    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
-    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
-) -> PredictedDecision:
-    decision = decide(ranked, False)
-    if not decision.corrects_rig or decision.named_hypothesis is None:
-        return PredictedDecision(ranked, decision)
-    predicted = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
-    return (
-        PredictedDecision(ranked, decide(ranked, True), predicted.rollout_attempt) if predicted.is_vetoed else predicted
     )

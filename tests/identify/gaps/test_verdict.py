@@ -8,9 +8,10 @@ from scipy.linalg import block_diag
 
 from identify.gaps.decision.bounds import Difference
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
-from identify.gaps.decision.judge import may_hide_force, predicted_decision
+from identify.gaps.decision.judge import may_hide_force
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
+from identify.gaps.decision.predicted import predicted_decision
 from identify.gaps.decision.verdict import acts_at_effects
 from identify.gaps.decision.verdict import decide as decide_verdict
 from identify.gaps.decision_table import Bounded, Evidence, Strength
@@ -136,6 +137,24 @@ def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
     assert without_mass.decision.corrects_rig
     assert without_mass.ruled_out == (mass,)
     assert not without_mass.is_vetoed
+
+
+@pytest.mark.parametrize("short_of_expected", ["mass", "both"])
+def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_falls_short(short_of_expected):
+    mass, spring, nominal = (
+        validated_hypothesis(1.5, "added_mass"),
+        validated_hypothesis(1.52, "linear_spring"),
+        validated_hypothesis(60.0),
+    )
+    short_sets = (mass,) if short_of_expected == "mass" else (mass, spring)
+
+    def predict(named_set):
+        return Attempt(Rollout(code="not_vetoed", falls_short=any(named_set is short for short in short_sets)))
+
+    outcome = predicted_decision([mass, spring, nominal], decide, predict)
+    assert outcome.decision.named_hypothesis is (spring if short_of_expected == "mass" else mass)
+    assert outcome.decision.corrects_rig
+    assert outcome.ruled_out == ((mass,) if short_of_expected == "mass" else ())
 
 
 def test_a_veto_stays_where_no_other_effect_was_likely():

@@ -1,0 +1,113 @@
+"""Decision among hypotheses under the veto of prediction: the rig with the named effects has to move as the machine
+does.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+from identify.gaps.decision.channel_errors import channel_errors_of
+from identify.gaps.decision.comparison import ValidatedHypothesis, nominal_of
+from identify.gaps.decision.notes import Attempt
+from identify.gaps.decision.null_simulations import simulated_machines
+from identify.gaps.decision.prepare import PreparedRecordings
+from identify.gaps.decision.verdict import RIVAL_PROBABILITY, Decision, strengths_exclude_neutral
+from identify.gaps.residual.residual import Residual
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.rollout.judge import confirm_by_simulations, judge_correction, log_ratio_of
+from identify.gaps.rollout.results import Rollout
+from identify.gaps.search.nominal import fit_nuisance
+
+CONFIRMING_SIMULATIONS = 3
+"""Simulated machines with the named effects, within the tolerances, made where the prediction improves by less than
+expected. Effort."""
+
+
+@dataclass(frozen=True)
+class PredictedDecision:
+    """Decision among hypotheses, and the prediction with its named effects.
+
+    ruled_out are likelier hypotheses whose effects do not improve the prediction of the motion as expected.
+    """
+
+    ranked: Sequence[ValidatedHypothesis]
+    decision: Decision
+    rollout_attempt: Attempt[Rollout] = field(default_factory=Attempt)
+    ruled_out: tuple[ValidatedHypothesis, ...] = ()
+
+    @property
+    def is_vetoed(self) -> bool:
+        return self.rollout_attempt.result is not None and self.rollout_attempt.result.vetoed
+
+    @property
+    def is_doubtful(self) -> bool:
+        """True if the prediction is vetoed or falls short of what the named effects let expect."""
+        return self.is_vetoed or (self.rollout_attempt.result is not None and self.rollout_attempt.result.falls_short)
+
+
+def predicted_rollout(
+    prepared: PreparedRecordings, nominal_residual: Residual, named_set: ValidatedHypothesis
+) -> Rollout:
+    """Prediction of the validation record by the nominal rig, whose residual there is given, and with the named
+    effects."""
+    if prepared.predict is None:
+        return Rollout(code="not_simulated")
+    validation, predict = prepared.validation_recording, prepared.predict
+    corrected_residual = fit_nuisance(validation.record, named_set.rig)[1]
+    nulls = prepared.null_reference.predictions
+    rollout = judge_correction(validation.recording, nominal_residual, corrected_residual, nulls, predict)
+    if not rollout.falls_short:
+        return rollout
+    horizon_samples = round(rollout.horizon_s * validation.recording.rig.sample_rate_hz)
+    channel_errors, log_ratios = channel_errors_of(validation.record), []
+    for simulation in simulated_machines(
+        validation.recording, named_set.rig, channel_errors, prepared.simulate, CONFIRMING_SIMULATIONS
+    ):
+        record = record_of(simulation, tolerances=validation.record.tolerances)
+        nominal_fit, corrected_fit = (fit_nuisance(record, rig)[1] for rig in (record.rig, named_set.rig))
+        log_ratios.append(log_ratio_of(simulation, nominal_fit, corrected_fit, horizon_samples, predict))
+    return confirm_by_simulations(rollout, log_ratios)
+
+
+def predicted_decision(
+    ranked: Sequence[ValidatedHypothesis],
+    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
+    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
+) -> PredictedDecision:
+    """Decide among hypotheses; veto the named effects if they predict the motion worse.
+
+    Where the prediction is vetoed or falls short of what is expected, the decision is repeated without that
+    hypothesis, among those likelier than `RIVAL_PROBABILITY` whose strengths exclude their neutral values, until one
+    predicts as expected. If none does, the first that is not vetoed stays, or the first with its veto. decide takes
+    hypotheses, and whether their named effects are vetoed.
+    """
+    first_decision = latest_decision = _decision_with_rollout(ranked, decide, predict)
+    accepted = None if first_decision.is_vetoed else first_decision
+    likely = [
+        item.validated for item in first_decision.decision.weighted_hypotheses if item.probability > RIVAL_PROBABILITY
+    ]
+    rivals = [rival for rival in likely if strengths_exclude_neutral(rival.hypothesis)]
+    ruled_out: list[ValidatedHypothesis] = []
+    while latest_decision.is_doubtful:
+        doubtful_set = latest_decision.decision.named_hypothesis
+        ruled_out += [hypothesis for hypothesis in latest_decision.ranked if hypothesis is doubtful_set]
+        rivals = [rival for rival in rivals if rival is not doubtful_set]
+        if not rivals:
+            return accepted or first_decision
+        latest_decision = _decision_with_rollout([nominal_of(ranked), *rivals], decide, predict)
+        if latest_decision.decision.corrects_rig and not (latest_decision.is_doubtful and accepted):
+            accepted = None if latest_decision.is_vetoed else replace(latest_decision, ruled_out=tuple(ruled_out))
+    return accepted or first_decision
+
+
+def _decision_with_rollout(
+    ranked: Sequence[ValidatedHypothesis],
+    decide: Callable[[Sequence[ValidatedHypothesis], bool], Decision],
+    predict: Callable[[ValidatedHypothesis], Attempt[Rollout]],
+) -> PredictedDecision:
+    decision = decide(ranked, False)
+    if not decision.corrects_rig or decision.named_hypothesis is None:
+        return PredictedDecision(ranked, decision)
+    predicted = PredictedDecision(ranked, decision, predict(decision.named_hypothesis))
+    if predicted.is_vetoed:
+        return PredictedDecision(ranked, decide(ranked, True), predicted.rollout_attempt)
+    return predicted
