@@ -9,7 +9,6 @@ from identify.checks.prediction import LinearCheck
 from identify.linear.model import Response, ResponseCache, input_shapes, real_product, response_of
 from identify.linear.nuisance import (
     CONVERGED_SHARE,
-    BodyMotion,
     Change,
     Nuisance,
     NuisanceKind,
@@ -17,6 +16,7 @@ from identify.linear.nuisance import (
     elastic_modes,
     modes_near_band,
 )
+from identify.linear.observed_motion import BodyMotion
 from rig.model.description import Rig, Sensor
 from rig.model.tolerances import Tolerances
 

@@ -18,14 +18,8 @@ from identify.checks.findings import Cause, Finding, force_in_words
 from identify.checks.observation import observed_motion
 from identify.checks.prediction import LinearCheck, Projector
 from identify.linear.model import real_product
-from identify.linear.nuisance import (
-    SINGLE_FORCE_NAME,
-    BodyMotion,
-    Nuisance,
-    NuisanceKind,
-    ObservedSignals,
-    changes_of,
-)
+from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind, ObservedSignals, changes_of
+from identify.linear.observed_motion import BodyMotion
 from rig.model.description import Rig, Sensor, force_names
 from rig.model.tolerances import Tolerances
 

@@ -21,7 +21,8 @@ from identify.contacts.station_spectra import (
     sensed_accelerations,
 )
 from identify.linear.model import Response, has_high_passed_springs
-from identify.linear.nuisance import ObservedAcross, ObservedBase, ObservedSignals
+from identify.linear.nuisance import ObservedSignals
+from identify.linear.observed_motion import ObservedAcross, ObservedBase
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig

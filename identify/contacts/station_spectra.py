@@ -12,7 +12,8 @@ from scipy.ndimage import uniform_filter1d
 from identify.linear.free_motion import InitialStates, estimated_states, free_motions, unit_free_spectra
 from identify.linear.modal import transformation
 from identify.linear.model import Response, input_shapes, real_product
-from identify.linear.nuisance import BodyMotion, Change, elastic_modes, modes_near_band
+from identify.linear.nuisance import Change, elastic_modes, modes_near_band
+from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import to_free_inputs
 from identify.signals.kinematics import CORNER_HZ, TAPER_S, Kinematics, taper
 from rig.errors import RigError

@@ -14,7 +14,6 @@ from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
     SINGLE_FORCE_NAME,
-    BodyMotion,
     Change,
     Nuisance,
     NuisanceKind,
@@ -23,6 +22,7 @@ from identify.linear.nuisance import (
     crosstalk_of,
     elastic_modes,
 )
+from identify.linear.observed_motion import BodyMotion
 from identify.linear.projection import Projection
 from rig.model.description import Body, Rig, Sensor
 from rig.model.modes import modes_of

@@ -12,7 +12,8 @@ from identify.gaps.unmeasured_force.whitened_record import (
     with_columns,
 )
 from identify.linear.free_motion import state_changes
-from identify.linear.nuisance import BodyMotion, Change, Nuisance, ObservedSignals, changes_of, crosstalk_of
+from identify.linear.nuisance import Change, Nuisance, ObservedSignals, changes_of, crosstalk_of
+from identify.linear.observed_motion import BodyMotion
 from identify.signals.kinematics import integrated
 from rig.model.description import Rig
 

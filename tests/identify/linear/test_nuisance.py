@@ -7,15 +7,8 @@ import pytest
 from msgspec.structs import replace
 
 from identify.linear.model import ResponseCache, real_product, response_of
-from identify.linear.nuisance import (
-    BodyMotion,
-    Nuisance,
-    NuisanceKind,
-    ObservedSignals,
-    changes_of,
-    crosstalk_of,
-    elastic_modes,
-)
+from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of, crosstalk_of, elastic_modes
+from identify.linear.observed_motion import BodyMotion
 from rig.model.tolerances import EXACT, LABORATORY, Tolerances
 from rig.simulation.reference import BarrelCradle, Sdof
 
