@@ -97,7 +97,7 @@ def test_correct_the_rig_and_simulate_again(run):
         rig.read(f"{name}.mcap")["mass_0000mm_displacement"].values.std()
         for name in ("believed", "corrected", "measured")
     )
-    assert abs(corrected / measured - 1) < 0.1  # chaos scatters it by 5 %
+    assert abs(corrected / measured - 1) < 0.12  # three times what chaos scatters the ratio by: 8 % over 60 s
     assert abs(believed / measured - 1) > 0.3
 
 
