@@ -217,7 +217,7 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
 def with_columns(
     whitened_without: WhitenedRecord,
     parameters: tuple[Nuisance, ...],
-    column_sets: Sequence[Complex[np.ndarray, "some lines rows"]],
+    column_sets: Sequence[Complex[np.ndarray, "_ lines rows"]],
     trace_terms: Float[np.ndarray, " columns"],
 ) -> WhitenedRecord:
     """Record with columns of one or more sets, kept in single precision, and their sums over bands."""
