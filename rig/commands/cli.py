@@ -40,7 +40,7 @@ from rig.recording import Recording, Signals, read, truth_path
 from rig.simulation.own import OwnRig, OwnRigSettings, own_rig, plant_for
 from rig.simulation.plants import PLANTS, plant_named
 from rig.simulation.record import record as record_rig
-from rig.simulation.reference import REFERENCES, Reference, reference
+from rig.simulation.reference import REFERENCES, Reference, reference, settings_in_order
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -60,7 +60,7 @@ def _settings_text(title_words: str, type_by_name: Mapping[str, type[msgspec.Str
 
 
 def _defaults_text(struct_type: type[msgspec.Struct]) -> str:
-    return ", ".join(f"{f.name}={f.default}" for f in msgspec.structs.fields(struct_type))
+    return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
 
 
 def _first_paragraph(documented_class: type) -> str:

@@ -275,6 +275,11 @@ REFERENCES: dict[str, type[Reference]] = {
 }
 
 
+def settings_in_order(settings_type: type[msgspec.Struct]) -> list[msgspec.structs.FieldInfo]:
+    """Settings of a rig, its own before those that all reference rigs have."""
+    return sorted(msgspec.structs.fields(settings_type), key=lambda field: field.name in _Settings.__struct_fields__)
+
+
 def reference(scenario: str, settings: dict[str, str]) -> Reference:
     """Reference rig of that name with settings given as text, each checked against its type.
 
@@ -283,8 +288,8 @@ def reference(scenario: str, settings: dict[str, str]) -> Reference:
     if scenario not in REFERENCES:
         raise RigError(f"no scenario {scenario!r}; there are {', '.join(REFERENCES)}")
     settings_type = REFERENCES[scenario]
-    if unknown_settings := sorted(set(settings) - set(settings_type.__struct_fields__)):
-        setting_names = settings_type.__struct_fields__
+    setting_names = [field.name for field in settings_in_order(settings_type)]
+    if unknown_settings := sorted(set(settings) - set(setting_names)):
         raise RigError(
             f"{scenario} has no setting {unknown_settings[0]!r}{hint(unknown_settings[0], setting_names)}; it has "
             f"{', '.join(setting_names)}"

@@ -12,9 +12,11 @@ def test_every_contact_is_within_its_interval(tmp_path):
     (tmp_path / "sealed" / "work").mkdir(parents=True)
     case = made(plan)
     found = one_recording(Task(str(tmp_path / "recordings" / case.records[1].file), case.true))
-    assert not found.unanswered
+    assert not found.refusals
     assert len(found.names) == 6
-    for name, true, value, error in zip(found.names, found.true, found.found, found.errors, strict=True):
+    for name, true, value, error in zip(
+        found.names, found.true_values, found.estimates, found.standard_errors, strict=True
+    ):
         assert abs(value - true) < 3 * error, name
         if "damping" not in name:
             assert value == pytest.approx(true, rel=1e-2)
