@@ -117,7 +117,7 @@ def observation_of(
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=observed_base,
-        across=_observed_across(record, lines, rows.in_metres),
+        across=_observed_across(record, lines, rows),
         by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
     gauge_names = tuple(s.name for s in gauges.sensors)
@@ -137,9 +137,7 @@ def _station_spectra(
     return lines.spectra(motion.displacement_m), accelerations
 
 
-def _observed_across(
-    record: SeparationInput, lines: SpectralLines, in_metres: Bool[np.ndarray, "stations lines"]
-) -> ObservedAcross | None:
+def _observed_across(record: SeparationInput, lines: SpectralLines, station_rows: StationRows) -> ObservedAcross | None:
     """Motion in the other direction at the stations where it is measured too."""
     across, stations = record.motion.across, record.motion.stations
     if across is None:
@@ -147,7 +145,7 @@ def _observed_across(
     pairs = [(i, row) for i, station in enumerate(stations) if (row := across.row(station)) is not None]
     sensors, rows = [i for i, _ in pairs], [row for _, row in pairs]
     displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, across, lines))
-    return ObservedAcross(sensors, np.where(in_metres[sensors], displacements, accelerations), displacements)
+    return ObservedAcross(sensors, station_rows.of(sensors).signals(displacements, accelerations), displacements)
 
 
 def noise_observation(

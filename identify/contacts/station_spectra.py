@@ -93,6 +93,12 @@ class StationRows:
         """Variance of the signals' noise per sample on each line."""
         return np.asarray(self.acceleration_variance * np.abs(self.response) ** 2)
 
+    def of(self, stations: list[int]) -> "StationRows":
+        """Rows of some stations."""
+        return StationRows(
+            self.in_metres[stations], self.scale_per_s2[stations], self.omega, self.acceleration_variance[stations]
+        )
+
     def signals(
         self,
         displacements: Complex[np.ndarray, "*some stations lines"],

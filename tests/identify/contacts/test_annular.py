@@ -21,6 +21,7 @@ from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
 from identify.signals.drift import spline
+from rig import BarrelCradleAnnular, record
 from rig.errors import RigError
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
@@ -377,3 +378,29 @@ def test_that_ground_springs_couple_the_slow_motions_of_rings_is_said(found):
     held = dataclasses.replace(recording, rig=replace(recording.rig, springs=springs))
     assert COUPLED_RINGS in identify.contact(held, tolerances="exact").report.notes
     assert COUPLED_RINGS not in found[0].report.notes
+
+
+def test_displacements_beside_accelerations_have_shares_across_of_their_own(tmp_path):
+    """Displacement sensors that are the quieter ones up to some hundred hertz, and all sensors with 2 % of the motion
+    across at most: nothing is off by more than its interval says."""
+    settings = BarrelCradleAnnular(duration_s=12.0, noise_density=1e-3)
+    described = settings.rig()
+    quiet = tuple(replace(s, noise_density=1e-8) if s.quantity == "displacement" else s for s in described.sensors)
+    described = replace(described, sensors=quiet)
+    recording = record(described, tmp_path / "both.mcap", force=settings.force(), duration_s=12.0, plant="modal")
+    shares = np.random.default_rng(5)
+    signals = dict(recording.signals)
+    for quantity in ("displacement", "acceleration"):
+        sensors = [s for s in described.sensors if s.quantity == quantity]
+        places = [(s.station.body, s.station.position_m, s.station.direction) for s in sensors]
+        across = [places.index((body, x, "z" if direction == "y" else "y")) for body, x, direction in places]
+        values = signals[quantity].values
+        crossed = values + shares.uniform(-0.02, 0.02, (len(sensors), 1)) * values[across]
+        signals[quantity] = dataclasses.replace(signals[quantity], values=crossed)
+    crossed_recording = dataclasses.replace(recording, signals=signals)
+    report = identify.contact(crossed_recording, tolerances=replace(EXACT, cross_axis=0.01)).report
+    assert identify.contact(crossed_recording, tolerances=EXACT).report.findings
+    assert not report.findings
+    for contact in report.contacts:
+        for estimate, true in ((contact.clearance_m, 2e-3), (contact.stiffness_n_per_m, 5e5)):
+            assert abs(estimate.value - true) < 2 * COVERED * estimate.standard_error
