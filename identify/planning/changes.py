@@ -1,5 +1,6 @@
 """Changes of a planned test that may shorten its intervals: each is another planned test, and words for it."""
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Literal, TypeVar
 
@@ -200,7 +201,10 @@ def _force_place_changes(test: PlannedTest) -> Iterator[PlannedChange]:
 
 
 def _sensor_removals(test: PlannedTest) -> Iterator[PlannedChange]:
+    """Each sensor left out, except the only one of a body."""
     sensors = test.rig.sensors
-    for sensor in sensors if len(sensors) > 1 else ():
-        remaining_sensors = tuple(kept_sensor for kept_sensor in sensors if kept_sensor != sensor)
-        yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))
+    sensor_counts = Counter(sensor.station.body for sensor in sensors if sensor.measures.translates)
+    for sensor in sensors:
+        if sensor_counts[sensor.station.body] > sensor.measures.translates:
+            remaining_sensors = tuple(kept_sensor for kept_sensor in sensors if kept_sensor != sensor)
+            yield PlannedChange("leave out sensor", sensor.name, _with_sensors(test, remaining_sensors))

@@ -53,6 +53,10 @@ def test_every_sensor_is_left_out_once():
     assert all(change.words not in {s.name for s in change.test.rig.sensors} for change in left_out)
     only_one = planned_test(Sdof(sensors="acceleration").rig())
     assert not [change for change in changes_of(only_one) if change.kind == "leave out sensor"]
+    first, *_, last = BEAMS.rig.sensors
+    one_a_body = replace(BEAMS, rig=replace(BEAMS.rig, sensors=(first, last)))
+    assert first.station.body != last.station.body
+    assert not [change for change in changes_of(one_a_body) if change.kind == "leave out sensor"]
 
 
 def test_tolerances_of_single_sensors_and_modes_are_halved_with_the_common_one():
