@@ -53,9 +53,9 @@ class Tolerances(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Corner of the first-order high-pass of an AC-coupled accelerometer that the description does not mention."""
     crosstalk: float = 2e-3
     """Share of a neighbouring channel's signal in every channel; used by `identify gap`."""
-    lateral_motion: float = 3e-3
+    lateral_motion: float = 1e-3
     """Motion across its axis that every accelerometer shows, relative to that along it; used by `identify gap`. A
-    transverse sensitivity of 3 %, as data sheets state, and lateral motion of a tenth."""
+    cross-axis share of 1 %, and lateral motion of a tenth."""
     force_gain: float = 3e-3
     force_noise_density: float = 0.0
     """One-sided, N/sqrt(Hz), for records without a quiet start that determines it."""

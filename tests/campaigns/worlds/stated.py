@@ -22,7 +22,7 @@ class Stated:
     delay_s: float = 1e-5
     high_pass_hz: float = 0.1
     crosstalk: float = 2e-3
-    lateral_motion: float = 3e-3
+    lateral_motion: float = 1e-3
     force_gain: float = 3e-3
     mass: float = 3e-3
     frequency: float = 2e-3
