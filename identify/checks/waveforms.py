@@ -145,8 +145,8 @@ def neighbour_deviation(samples: Row) -> Row:
 def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Finding | None:
     """Finding: single samples that their neighbours do not explain; not at the record's ends.
 
-    What other channels show too is an impact, and so are jumps of half to any size in this channel that others mostly
-    show. In an only channel, spikes stand out from all impacts.
+    A jump that another channel shows too is an impact. So is one if most of the jumps of at least half its size in this
+    channel are impacts. In an only channel, spikes stand out from all impacts.
     """
     margin = deviation.size // 50
     interior = deviation[margin:-margin]
@@ -155,12 +155,12 @@ def spikes_finding(name: str, deviation: Row, other_deviations: list[Row]) -> Fi
     sizes = deviation[jumps]
     spikes = [int(k) for k in jumps[sizes > SPIKE_RATIO]]
     if other_deviations and spikes:
-        shown = {int(k): max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jumps}
-        alone = np.array([shown[int(k)] < IMPACT_RATIO for k in jumps])
+        largest_elsewhere = np.array([max(float(d[k - 3 : k + 4].max()) for d in other_deviations) for k in jumps])
+        is_unshared = largest_elsewhere < IMPACT_RATIO
         spikes = [
-            k
-            for k in spikes
-            if shown[k] < IMPACT_RATIO and np.mean(alone[sizes > deviation[k] / SEPARATION_RATIO]) > 0.5
+            int(k)
+            for k, size in zip(jumps[is_unshared], sizes[is_unshared], strict=True)
+            if size > SPIKE_RATIO and np.mean(is_unshared[sizes > size / SEPARATION_RATIO]) > 0.5
         ]
     elif spikes:
         peaks = np.sort(interior[1:-1][(interior[1:-1] > interior[:-2]) & (interior[1:-1] > interior[2:])])[::-1][

@@ -9,7 +9,6 @@ import pytest
 from msgspec.structs import replace
 
 import identify
-from identify.contacts.annular_law import ring_derivatives, ring_force_n
 from identify.contacts.annular_record import annular_record, open_force_n
 from identify.contacts.contact_record import ContactRecord
 from identify.contacts.pooled import pooled_report
@@ -23,7 +22,6 @@ from identify.pages.wording import COVERED
 from identify.signals.drift import spline
 from rig import BarrelCradleAnnular, record
 from rig.errors import RigError
-from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.description import PointSpring, Station
 from rig.model.tolerances import EXACT, LABORATORY
@@ -67,50 +65,6 @@ def recorded(gravity, sensors=()):
 def found(request):
     recording, truth = recorded(request.param)
     return identify.contact(recording, tolerances="exact"), truth, request.param
-
-
-def motions():
-    """Motions within the ring and beyond it, some metres a second along and across."""
-    rng = np.random.default_rng(0)
-    angle, radius = rng.uniform(0, 2 * np.pi, 400), 2e-3 + rng.uniform(-1e-4, 3e-4, 400)
-    eta = radius * np.stack([np.cos(angle), np.sin(angle)]) + VALUES[5:7, None]
-    away = np.abs(radius - VALUES[0] - 5e-6) > 6e-6  # of the knees at the wall and where the damping has risen
-    return eta[:, away], rng.normal(0, 0.02, eta.shape)[:, away]
-
-
-def test_the_law_is_that_of_rig():
-    law = Annular(
-        clearance_m=2e-3,
-        stiffness_n_per_m=5e5,
-        damping_n_s_per_m=200.0,
-        friction_coefficient=0.1,
-        center_y_m=1e-4,
-        center_z_m=-2e-4,
-    )
-    eta, rate = motions()
-    np.testing.assert_allclose(ring_force_n(VALUES, *eta, *rate), law.force_n(eta, rate), rtol=1e-9, atol=1e-9)
-
-
-def test_derivatives_are_those_of_the_force():
-    eta, rate = motions()
-    found = ring_derivatives(VALUES, eta, rate)
-
-    def close(derivative, forward, backward, step):
-        difference = (forward - backward) / (2 * step)
-        np.testing.assert_allclose(derivative, difference, atol=1e-6 * np.abs(difference).max())
-
-    for component in range(2):
-        step = np.zeros((2, 1))
-        step[component] = 1e-9
-        forces = (ring_force_n(VALUES, *(eta + sign * step), *rate) for sign in (1, -1))
-        close(found.by_eta[:, component], *forces, 1e-9)
-        forces = (ring_force_n(VALUES, *eta, *(rate + sign * 1e3 * step)) for sign in (1, -1))
-        close(found.by_rate[:, component], *forces, 1e-6)
-    for k in range(7):
-        step = np.zeros(9)
-        step[k] = 1e-6 * max(abs(VALUES[k]), 1e-3)
-        forces = (ring_force_n(VALUES + sign * step, *eta, *rate) for sign in (1, -1))
-        close(found.by_law[k], *forces, step[k])
 
 
 def test_every_quantity_is_recovered_within_its_interval(found):
