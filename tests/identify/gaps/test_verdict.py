@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from identify.gaps.decision.bounds import Difference
+from identify.gaps.decision.bounds import Difference, contact_bound
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
 from identify.gaps.decision.judge import may_hide_force, with_lasting_error
 from identify.gaps.decision.notes import Attempt
@@ -128,6 +128,12 @@ def test_what_a_set_leaves_in_most_of_the_motion_enters_its_standard_errors(band
     )
     grown = with_lasting_error(replace(mass, misfit=misfit), NullReference("key", machines)).hypothesis.covariance
     np.testing.assert_allclose(np.sqrt(np.diag(grown) / np.diag(mass.hypothesis.covariance)), growth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("squared_share", "value"), [(0.25, 0.5), (4.0, None)])
+def test_a_share_above_the_whole_force_is_not_seen(squared_share, value):
+    bound = contact_bound("force of contact_1", np.full(20, squared_share), 1e-6, 0.03)
+    assert (bound.value, bound.not_seen) == (value, value is None)
 
 
 def ruling_out(*worse):
