@@ -26,7 +26,8 @@ _CAPTIONS = {
     "is the stiffness.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement.",
-    "surface": "The restoring force surface of the main modal equation.",
+    "surface": "The restoring force that the main modal equation leaves, over its coordinates: flat between the stops, "
+    "steep beyond them.",
     "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
     "paper's form takes the spectra of blocks as they are: a mode that rings for longer than a block leaks. The weak "
     "form takes the derivatives of the window along as inputs, so that nothing leaks.",
@@ -99,7 +100,7 @@ def write_page(
             ),
             *([("How sure is it?", _variance_table(result))] if report.contacts else []),
             ("What was assumed", page.list_html(assumptions(result))),
-            ("Beside it: the paper's methods", _methods(result)),
+            ("For comparison: the paper's methods", _methods(result)),
         ],
         foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
@@ -149,7 +150,7 @@ def answer(report: ContactReport, count: int) -> page.Answer:
 def _sentence(report: ContactReport) -> str:
     contacts = report.contacts
     if not contacts:
-        return "This record tells nothing of the contacts; below stands why, and what to do."
+        return "This record does not determine the contacts; why, and what to do, is said below."
     return "; ".join(
         f"{c.name}: "
         + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
@@ -227,10 +228,10 @@ def _methods(result: Identification) -> str:
     ]
     return (
         (page.list_html(report.notes) if report.notes else "")
-        + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
+        + "<p>The response of the modes beyond the fitted ones, by the law found, is subtracted; then "
         f"{nifo_bands}the restoring force surface are applied to every modal equation. Their values "
-        "have no known error, and the answers above do not rest on them: each equation believes in its mode of "
-        "rig.json and is blind to the others. The figures show "
+        "have no known error, and the answers above do not rest on them: each equation takes its mode of rig.json as "
+        "right and does not see the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
         + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))
