@@ -23,9 +23,10 @@ from rig.model.description import Rig, to_json
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
     "the law found. Between the stops no force acts, and half their distance is the clearance; beyond them the slope "
-    "is the stiffness.",
+    "is the stiffness. The forces are separated up to a highest frequency, which rounds the corners of the dots.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
-    "section": "What the main modal equation leaves for each contact, over its relative displacement.",
+    "section": "What the main modal equation leaves for each contact, over its relative displacement. Dots that fan "
+    "out at one place belong to the ends of the record, where derivatives ring.",
     "surface": "The restoring force that the main modal equation leaves, over its coordinates: flat between the stops, "
     "steep beyond them.",
     "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
@@ -172,12 +173,21 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
     half = "" if all(c.ring for c in contacts) else " The clearance is half the total play."
+    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
+        half = (
+            " The clearance is half the total play, which this record tells better than the clearance of either side."
+        )
     note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half}</p>"
     return (
         page.table(("", "", "identified", laws_name, "differs by"), rows)
         + note
         + (page.list_html(law_sentences) if law_sentences else "")
     )
+
+
+def _is_surer(estimate: Estimate, other: Estimate) -> bool:
+    """True if its error is less than half that of the other."""
+    return 2 * estimate.standard_error < other.standard_error
 
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:

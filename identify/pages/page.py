@@ -159,7 +159,7 @@ def list_html(texts: Iterable[str]) -> str:
 
 def unbroken_html(html: str) -> str:
     """Text whose numbers stay on a line with their unit and interval, and with "p =" and "<" before them."""
-    return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html))
+    return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html)).replace("N s/m", "N\u00a0s/m")
 
 
 def table(headings: Sequence[str], rows: Rows) -> str:

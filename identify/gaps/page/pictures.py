@@ -162,15 +162,17 @@ def _draw_experiments(figure: Any, gap: Gap) -> None:
 def _draw_motion(figure: Any, example: PredictionExample) -> None:
     """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
+    quantity_name, unit, scale = ("displacement", "mm", 1e3) if example.unit == "m" else ("velocity", example.unit, 1.0)
     for signal_values, colour, line_width, line_style, label in (
         (example.measured, GREY, 3.0, "-", "measured"),
         (example.nominal, RED, 1.2, "--", "predicted by the model as it is"),
         (example.corrected, BLUE, 1.2, "-", "with the named effects"),
     ):
-        axes.plot(example.time_s, signal_values, color=colour, lw=line_width, ls=line_style, label=label)
+        axes.plot(
+            example.time_s, scale * np.array(signal_values), color=colour, lw=line_width, ls=line_style, label=label
+        )
     figure.legend(loc="outside lower center", ncols=3)
-    quantity_name = "displacement" if example.unit == "m" else "velocity"
-    axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {example.unit}")
+    axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {unit}")
 
 
 def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:

@@ -170,8 +170,8 @@ def _yes_no(answer: bool) -> str:
 
 def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     if quantity.why or quantity.value is None:
-        return quantity.name, "", "", "", f"not seen: {quantity.why}"
-    mark_words = "" if quantity.holds else "not seen" if quantity.not_seen else "beyond"
+        return quantity.name, "", "", "", f"not settled: {quantity.why}"
+    mark_words = "" if quantity.holds else "not settled" if quantity.not_seen else "beyond"
     return quantity.name, *wording.bound_numbers(quantity), mark_words
 
 
@@ -182,7 +182,7 @@ def prediction(rollout: Rollout) -> str:
     if overall_errors is None:
         return section_html
     floor_words = (
-        "rig.json is at the floor of what can be predicted"
+        "rig.json errs no more than null simulations do"
         if overall_errors.at_floor
         else f"the corrected rig closes {percent(overall_errors.shrunk or 0.0)} of what exceeds null simulations"
     )

@@ -185,10 +185,10 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
 
 
 def test_numbers_stay_on_a_line_with_their_units():
-    broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg at 0.99 m in 3 machines")
+    broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg, 3.1 N s/m at 0.99 m in 3 machines")
     assert unbroken_html(broken).split(" ") == [
         *("1.2\xa0%", "of", "the", "motion,", "&lt;\xa00.1\xa0%", "(p\xa0=\xa00.31),"),
-        *("0.141\xa0kg", "at", "0.99\xa0m", "in", "3", "machines"),
+        *("0.141\xa0kg,", "3.1\xa0N\xa0s/m", "at", "0.99\xa0m", "in", "3", "machines"),
     ]
 
 
