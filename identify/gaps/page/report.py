@@ -42,7 +42,8 @@ CAPTIONS = {
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
     "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "
-    "assuming a law (mean values). Line: the law found, with the linear part that the tolerances take up.",
+    "assuming a law (mean values). Line: the law found; if it is not linear, with the linear part that tolerances take "
+    "up.",
 }
 """Captions of the wide pictures; the others carry their titles."""
 DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("large_bands",)) | {

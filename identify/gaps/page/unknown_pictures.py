@@ -17,6 +17,8 @@ _MOTION_AXIS = {"displacement": 0, "clearance": 0, "velocity": 1, "velocity squa
 """Axis by which the law of an unmeasured force is drawn: 0 displacement, 1 velocity."""
 LINE_POINTS = 400
 """Points of the line of a law. Display."""
+MIN_CELLS = 4
+"""Cells below which no line is drawn over them: the linear part has three unknowns."""
 
 
 def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Callable[[Any], None]]]:
@@ -72,15 +74,15 @@ def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis_index:
         cmap="viridis",
     )
     figure.colorbar(cell_points, label=axis_names[1 - axis_index])
-    if law_n := _law_less_linear_part(unknown_force, cell_motion, cell_forces_n, axis_index):
-        line_motion, line_forces_n = law_n
+    if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis_index):
+        line_motion, line_forces_n = law_line
         axes.plot((1e3, 1.0)[axis_index] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")
         figure.legend(loc="outside lower center")
     axes.set(xlabel=axis_names[axis_index], ylabel="mean force against the motion, N")
     figure.suptitle("How it follows the motion", fontsize=10)
 
 
-def _law_less_linear_part(
+def _law_line(
     unknown_force: UnmeasuredForce,
     cell_motion: Float[np.ndarray, "2 cells"],
     cell_forces_n: Float[np.ndarray, " cells"],
@@ -88,11 +90,11 @@ def _law_less_linear_part(
 ) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]] | None:
     """Motion along the axis and the law there, N, with the other motion zero, or nothing without a law.
 
-    The tolerances may take up any force that is linear in the motion, so that the free force of the cells lacks such a
-    part: F = law(w, v) + a w + b v + c by least squares over the cells.
+    Tolerances take up much of a force that is linear in the motion, so that the free force of the cells lacks such a
+    part: F = law(w, v) + a w + b v + c by least squares over the cells. A law that is linear itself is drawn as it is.
     """
     law_form = next((form for form in LAW_FORMS if form.name == unknown_force.law_name), None)
-    if law_form is None:
+    if law_form is None or cell_forces_n.size < MIN_CELLS:
         return None
     values = {name: value.value for name, value in unknown_force.law_parameters.items()}
     coefficients = [values[name] for name in ("coefficient", "cubic")[: len(law_form.coefficient_units)]]
@@ -103,11 +105,15 @@ def _law_less_linear_part(
         )
         return np.einsum("c,cp->p", coefficients, np.array(shapes))
 
-    linear_columns = np.concatenate([cell_motion, np.ones((1, cell_forces_n.size))])
-    linear_part = np.linalg.lstsq(linear_columns.T, cell_forces_n - law_n(cell_motion))[0]
     line_motion = np.zeros((2, LINE_POINTS))
     line_motion[axis_index] = np.linspace(cell_motion[axis_index].min(), cell_motion[axis_index].max(), LINE_POINTS)
-    line_forces_n = law_n(line_motion) + linear_part @ np.concatenate([line_motion, np.ones((1, LINE_POINTS))])
+    line_forces_n, cell_law_n = law_n(line_motion), law_n(cell_motion)
+    linear_columns = np.vstack([cell_motion, np.ones(cell_forces_n.size)]).T
+    cell_law_part, free_force_part = (
+        np.linalg.lstsq(linear_columns, forces_n, rcond=None)[0] for forces_n in (cell_law_n, cell_forces_n)
+    )
+    if not np.allclose(linear_columns @ cell_law_part, cell_law_n, rtol=0, atol=1e-6 * np.abs(cell_law_n).max()):
+        line_forces_n += (free_force_part - cell_law_part) @ np.vstack([line_motion, np.ones(LINE_POINTS)])
     return line_motion[axis_index], line_forces_n
 
 

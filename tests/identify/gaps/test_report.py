@@ -395,6 +395,9 @@ def test_the_law_of_an_unmeasured_force_is_drawn_up_to_a_linear_part(gaps):
     (line,) = axes.lines
     w_m = 1e-3 * line.get_xdata()
     np.testing.assert_allclose(line.get_ydata(), stiffness * w0 * np.tanh(w_m / w0) - 20.0 * w_m + 0.01, atol=1e-9)
+    spring = replace(gap.unknown, law_name="linear spring", law_parameters={"coefficient": Value(50.0, 1.0, "N/m")})
+    (line,) = pictures(replace(gap, unknown=spring))["unknown_law"].figure.axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), 50.0 * 1e-3 * line.get_xdata(), atol=1e-9)
 
 
 def test_the_exported_curves_are_those_of_the_page(diagnosis):
