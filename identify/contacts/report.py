@@ -22,8 +22,9 @@ from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
-    "the law found. Between the stops no force acts, and half their distance is the clearance; beyond them the slope "
-    "is the stiffness. The forces are separated up to a highest frequency, which rounds the corners of the dots.",
+    "the law, if one was found. Between the stops no force acts, and half their distance is the clearance; beyond them "
+    "the slope is the stiffness. The forces are separated up to a highest frequency, which rounds the corners of the "
+    "dots.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
     "section": "What the main modal equation leaves for each contact, over its relative displacement. Dots that fan "
     "out at one place belong to the ends of the record, where derivatives ring.",
@@ -118,7 +119,8 @@ def drawing(rig: Rig, report: ContactReport) -> str:
         for contact in report.contacts
     }
     contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
-    caption = "<figcaption>The rig, to scale along the bodies; clearance and stiffness found (± 95 %).</figcaption>"
+    found_words = "; clearance and stiffness found (± 95 %)" if report.contacts else ""
+    caption = f"<figcaption>The rig, to scale along the bodies{found_words}.</figcaption>"
     return f"<figure>{rig_drawing(rig, contact_lines)}{caption}</figure>"
 
 
@@ -151,7 +153,8 @@ def answer(report: ContactReport, count: int) -> page.Answer:
 def _sentence(report: ContactReport) -> str:
     contacts = report.contacts
     if not contacts:
-        return "This record does not determine the contacts; why, and what to do, is said below."
+        reasons = "; ".join(f"{unanswered.name}: {unanswered.reason}" for unanswered in report.unanswered)
+        return f"This record determines no contact ({reasons}). What to do is said below."
     return "; ".join(
         f"{c.name}: "
         + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
