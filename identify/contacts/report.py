@@ -146,22 +146,24 @@ def answer(report: ContactReport, count: int) -> page.Answer:
         else "identified"
         if identified == count
         else f"{identified} of {count} contacts identified",
-        [_sentence(report)],
+        _sentences(report),
     )
 
 
-def _sentence(report: ContactReport) -> str:
+def _sentences(report: ContactReport) -> list[str]:
+    """Identified values in one sentence, or that there are none and why."""
     contacts = report.contacts
     if not contacts:
-        reasons = "; ".join(f"{unanswered.name}: {unanswered.reason}" for unanswered in report.unanswered)
-        return f"This record determines no contact ({reasons}). What to do is said below."
-    return "; ".join(
+        reasons = [f"{unanswered.name}: {unanswered.reason}." for unanswered in report.unanswered]
+        return ["This record determines no contact.", *reasons]
+    values_by_contact = (
         f"{c.name}: "
         + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
         + f"stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
         + (f" ({c.law})" if c.law_sentence or c.is_spring else "")
         for c in contacts
     )
+    return ["; ".join(values_by_contact)]
 
 
 def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:

@@ -147,7 +147,7 @@ def picture(name: str, png: bytes) -> str:
 
 def figure(name: str, image: Picture, caption: str = "", height_px: int | None = None) -> str:
     """HTML of an interactive plot, of this height in a column, or else of a picture, with its caption below."""
-    plot_html = interactive_html(image.figure, height_px) or f"<div>{picture(name, image.png)}</div>"
+    plot_html = interactive_html(image.figure, height_px) or f'<div tabindex="0">{picture(name, image.png)}</div>'
     caption_html = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f"<figure>{plot_html}{caption_html}</figure>\n"
 
