@@ -26,6 +26,7 @@ from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
 from identify.gaps.search.candidates import Candidate, contains, is_possible
+from identify.gaps.search.excitation import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
     MIN_GAIN,
@@ -34,16 +35,13 @@ from identify.gaps.search.hypothesis import (
     Search,
     combined,
     fit_briefly,
-    fit_spectrum,
     refined,
     reset_saturated_nuisance,
 )
 from identify.gaps.search.local_model import CandidateTerm, LocalModel, Solution, local_model
-from identify.gaps.search.nominal import fitted_nuisance
 from identify.gaps.search.singles import single_effects
 from identify.signals.refit import refit_until_settled
 from rig.errors import RigError
-from rig.model.description import Rig
 
 SOLVED_CANDIDATES = 6
 """Candidates solved for each entry, those that promise most. Effort."""
@@ -92,7 +90,7 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     progress(0.4)
     best_fit, rival_hypotheses = _with_single_effects(search, nominal_fit, best_fit)
     progress(0.6)
-    best_fit, variant_hypotheses = reduced_sets(search, _with_base_motion(search, best_fit))
+    best_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, best_fit)))
     progress(1.0)
     hypotheses = (nominal_fit.hypothesis, best_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
     return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
@@ -126,27 +124,17 @@ def _with_single_effects(
     likeliest = single_effect_fits[0]
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
-    is_base_motion = _is_stochastic(likeliest.hypothesis)
+    is_base_motion = is_stochastic(likeliest.hypothesis)
     return _base_motion_with_set(search, likeliest) if is_base_motion else _refined_from(search, likeliest), []
-
-
-def _is_stochastic(hypothesis: Hypothesis) -> bool:
-    return any(candidate.kind.stochastic for candidate in hypothesis.candidates)
 
 
 def _base_motion_with_set(search: Search, base_motion: FittedHypothesis) -> FittedHypothesis:
     """Base motion with the set found on the shaken rig, as a spectrum is not fitted by Gauss-Newton."""
-    shaken_search = _search_about_set(search, base_motion, [c for c in search.candidates if not c.kind.stochastic])
+    shaken_search = search_about(search, base_motion, [c for c in search.candidates if not c.kind.stochastic])
     best_set = _refined_from(shaken_search, shaken_search.nominal_fit())
     if not best_set.hypothesis.candidates:
         return base_motion
     return FittedHypothesis(combined(base_motion, best_set), best_set.linearization, best_set.residual)
-
-
-def _search_about_set(search: Search, set_fit: FittedHypothesis, candidates: Sequence[Candidate]) -> Search:
-    """Search whose nominal rig is that of a fitted set."""
-    set_rig = set_fit.hypothesis.applied_to(search.linearization.rig)
-    return Search(search.nominal_variances, *_relinearized(set_fit, set_rig), tuple(candidates))
 
 
 def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
@@ -170,7 +158,7 @@ def refined_set(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
 def _local_model_of(search: Search, set_fit: FittedHypothesis) -> tuple[Linearization, Residual, LocalModel]:
     """Local model about a fitted set, with every further candidate that its rig can have."""
     rig = set_fit.hypothesis.applied_to(search.linearization.rig)
-    linearization, residual = _relinearized(set_fit, rig)
+    linearization, residual = linearized_about(set_fit, rig)
     further = [c for c in search.candidates if not (c.kind.stochastic or c.kind.grid_screened) and is_possible(c, rig)]
     nominal_rig, present_set = search.linearization.rig, set_fit.hypothesis
     return (
@@ -203,12 +191,6 @@ def _brief_fit_with(
         )
     except RigError:
         return None
-
-
-def _relinearized(set_fit: FittedHypothesis, set_rig: Rig) -> tuple[Linearization, Residual]:
-    """Linearisation about the rig of a fitted set, with the tolerances fitted in it."""
-    linearization = set_fit.linearization.relinearized(set_rig, set_fit.residual, set_fit.linearization.scales)
-    return linearization, fitted_nuisance(linearization, set_fit.residual).residual
 
 
 def selected(model: LocalModel, present_set: Hypothesis) -> Selection:
@@ -286,7 +268,7 @@ def reduced_sets(search: Search, best_set: FittedHypothesis) -> tuple[FittedHypo
     more least important ones.
     """
     candidates = best_set.hypothesis.candidates
-    if not candidates or _is_stochastic(best_set.hypothesis):
+    if not candidates or is_stochastic(best_set.hypothesis):
         return best_set, []
     member_indices = range(len(candidates))
     costs: list[float] = []
@@ -334,17 +316,3 @@ def _subset_fit(search: Search, best_set: FittedHypothesis, members: Sequence[in
     start = reset_saturated_nuisance(best_set.residual)
     brief_fit = fit_briefly(search, subset, np.concatenate([values[k] for k in members]), start, best_set.linearization)
     return refined(search, brief_fit, best_set.cost)
-
-
-def _with_base_motion(search: Search, best_set: FittedHypothesis) -> FittedHypothesis:
-    """Settled set with a base motion beside it, where that lowers the cost by `MIN_GAIN`."""
-    base_motions = [c for c in search.candidates if c.kind.stochastic]
-    if not base_motions or _is_stochastic(best_set.hypothesis) or not best_set.hypothesis.is_incomplete:
-        return best_set
-    search_about_set = _search_about_set(search, best_set, ())
-    for candidate in base_motions:
-        base_motion_fit = fit_spectrum(search_about_set, search_about_set.nominal_fit(), candidate)
-        if base_motion_fit and best_set.cost - base_motion_fit.cost > MIN_GAIN:
-            joined_hypothesis = combined(best_set, base_motion_fit)
-            return FittedHypothesis(joined_hypothesis, base_motion_fit.linearization, base_motion_fit.residual)
-    return best_set
