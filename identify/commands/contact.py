@@ -2,23 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.table import Table
 
-from identify.checks import Finding
-from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
-from identify.commands.contact_folder import contact_folder
-from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
-from identify.contacts.results import ContactReport, Estimate
-from identify.pages.wording import interval, number
-from identify.signals.spectra import WINDOW_POWERS, Averaging
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
-from rig.model.tolerances import tolerances_named
+
+if TYPE_CHECKING:
+    from identify.checks import Finding
+    from identify.contacts.results import ContactReport, Estimate
+else:
+    Finding = ContactReport = Estimate = Any
 
 DRAWING_START_SHARE = 0.8
 """Share of the progress at which results are drawn."""
@@ -43,7 +41,7 @@ def contact(
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
     block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
-    window: Annotated[str, typer.Option(help=f"Window: {', '.join(WINDOW_POWERS)}.")] = "hann",
+    window: Annotated[str, typer.Option(help="Window: {windows}.")] = "hann",
     tolerances: TolerancesOption = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
@@ -68,6 +66,12 @@ def contact(
 
     identify contact recordings --out results
     """
+    from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
+    from identify.commands.contact_folder import contact_folder
+    from identify.commands.many import check_folder_options
+    from identify.signals.spectra import WINDOW_POWERS, Averaging
+    from rig.model.tolerances import tolerances_named
+
     sensors = checked_use(use)
     if window not in WINDOW_POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_POWERS)}", param_hint="--window")
@@ -130,6 +134,8 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
 
 
 def _nifo_table(report: ContactReport) -> Table:
+    from identify.pages.wording import number
+
     title = "NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
     nifo_table = console_table(title, ("equation", "contact", "stiffness, N/m", "spread, %", ""), 2)
     for equation_result in report.nifo:
@@ -148,4 +154,6 @@ def _nifo_table(report: ContactReport) -> Table:
 
 
 def _interval(estimate: Estimate, unit_factor: float = 1.0) -> str:
+    from identify.pages.wording import interval
+
     return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, "1")
