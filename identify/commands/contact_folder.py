@@ -7,7 +7,6 @@ from rich.table import Table
 
 from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
-from identify.contacts.refusals import ContactRefusedError
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Unanswered
 from identify.pages.wording import interval
 from rig.commands.command_line import literal_console
@@ -50,8 +49,6 @@ def contact_rows(task: RecordingTask) -> TableRows:
     settings = msgspec.json.decode(task.settings, type=ContactSettings)
     try:
         file_answer = identify_file(task.path, settings)
-    except ContactRefusedError as error:
-        return refused_row(task.path, error, code=error.refusal.code)
     except RigError as error:
         return refused_row(task.path, error)
     file_answer.save(task.folder)

@@ -56,8 +56,8 @@ class AnnularEstimate:
     eta_m: Float[np.ndarray, "2 samples"]
     rate_m_per_s: Float[np.ndarray, "2 samples"]
     force_n: Float[np.ndarray, "2 fewer"]
-    unexplained: float
-    halves: tuple[float, float]
+    unexplained_share: float
+    half_differences: tuple[float, float]
 
     @property
     def covariance(self) -> RingCovariance:
@@ -127,13 +127,13 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
         force_n=record.force_n + values[-DIRECTIONS:, None],
-        unexplained=unexplained_share(
+        unexplained_share=unexplained_share(
             [
                 (residual[record.used], plane.force_n[record.used], plane.noise_n)
                 for residual, plane in zip(residuals, record.planes, strict=True)
             ]
         ),
-        halves=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
+        half_differences=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
     )
 
 

@@ -1,7 +1,7 @@
 """Contacts of a rig in space: its two plane rigs are separated by themselves, and each annular contact is fitted over
 both; contacts of one direction are those of its plane rig."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -10,9 +10,7 @@ import numpy as np
 from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Finding
 from identify.contacts.acceptance import (
-    estimate_findings,
     fit_findings,
-    pull_findings,
     widened_estimate,
     without_dead_force,
 )
@@ -125,7 +123,9 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
         else:
             annular[name] = widened_estimate(estimate, record.parameters, max(y.mass_pull, z.mass_pull))
     plane, findings = _plane_outcomes(rig, (y, z))
-    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *_annular_findings(annular, records)))
+    shared_parameters = next(iter(records.values())).parameters if annular else ()
+    annular_findings = fit_findings(annular, shared_parameters, DAMPING)
+    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *annular_findings))
 
 
 def annular_records(
@@ -218,15 +218,3 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
         outcomes = outcomes | Outcomes(estimates, found.refusals)
         findings += fit_findings(estimates, parameters)
     return outcomes, tuple(findings)
-
-
-def _annular_findings(
-    annular: Mapping[str, AnnularEstimate], records: Mapping[str, AnnularRecord]
-) -> Iterator[Finding]:
-    """Findings on the fits of annular contacts."""
-    if annular:
-        parameters = next(iter(records.values())).parameters
-        yield from pull_findings([estimate.pulls for estimate in annular.values()], parameters)
-    for name, estimate in annular.items():
-        damping, error = float(estimate.values[DAMPING]), float(estimate.errors[DAMPING])
-        yield from estimate_findings(name, damping, error, estimate.halves, estimate.unexplained)
