@@ -125,7 +125,7 @@ def law(
     if out is not None:
         result.save(out)
         if export is not None:
-            save_tables(curves(result.found.found), out, export)
+            save_tables(curves(result.identification.fits), out, export)
     if as_json:
         print_json(result.report)
     else:

@@ -78,7 +78,7 @@ def identify_file(
 def _save(contact_result: ContactResult, out: Path, export: str | None) -> None:
     contact_result.save(out)
     if export is not None:
-        save_tables(curves_of(contact_result.found), out, export)
+        save_tables(curves_of(contact_result.identification), out, export)
 
 
 def _save_pooled(

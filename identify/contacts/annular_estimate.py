@@ -141,14 +141,16 @@ def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[n
     """Centre against the position at rest, m, and its derivatives by the values."""
     rest = values[REST]
     force_n, stiffness = max(float(np.hypot(*rest)), 1e-12), values[STIFFNESS]
-    along = rest / force_n
+    rest_direction = rest / force_n
     radius_m = values[CLEARANCE] + force_n / stiffness
     by_values = np.zeros((DIRECTIONS, len(RING)))
-    by_values[:, CLEARANCE] = -along
-    by_values[:, STIFFNESS] = along * force_n / stiffness**2
-    across = np.eye(DIRECTIONS) - np.outer(along, along)
-    by_values[:, REST] = -(np.outer(along, along) / stiffness + radius_m / force_n * across)
-    return -radius_m * along, by_values
+    by_values[:, CLEARANCE] = -rest_direction
+    by_values[:, STIFFNESS] = rest_direction * force_n / stiffness**2
+    tangent_projection = np.eye(DIRECTIONS) - np.outer(rest_direction, rest_direction)
+    by_values[:, REST] = -(
+        np.outer(rest_direction, rest_direction) / stiffness + radius_m / force_n * tangent_projection
+    )
+    return -radius_m * rest_direction, by_values
 
 
 def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.ndarray, " parts"]) -> RingCovariance:
@@ -161,7 +163,7 @@ def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.nd
     squares = fit.weights.reshape(DIRECTIONS, -1) ** 2
     eta, rate = fit.motion(state.knots, state.pulls)
     motion = ring_motion(state.values, record.at_forces(eta), record.at_forces(rate))
-    closed, grows = record.used & (motion.depth_m > 0), motion.along_m_per_s > 0
+    closed, grows = record.used & (motion.depth_m > 0), motion.radial_rate_m_per_s > 0
     deep = motion.depth_m > np.median(motion.depth_m[closed])
     scale = np.max(np.abs(by_law), axis=(0, 1))
     covariance = np.zeros((len(RING), len(RING)))

@@ -201,11 +201,11 @@ def annular_guess(
         for name in ("eta_m", "velocity_m_per_s")
     )
     force = force[:, closed]
-    along = force / np.hypot(*force)
-    across = np.stack([-along[1], along[0]])
-    sliding = np.tanh(np.sum(rate * across, axis=0) / sliding_speed_m_per_s) * across
+    normal = force / np.hypot(*force)
+    tangent = np.stack([-normal[1], normal[0]])
+    sliding = np.tanh(np.sum(rate * tangent, axis=0) / sliding_speed_m_per_s) * tangent
     center = np.repeat(np.eye(DIRECTIONS), closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
-    law_columns = np.column_stack([along.ravel(), -sliding.ravel(), force.ravel(), center])
+    law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center])
     drift = vstack(
         [
             interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)

@@ -107,11 +107,9 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     planes = [plane_recording(counted, direction) for direction in rig.directions]
     planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
     y, z = separate_planes(planes, use, tolerances)
-    records, annular, refusals = (
-        annular_records(rig, (y, z), tolerances),
-        dict[str, AnnularEstimate](),
-        dict[str, Refusal](),
-    )
+    records = annular_records(rig, (y, z), tolerances)
+    annular = dict[str, AnnularEstimate]()
+    refusals = dict[str, Refusal]()
     for name, record in records.items():
         law = rig.contact(name).law
         assert isinstance(law, Annular)
@@ -173,8 +171,8 @@ def _with_whole_band(
             NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],
             NuisanceKind.DELAY: -tolerance.delay_s * motion.velocity_m_per_s[row],
         }
-        if motion.across and (across := motion.across.row(station)) is not None:
-            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.across.displacement_m[across]
+        if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
+            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.transverse.displacement_m[transverse_row]
         for kind, change_m in changes_m.items():
             if (parameter := Nuisance(kind, sensor)) in parameters:
                 whole_m = sign * change_m[:samples]

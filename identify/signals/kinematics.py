@@ -41,7 +41,7 @@ class Kinematics:
     rest, of those at contacts. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement at a
     contact lacks, zero elsewhere. excited_from is the first sample with a force, 0 without a quiet start. start_s is
     the time of the first sample in the record. slow_by_gauges is True if strain gauges gave the slow displacements.
-    across is the motion in the other direction of a rig in space.
+    transverse is the motion in the other direction of a rig in space.
 
     Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
     inertial force on each kilogram, minus the base's acceleration (N/kg).
@@ -63,7 +63,7 @@ class Kinematics:
     start_s: float = 0.0
     slow_by_gauges: bool = False
     base: MeasuredBase | None = None
-    across: "Kinematics | None" = None
+    transverse: "Kinematics | None" = None
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """Times of every `factor`-th of the first samples, s."""
@@ -100,7 +100,7 @@ class Kinematics:
             excited_from=max(0, self.excited_from - (samples.start or 0)),
             start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
             base=self.base and self.base.segment(samples),
-            across=self.across and self.across.segment(samples),
+            transverse=self.transverse and self.transverse.segment(samples),
         )
 
     @property

@@ -88,10 +88,8 @@ def run(app: typer.Typer, command_name: str) -> None:
         sys.exit(1)
     except OSError as error:
         file_name = "standard output" if error.filename is None else error.filename
-        exit_status, sentence = (
-            1,
-            one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place"),
-        )
+        exit_status = 1
+        sentence = one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
     print(f"{command_name}: {sentence}", file=sys.stderr)
     sys.exit(exit_status)

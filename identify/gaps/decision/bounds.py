@@ -68,10 +68,8 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     bounded_shares = [_bounded_share("motion", misfit.motion_share, misfit.squared_share_by_second, matters.motion)]
     for contact_index, contact_name in enumerate(contact_names):
         force_n2 = float(np.mean(misfit.force_n2[:, contact_index]))
-        weights, unexplained_share = (
-            misfit.nominal_variances.observations[contact_index].weights,
-            float(misfit.contact_shares[contact_index]),
-        )
+        weights = misfit.nominal_variances.observations[contact_index].weights
+        unexplained_share = float(misfit.contact_shares[contact_index])
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
         if noise_n2 > HIDING_NOISE_SHARE * force_n2:
             bounded_shares.append(

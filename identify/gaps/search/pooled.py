@@ -68,10 +68,8 @@ class LinearizedRecord:
             for (linear, contacts), signed_share in zip(decreases_by_step, signed_shares, strict=True)
         ]
         tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
-        tolerance_count, nuisance_count = (
-            len(tolerance_information.tolerance_names),
-            len(self.linearization.columns.parameters),
-        )
+        tolerance_count = len(tolerance_information.tolerance_names)
+        nuisance_count = len(self.linearization.columns.parameters)
         unknown_count = tolerance_count + len(parameter_columns)
         normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
         if parameter_columns:
@@ -195,11 +193,9 @@ def pooled(
     tolerance_names = list(
         dict.fromkeys(name for information in record_information for name in information.tolerance_names)
     )
-    tolerance_count, parameter_count, parameter_copies = (
-        len(tolerance_names),
-        len(steps),
-        len(record_information) if differs_by_record else 1,
-    )
+    tolerance_count = len(tolerance_names)
+    parameter_count = len(steps)
+    parameter_copies = len(record_information) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
     prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])

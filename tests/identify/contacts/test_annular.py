@@ -95,8 +95,8 @@ def test_the_centre_and_the_force_at_rest_are_known_under_weight_alone(found):
 
 def test_shares_are_those_of_the_true_motion(found):
     result, truth, _ = found
-    begins = result.found.contacts.separations[0].motion.excited_from
-    for k, (name, estimate) in enumerate(result.found.contacts.annular.items()):
+    begins = result.identification.contacts.separations[0].motion.excited_from
+    for k, (name, estimate) in enumerate(result.identification.contacts.annular.items()):
         true_m = np.hypot(*truth.eta_m[:, k, begins : estimate.eta_m.shape[1]])
         shares = result.report.contacts[k].ring
         assert result.report.contacts[k].name == name
