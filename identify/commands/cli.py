@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.text import Text
 
 import identify
-from identify.commands.contact import contact, print_findings
+from identify.commands.contact import contact
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
 from identify.commands.options import (
@@ -134,6 +134,8 @@ def law(
 
 def print_laws(report: LawReport, console: Console) -> None:
     """Print the findings, then the verdict, formula and candidates of every contact."""
+    from identify.commands.contact_files import print_findings
+
     print_findings(report.findings, console)
     for law_estimate in report.laws:
         console.print(Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."), soft_wrap=True)
