@@ -139,9 +139,9 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
 
 def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 9"]]:
     """Centre against the position at rest, m, and its derivatives by the values."""
-    rest = values[REST]
-    force_n, stiffness = max(float(np.hypot(*rest)), 1e-12), values[STIFFNESS]
-    rest_direction = rest / force_n
+    rest_force_n = values[REST]
+    force_n, stiffness = max(float(np.hypot(*rest_force_n)), 1e-12), values[STIFFNESS]
+    rest_direction = rest_force_n / force_n
     radius_m = values[CLEARANCE] + force_n / stiffness
     by_values = np.zeros((DIRECTIONS, len(RING)))
     by_values[:, CLEARANCE] = -rest_direction

@@ -102,8 +102,8 @@ class AnnularRecord:
     def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
         """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
         pulls = np.zeros(len(self.parameters))
-        for plane, own in zip(self.planes, self.columns, strict=True):
-            pulls[own] += initial_pulls(plane)
+        for plane, plane_columns in zip(self.planes, self.columns, strict=True):
+            pulls[plane_columns] += initial_pulls(plane)
         return pulls
 
     def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:

@@ -79,11 +79,13 @@ def separate_planes(recordings: Sequence[Recording], use: Use, tolerances: Toler
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
     """
     measured = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
-    driven = [motion for _, motion in measured if not is_unforced(motion)]
+    driven_motions = [motion for _, motion in measured if not is_unforced(motion)]
     highest_excited_hz = (
-        max(map(highest_driven_hz, driven)) if driven else max(highest_vibration_hz(motion) for _, motion in measured)
+        max(map(highest_driven_hz, driven_motions))
+        if driven_motions
+        else max(highest_vibration_hz(motion) for _, motion in measured)
     )
-    excited_from = min((motion.excited_from for motion in driven), default=0)
+    excited_from = min((motion.excited_from for motion in driven_motions), default=0)
     transverse_motions = [motion for _, motion in measured[::-1]] if len(measured) > 1 else [None]
     return tuple(
         _separated(

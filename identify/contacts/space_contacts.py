@@ -70,8 +70,8 @@ def check_directions(rig: Rig, use: Use) -> None:
     for contact in (c for c in rig.contacts if c.law.spatial):
         for station in contact_stations(contact):
             sensors = [s for s in rig.sensors if s.station.body == station.body and use in ("auto", s.quantity)]
-            seen = {s.station.direction for s in sensors if s.measures.translates}
-            if missing := {*rig.directions} - seen:
+            measured_directions = {s.station.direction for s in sensors if s.measures.translates}
+            if missing := {*rig.directions} - measured_directions:
                 raise refused(
                     RefusalCode.ONE_DIRECTION, contact=contact.name, body=station.body, direction=min(missing)
                 )
@@ -101,10 +101,10 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     check_described(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
-            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
-    counted = from_rest_position(recording)
-    planes = [plane_recording(counted, direction) for direction in rig.directions]
+            unmodelled_words = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
+    from_rest = from_rest_position(recording)
+    planes = [plane_recording(from_rest, direction) for direction in rig.directions]
     planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
     y, z = separate_planes(planes, use, tolerances)
     records = annular_records(rig, (y, z), tolerances)
@@ -195,24 +195,24 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
     annular = {contact.name for contact in rig.contacts if contact.law.spatial}
     for separation in separations:
         contacts = separation.rig.contacts
-        kept = [
+        groups = [
             k
             for k, p in enumerate(separation.contact_groups)
             if not annular & {contacts[j].name for j in p.contact_indices}
         ]
-        if not kept:
+        if not groups:
             continue
-        alone = replace(
+        plane_separation = replace(
             separation,
-            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(kept, kept)]),
-            contact_groups=tuple(separation.contact_groups[k] for k in kept),
-            records=tuple(separation.records[k] for k in kept),
+            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(groups, groups)]),
+            contact_groups=tuple(separation.contact_groups[k] for k in groups),
+            records=tuple(separation.records[k] for k in groups),
         )
-        found, parameters = determine(alone), separation.forces.nuisances.parameters
+        determined, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {
             name: widened_estimate(estimate, parameters, separation.mass_pull)
-            for name, estimate in found.estimates.items()
+            for name, estimate in determined.estimates.items()
         }
-        outcomes = outcomes | Outcomes(estimates, found.refusals)
+        outcomes = outcomes | Outcomes(estimates, determined.refusals)
         findings += fit_findings(estimates, parameters)
     return outcomes, tuple(findings)

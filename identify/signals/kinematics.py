@@ -263,7 +263,7 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
     omega, corner_hz = transform.omega, transform.corner_hz
     order_factor = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)
-    contact_sides = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
+    contact_places = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
     derivatives = tuple(
         np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
@@ -284,7 +284,7 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
             spectrum = spectra[sensor.name, lead_samples] * order_factor(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
-        if station in contact_sides and 0 not in by_order:  # the spectrum is the acceleration's
+        if station in contact_places and 0 not in by_order:  # the spectrum is the acceleration's
             lost_m_per_s2[row] = transform.usable_samples(spectrum * below_corner)
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 

@@ -123,16 +123,16 @@ def _example(
     signals_by_rig = [
         measured_and_predicted(motion, predict, window_start, samples) for motion in (nominal_run, corrected_run)
     ]
-    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    shown_samples = slice(-min(samples, SHOWN_SAMPLES), None)
     time_s = (window_start + np.arange(samples)) / nominal_run.sample_rate_hz
     measured, *predicted = (
-        signals[0, sensor_index, shown]
+        signals[0, sensor_index, shown_samples]
         for signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     )
     return PredictionExample(
         sensor=nominal_run.sensor_names[sensor_index],
         unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor_index], 1)],
-        time_s=tuple(time_s[shown].tolist()),
+        time_s=tuple(time_s[shown_samples].tolist()),
         measured=tuple(measured.tolist()),
         nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
         corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
