@@ -20,7 +20,7 @@ from identify.commands.options import (
     option_words,
     print_json,
 )
-from identify.commands.plan import plan
+from identify.commands.plan import plan, plan_words
 from rig.commands.command_line import (
     Force,
     Json,
@@ -48,7 +48,7 @@ app.command(cls=CommandOfOptions)(contact)
 app.command(cls=CommandOfOptions)(gap)
 app.command(cls=CommandOfOptions)(compare)
 app.command(cls=CommandOfOptions)(history)
-app.command(cls=CommandOfOptions)(plan)
+app.command(cls=help_filled_by(plan_words))(plan)
 
 
 @app.callback()

@@ -23,9 +23,8 @@ ExportOption = Annotated[
 
 
 def option_words() -> dict[str, str]:
-    """Words for the help of the options: sensors, windows, formats of tables, the number of changes of a plan."""
+    """Words for the help of the options: sensors, windows, formats of tables."""
     from identify.pages.tables import WRITERS
-    from identify.planning.ranking import MAX_CHANGES
     from identify.signals.kinematics import Use
     from identify.signals.spectra import WINDOW_POWERS
 
@@ -33,7 +32,6 @@ def option_words() -> dict[str, str]:
         "use": ", ".join(get_args(Use)),
         "windows": ", ".join(WINDOW_POWERS),
         "table_formats": ", ".join(WRITERS),
-        "changes": str(MAX_CHANGES),
     }
 
 

@@ -15,6 +15,13 @@ MAX_WORKERS = 8
 """Most processes, each of which takes some 0.4 GB."""
 
 
+def plan_words() -> dict[str, str]:
+    """Word for the help: the number of changes that are tried at most."""
+    from identify.planning.ranking import MAX_CHANGES
+
+    return {"changes": str(MAX_CHANGES)}
+
+
 def plan(
     source: Annotated[
         Path, typer.Argument(metavar="RIG", help="The rig.json, or a recording whose rig and force are planned again.")

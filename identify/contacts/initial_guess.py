@@ -254,10 +254,8 @@ def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedS
             for side in range(2):
                 contacts = np.flatnonzero(touched[:, side])
                 contacts = contacts[np.argsort(nominal[contacts, side], kind="stable")]
-                law[contacts, side], law[contacts, 2] = (
-                    clearances_m[: contacts.size],
-                    stiffnesses_n_per_m[: contacts.size],
-                )
+                law[contacts, side] = clearances_m[: contacts.size]
+                law[contacts, 2] = stiffnesses_n_per_m[: contacts.size]
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
             yield law.ravel(), knots / drift_ratio
 

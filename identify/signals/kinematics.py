@@ -5,8 +5,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.fft import irfft, next_fast_len, rfft
 
 from identify.signals.beginning import QUIET_S, excitation_start, lead_in
 from identify.signals.measured_base import MeasuredBase, excitations, forces_on_bodies
@@ -139,10 +139,12 @@ class _PaddedTransform:
             padded_signal[-lead_samples:] = lead_in(padded_signal[: signal.size], lead_samples)
         in_passband = self.omega >= PASSBAND_START * 2 * np.pi * sensor.high_pass_hz
         response = sensor.response(self.omega)
-        return np.divide(rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband)
+        return np.divide(
+            scipy.fft.rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband
+        )
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
-        return np.asarray(irfft(spectrum, self.padded_count)[: self.usable_count])
+        return np.asarray(scipy.fft.irfft(spectrum, self.padded_count)[: self.usable_count])
 
 
 @dataclass(frozen=True)
@@ -245,7 +247,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     end_taper = taper(sample_count, round(TAPER_S * rate_hz))
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
-    padded_count = next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
+    padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
     excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate_hz)
     return _PaddedTransform(
         corner_hz=corner_hz,
