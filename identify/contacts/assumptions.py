@@ -19,12 +19,12 @@ SHORTEST_QUIET_S = 0.3
 DOMINANT_SHARE = 0.5
 """Share of an estimate's variance from which its source is named."""
 _VARIANCE_REMEDIES = {
-    "tolerances": "what rig.json may have wrong (gains, positions, frequencies, damping): calibrate the sensors, "
-    "measure their positions and fit the modes; a longer record would not help",
+    "tolerances": "the tolerances of rig.json (gains, positions, frequencies, damping): calibrate the sensors, measure "
+    "their positions and fit the modes; a longer record would not help",
     "drift": "the slow motion that accelerometers miss: add displacement sensors at the contact, or take quieter "
     "accelerometers",
-    "law": "what the contact's law leaves: forces that press in and let go, or deep and shallow ones, ask for other "
-    "numbers; look at the force over the relative displacement, and take identify law",
+    "law": "the contact's law, which does not fit loading and unloading, or deep and shallow contacts, by the same "
+    "numbers: look at the force over the relative displacement, and run identify law",
     "scatter": "the record's own scatter: record longer (four times as long halves it) or excite more strongly",
 }
 
@@ -34,9 +34,9 @@ def assumptions(result: Identification) -> Iterator[str]:
     report, motion, rig, tolerances = result.report, result.motion, result.rig, result.tolerances
     yield (
         "The contact law: no force within the gap; beyond it stiffness times penetration plus damping times relative "
-        "velocity. Beside it, of a contact that is alone between its places, a power of the penetration and a stop "
-        "that cannot pull were tried: the record has to ask for them. Both stops of a contact are equally stiff, and "
-        "nothing wears during the record."
+        "velocity. Where one contact alone acts between its places, a power of the penetration and a stop that cannot "
+        "pull were tried too; they are taken only if the record demands them. Both stops of a contact are equally "
+        "stiff, and nothing wears during the record."
     )
     yield (
         "The bodies are those of rig.json, linear: "
@@ -119,15 +119,15 @@ def recommendations(result: Identification) -> Iterator[str]:
         yield f"Most of the variance of {_enumeration(quantities)} comes from {_VARIANCE_REMEDIES[source]}."
     if not _sides_known(result):
         yield (
-            "Only half the total play can be told: displacement sensors that show a standing displacement too, at both "
-            "sides of a contact, would tell its two sides apart."
+            "Only half the total play is known: displacement sensors at both sides of a contact, which also show a "
+            "constant displacement, would tell its two clearances apart."
         )
     if not is_unforced(result.motion) and result.motion.excited_from < SHORTEST_QUIET_S * result.motion.sample_rate_hz:
         yield (
             f"The sensors' noise is taken from {result.report.noise_from}: let the record begin with a second or more "
             "without force to measure it."
         )
-    yield "These intervals believe in the linear bodies of rig.json: identify gap asks whether they are right."
+    yield "These intervals take the linear bodies of rig.json as right: identify gap checks whether they are."
 
 
 def variance_shares(estimate: JointEstimate) -> dict[str, dict[str, float]]:

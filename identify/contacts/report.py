@@ -22,11 +22,14 @@ from rig.model.description import Rig, to_json
 
 _CAPTIONS = {
     "separated": "The contact forces over the relative displacements η: dots, separated without assuming a law; line, "
-    "the law found. Between the stops no force acts, and half their distance is the clearance; beyond them the slope "
-    "is the stiffness.",
+    "the law, if one was found. Between the stops no force acts, and half their distance is the clearance; beyond them "
+    "the slope is the stiffness. The forces are separated up to a highest frequency, which rounds the corners of the "
+    "dots.",
     "histogram": "The relative displacements, and how often each occurs. The stops stand where it piles up.",
-    "section": "What the main modal equation leaves for each contact, over its relative displacement.",
-    "surface": "The restoring force surface of the main modal equation.",
+    "section": "What the main modal equation leaves for each contact, over its relative displacement. Dots that fan "
+    "out at one place belong to the ends of the record, where derivatives ring.",
+    "surface": "The restoring force that the main modal equation leaves, over its coordinates: flat between the stops, "
+    "steep beyond them.",
     "stiffness": "The contact stiffness by NIFO over frequency, and its deviation from what is drawn dotted. The "
     "paper's form takes the spectra of blocks as they are: a mode that rings for longer than a block leaks. The weak "
     "form takes the derivatives of the window along as inputs, so that nothing leaks.",
@@ -99,7 +102,7 @@ def write_page(
             ),
             *([("How sure is it?", _variance_table(result))] if report.contacts else []),
             ("What was assumed", page.list_html(assumptions(result))),
-            ("Beside it: the paper's methods", _methods(result)),
+            ("For comparison: the paper's methods", _methods(result)),
         ],
         foot_text="Every identified value of this page stands in contact.json, unrounded, with its standard error.",
         sources=sources,
@@ -116,7 +119,8 @@ def drawing(rig: Rig, report: ContactReport) -> str:
         for contact in report.contacts
     }
     contact_lines |= {unanswered.name: ("not told by this record",) for unanswered in report.unanswered}
-    caption = "<figcaption>The rig, to scale along the bodies; clearance and stiffness found (± 95 %).</figcaption>"
+    found_words = "; clearance and stiffness found (± 95 %)" if report.contacts else ""
+    caption = f"<figcaption>The rig, to scale along the bodies{found_words}.</figcaption>"
     return f"<figure>{rig_drawing(rig, contact_lines)}{caption}</figure>"
 
 
@@ -142,21 +146,24 @@ def answer(report: ContactReport, count: int) -> page.Answer:
         else "identified"
         if identified == count
         else f"{identified} of {count} contacts identified",
-        [_sentence(report)],
+        _sentences(report),
     )
 
 
-def _sentence(report: ContactReport) -> str:
+def _sentences(report: ContactReport) -> list[str]:
+    """Identified values in one sentence, or that there are none and why."""
     contacts = report.contacts
     if not contacts:
-        return "This record tells nothing of the contacts; below stands why, and what to do."
-    return "; ".join(
+        reasons = [f"{unanswered.name}: {unanswered.reason}." for unanswered in report.unanswered]
+        return ["This record determines no contact.", *reasons]
+    values_by_contact = (
         f"{c.name}: "
         + ("" if c.is_spring else f"clearance {_interval(c.clearance_m, 'mm', 1e3)}, ")
         + f"stiffness {_interval(c.stiffness_n_per_m, 'N/m')}"
         + (f" ({c.law})" if c.law_sentence or c.is_spring else "")
         for c in contacts
     )
+    return ["; ".join(values_by_contact)]
 
 
 def _interval(estimate: Estimate, unit: str, scale: float = 1.0) -> str:
@@ -171,12 +178,21 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
     rows = [row for contact in contacts for row in _rows(contact, laws[contact.name])]
     law_sentences = [f"{contact.law_sentence}." for contact in contacts if contact.law_sentence]
     half = "" if all(c.ring for c in contacts) else " The clearance is half the total play."
+    if any(c.lower_clearance_m and _is_surer(c.clearance_m, c.lower_clearance_m) for c in contacts):
+        half = (
+            " The clearance is half the total play, which this record tells better than the clearance of either side."
+        )
     note = f"<p>Value ± 1.96 standard errors: 95 % interval.{half}</p>"
     return (
         page.table(("", "", "identified", laws_name, "differs by"), rows)
         + note
         + (page.list_html(law_sentences) if law_sentences else "")
     )
+
+
+def _is_surer(estimate: Estimate, other: Estimate) -> bool:
+    """True if its error is less than half that of the other."""
+    return 2 * estimate.standard_error < other.standard_error
 
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:
@@ -227,10 +243,10 @@ def _methods(result: Identification) -> str:
     ]
     return (
         (page.list_html(report.notes) if report.notes else "")
-        + "<p>With the law found, the response of the modes beyond the fitted ones is taken off; then "
+        + "<p>The response of the modes beyond the fitted ones, by the law found, is subtracted; then "
         f"{nifo_bands}the restoring force surface are applied to every modal equation. Their values "
-        "have no known error, and the answers above do not rest on them: each equation believes in its mode of "
-        "rig.json and is blind to the others. The figures show "
+        "have no known error, and the answers above do not rest on them: each equation takes its mode of rig.json as "
+        "right and does not see the others. The figures show "
         f"{escape(report.main_equation)}.</p><details><summary>All of them</summary>"
         + page.table(("equation", "contact", "stiffness by NIFO", "rms deviation", ""), _nifo_rows(report))
         + page.table(("contact", "clearance by", "value"), sorted(_clearance_rows(report)))

@@ -40,6 +40,17 @@ ANALYSES = {
     "rollout": "prediction from measured states",
 }
 """Side analyses that a note may name."""
+PREDICTION_WORDS = {
+    "not_vetoed": "nothing speaks against it",
+    "worse": "the corrected rig predicts worse: no explanation",
+    "no_improvement": "the prediction would improve if this were all, and does not: no explanation",
+    "no_horizon": "null simulations cannot be predicted either",
+    "too_short": "the record has too few seconds",
+    "not_simulated": "the simulator cannot start from measured states",
+}
+"""Result of the prediction in words, by its code."""
+RATIO_WORDS = {"relative_position": "of the length of the body", "factor": "times the value in rig.json"}
+"""What a parameter without a unit is a ratio to, by its name."""
 HINT_EXPLAINED = 0.1
 """Explained share below which an unmeasured force is no hint: null simulations explain as much."""
 DESCRIPTION_EXPLAINED = 0.5
@@ -48,6 +59,8 @@ LARGEST_PROBABILITY = 1 - 1e-9
 """Largest probability that is written: none is one. Display."""
 NEGLIGIBLE_SHARE = 0.01
 """Lower end of the interval below which a cause is said to close nothing."""
+SMALLEST_SHARE = 1e-9
+"""Smallest share in words, "< 0.1 %": no record bounds a share by zero. Display."""
 SMALLEST_P_VALUE = 1e-12
 """Smallest p-value that is written as a number: the tails of no distribution are known further out."""
 SMALLEST_FREQUENCY_CHANGE = 5e-4
@@ -78,16 +91,27 @@ def p_value_words(p_value: float) -> str:
 
 
 def bound_words(bound: Bounded) -> str:
-    """Quantity that is not bounded, in words: its value and upper bound, or the reason why there are none."""
+    """Quantity that is not bounded, in words: its value, upper bound and limit, or the reason why there are none."""
     if bound.why or bound.value is None:
         return f"the {bound.name} ({bound.why})"
-    if bound.upper is None:
-        return f"the {bound.name}, of which {percent(bound.value)} are unexplained"
+    value_words, upper_words, limit_words = bound_numbers(bound)
+    at_most_words = "with no upper bound" if bound.upper is None else f"at most {upper_words}"
     if bound.unit == "1":
-        return f"the {bound.name}, of which {percent(bound.value)} and at most {percent(bound.upper)} are unexplained"
-    value, upper, limit = (number(quantity_size, 3) for quantity_size in (bound.value, bound.upper, bound.threshold))
-    unit = bound.unit
-    return f"the {bound.name}, {value} and at most {upper} {unit} off, where {limit} {unit} are three tolerances"
+        return f"the {bound.name} ({value_words} unexplained, {at_most_words}; {limit_words} matters)"
+    return f"the {bound.name} ({value_words} off, {at_most_words}; three tolerances are {limit_words})"
+
+
+def bound_numbers(bound: Bounded) -> list[str]:
+    """Value, upper bound and limit of a quantity in words, lengths in mm."""
+    if bound.unit == "1":
+        return [
+            "no bound" if share is None else percent(share) for share in (bound.value, bound.upper, bound.threshold)
+        ]
+    scale, unit = (1e3, "mm") if bound.unit == "m" else (1.0, bound.unit)
+    return [
+        "no bound" if size is None else f"{number(scale * size, 3)} {unit}"
+        for size in (bound.value, bound.upper, bound.threshold)
+    ]
 
 
 def look_alikes_of(gap: Diagnosis) -> list[tuple[str, list[str]]]:
@@ -143,11 +167,20 @@ def is_effective(cause: Cause) -> bool:
 
 
 def unexplained_words(unexplained: UnexplainedShares) -> str:
-    """Unexplained shares: "0.3 % of the motion, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2"."""
-    share_words = [f"{percent(unexplained.share)} of the motion"]
+    """Unexplained shares: "0.3 % of the motion, 1.2 % of the force of contact_1 and 0.9 % of that of contact_2".
+
+    Without what noise hides, whose share is zero; "< 0.1 % of the motion" if noise hides all.
+    """
+    share_words = [f"{percent(unexplained.share)} of the motion"] if unexplained.share > 0 else []
     for contact_number, (name, share) in enumerate((n, s) for n, s in unexplained.contact_shares.items() if s > 0):
         share_words.append(f"{percent(share)} of {'that' if contact_number else 'the force'} of {name}")
-    return joined(share_words)
+    return joined(share_words or [f"{percent(SMALLEST_SHARE)} of the motion"])
+
+
+def stays_unexplained_words(unexplained: UnexplainedShares) -> str:
+    """Clause "2.5 % of the motion stays unexplained"."""
+    several = sum(share > 0 for share in (unexplained.share, *unexplained.contact_shares.values())) > 1
+    return f"{unexplained_words(unexplained)} {'stay' if several else 'stays'} unexplained"
 
 
 def joined(words: Sequence[str], conjunction: str = "and") -> str:

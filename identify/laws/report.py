@@ -57,7 +57,7 @@ def write_page(
             if not unanswered
             else f"the laws of {len(laws)} of {len(laws) + len(unanswered)} contacts found",
             [f"{law.contact}: {law.verdict}." for law in laws]
-            or ["This record tells nothing of the contacts; below stands why, and what to do."],
+            or ["This record does not determine the contacts; why, and what to do, is said below."],
         ),
         top_blocks=[
             f"{findings_html}{found_html}",

@@ -64,6 +64,14 @@ def tick_names(axis: Any) -> dict[float, str]:
     return {float(position): formatter(position, index) for index, position in enumerate(locator.locs)}
 
 
+def tick_places(axis: Any) -> list[float]:
+    """Places of the ticks of an axis that were set; empty where the axis chooses them."""
+    from matplotlib.ticker import FixedLocator
+
+    locator = axis.get_major_locator()
+    return [float(position) for position in locator.locs] if isinstance(locator, FixedLocator) else []
+
+
 def draw_artists(axes: Any, plot: Any, figure: Any) -> LabelledRenderers:
     """Renderers of all artists of the axes with their labels, from the bottom up."""
     label_by_artist_id = {}

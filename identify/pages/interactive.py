@@ -6,7 +6,7 @@ from itertools import count, groupby
 from textwrap import fill
 from typing import Any
 
-from identify.pages.artists import COLOUR_BAR, draw_artists, is_drawable, tick_names
+from identify.pages.artists import COLOUR_BAR, draw_artists, is_drawable, tick_names, tick_places
 
 _PX_PER_IN, _PX_PER_POINT = 100, 1.33
 _LEAST_HEIGHT_PX, _LEAST_WIDTH_PX = 180, 290
@@ -132,6 +132,8 @@ def _plot(axes: Any, figure: Any, range_by_axes: dict[Any, Any]) -> Any:
             bokeh_axis.ticker = CustomJSTicker(major_code=_LOG_TICKS)
         else:
             bokeh_axis.formatter.power_limit_high = _PLAIN_POWER
+            if places := tick_places(axis):
+                bokeh_axis.ticker = FixedTicker(ticks=places)
     if title := axes.get_title() or axes.get_title("left"):
         plot.title = Title(text=PlainText(text=fill(title, _TITLE_LINE_LETTERS)))
     renderers_by_label: dict[str, list[Any]] = {}

@@ -4,29 +4,35 @@ Notes for maintainers
 1. Bodies lie in rows, the first one lowest, to scale along x, so that stations in contact stand one above the other. A
    mass is a block. Heights, thicknesses and clearances are not to scale.
 2. Between two rows there is room for the lines of the contacts (below the upper body) and for those of the marks (above
-   the lower body); texts that would overlap stand one below the other.
+   a body, but below the lowest one, on which the contacts of the others stand); texts that would overlap stand one
+   below the other.
 3. Colours are those of the page (`identify.pages.page`), so that light, dark and printed pages agree.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from textwrap import wrap
 
-from identify.pages.page import unbroken_html
+from identify.pages.drawing_texts import (
+    LETTER_WIDTH,
+    LINE_HEIGHT,
+    STOP_DISTANCE,
+    STOP_HALF_WIDTH,
+    WIDTH,
+    DrawnText,
+    TextSpans,
+    contact_text,
+    mark_text,
+)
 from rig.model.description import Body, Contact, Rig, Station, contact_stations
 from rig.model.layout import left_ends
 
-WIDTH, LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 540.0, 34.0, 84.0, 15.0, (120.0, 46.0)
-"""Width of the drawing, its left and right margin, thickness of a beam, width and height of a mass, px."""
-LINE_HEIGHT, LETTER_WIDTH = 17.0, 8.2
-"""Height of a line of text, and mean width of a letter, px."""
-STOP_DISTANCE, STOP_HALF_WIDTH = 11.0, 15.0
-"""Distance of a stop from its body, and half its width, px."""
+LEFT_MARGIN, RIGHT_MARGIN, BEAM_HEIGHT, MASS_SIZE = 34.0, 84.0, 15.0, (120.0, 46.0)
+"""Left and right margin, thickness of a beam, width and height of a mass, px."""
 ROW_GAP, FOOT_HEIGHT = 46.0, 54.0
 """Height between two rows without texts, and below the lowest one, px."""
-MOST_LINE_LETTERS = 40
-"""Letters in a line of a mark at most."""
+HELD_WORDS = "held, as its modes say"
+"""Words below a body without rigid-body motion that is given by its modes: where it is held they do not tell."""
 
 
 @dataclass(frozen=True)
@@ -35,36 +41,6 @@ class DrawnMark:
 
     station: Station
     words: str
-
-
-@dataclass
-class _TextSpans:
-    """Texts of one level, as horizontal spans by line: `line_for` finds the first line where a span is free."""
-
-    spans_by_line: list[list[tuple[float, float]]] = field(default_factory=list)
-
-    def line_for(self, left_px: float, right_px: float, line_count: int = 1) -> int:
-        first_line = 0
-        while any(
-            left_px < taken_right_px and taken_left_px < right_px
-            for line_spans in self.spans_by_line[first_line : first_line + line_count]
-            for taken_left_px, taken_right_px in line_spans
-        ):
-            first_line += 1
-        self.spans_by_line += [[] for _ in range(first_line + line_count - len(self.spans_by_line))]
-        for line_spans in self.spans_by_line[first_line : first_line + line_count]:
-            line_spans.append((left_px, right_px))
-        return first_line
-
-
-@dataclass(frozen=True)
-class _Text:
-    """Lines of text beside x, the first of them on a line of its level."""
-
-    x_px: float
-    anchor: str
-    lines: Sequence[str]
-    first_line: int
 
 
 @dataclass(frozen=True)
@@ -101,6 +77,11 @@ class _Layout:
         body_names = [station.body for station in contact_stations(contact)]
         return next(body for body in reversed(self.rig.bodies) if body.name in body_names)
 
+    def is_marked_below(self, body: Body) -> bool:
+        """True of the lowest of several bodies, unless a contact's texts stand below it."""
+        is_lowest = body == self.rig.bodies[0] and len(self.rig.bodies) > 1
+        return is_lowest and all(self.upper_body(contact) != body for contact in self.rig.contacts)
+
     @property
     def drawn_forces(self) -> tuple[Station, ...]:
         """Stations of the forces, those on the ground apart."""
@@ -120,18 +101,32 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     left_ends_m = left_ends(rig)
     extent_m = max(left_ends_m[b.name] + b.length_m for b in rig.bodies) - min(left_ends_m.values())
     layout = _Layout(rig, left_ends_m, (WIDTH - LEFT_MARGIN - RIGHT_MARGIN) / extent_m if extent_m > 0 else 0.0)
-    spans_below, spans_above = ({body.name: _TextSpans() for body in rig.bodies} for _ in range(2))
+    spans_below, spans_above = ({body.name: TextSpans() for body in rig.bodies} for _ in range(2))
     for station in layout.drawn_forces:
         spans_below[station.body].line_for(*layout.force_span_px(station))
-    contact_texts: list[tuple[Contact, _Text]] = []
+    contact_texts: list[tuple[Contact, DrawnText]] = []
     for contact in rig.contacts:
         text_lines = [contact.name, *contact_lines.get(contact.name, ())]
-        text_spans = spans_below[layout.upper_body(contact).name]
-        contact_texts.append((contact, _contact_text(layout.contact_x_px(contact), text_lines, text_spans)))
-    mark_texts: list[tuple[DrawnMark, _Text]] = []
+        upper_body = layout.upper_body(contact)
+        posts_px = [
+            layout.contact_x_px(other) + STOP_HALF_WIDTH
+            for other in rig.contacts
+            if other != contact and layout.upper_body(other) == upper_body
+        ]
+        text_spans = spans_below[upper_body.name]
+        contact_texts.append((contact, contact_text(layout.contact_x_px(contact), text_lines, text_spans, posts_px)))
+    held_lines = {
+        body.name: spans_below[body.name].line_for(*_held_span_px(layout, body.name))
+        for body in rig.bodies
+        if _is_held_somewhere(body)
+    }
+    mark_texts: list[tuple[DrawnMark, DrawnText]] = []
     for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
-        text_lines = wrap(unbroken_html(mark.words), MOST_LINE_LETTERS)
-        mark_texts.append((mark, _mark_text(layout.x_px(mark.station), text_lines, spans_above[mark.station.body])))
+        body = rig.body(mark.station.body)
+        text_spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
+        marks_px = [layout.x_px(other.station) for other in marks if other.station.body == body.name]
+        mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, text_spans, marks_px)))
+    ringed = {(mark.station.body, round(layout.x_px(mark.station))): (mark, text) for mark, text in mark_texts[::-1]}
     y_px = 0.0
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
@@ -141,10 +136,11 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
         *(part for body in rig.bodies for part in _body(layout, body)),
         *_supports(layout),
+        *(part for body_name, line in held_lines.items() for part in _held_words(layout, body_name, line)),
         *_sensors(layout),
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
-        *(part for mark, text in mark_texts for part in _mark_ring(layout, mark, text)),
+        *(part for mark, text in ringed.values() for part in _mark_ring(layout, mark, text)),
         *(part for mark, text in mark_texts for part in _mark_words(layout, mark, text)),
     ]
     return (
@@ -155,36 +151,6 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
 
 def _height_px(body: Body) -> float:
     return MASS_SIZE[1] if body.is_mass else BEAM_HEIGHT
-
-
-def _contact_text(x_px: float, text_lines: Sequence[str], text_spans: _TextSpans) -> _Text:
-    """Lines of text beside a contact, on the side that has room for them."""
-    offset_px, width_px = STOP_HALF_WIDTH + 8, LETTER_WIDTH * max(map(len, text_lines))
-    if x_px + offset_px + width_px <= WIDTH:
-        return _Text(
-            x_px + offset_px,
-            "start",
-            text_lines,
-            text_spans.line_for(x_px - STOP_HALF_WIDTH, x_px + offset_px + width_px, len(text_lines)),
-        )
-    return _Text(
-        x_px - offset_px,
-        "end",
-        text_lines,
-        text_spans.line_for(x_px - offset_px - width_px, x_px + STOP_HALF_WIDTH, len(text_lines)),
-    )
-
-
-def _mark_text(x_px: float, text_lines: Sequence[str], text_spans: _TextSpans) -> _Text:
-    """Lines of text centred about x, as far as the drawing's edges allow."""
-    half_width_px = LETTER_WIDTH * max(map(len, text_lines)) / 2
-    middle_px = min(max(x_px, half_width_px + 4), WIDTH - half_width_px - 4)
-    return _Text(
-        middle_px,
-        "middle",
-        text_lines,
-        text_spans.line_for(middle_px - half_width_px, middle_px + half_width_px, len(text_lines)),
-    )
 
 
 def _clamp_or_spring(layout: _Layout, body: Body) -> Iterator[str]:
@@ -212,10 +178,10 @@ def _body(layout: _Layout, body: Body) -> Iterator[str]:
             layout.contact_x_px(contact) for contact in layout.rig.contacts if layout.upper_body(contact) == body
         ]
         end_px = max(left_px + width_px, *(x_px + STOP_HALF_WIDTH for x_px in contacts_px), 0.0)
-        yield _text_element(end_px + 8, top_px + height_px, "start", body.name, "name")
+        yield _text_element(end_px + 12, top_px + height_px, "start", body.name, "name")
 
 
-def _contact(layout: _Layout, contact: Contact, text: _Text) -> Iterator[str]:
+def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str]:
     """Fork with two stops around the upper body, or a spring below it, from the lower body or the ground, and its lines
     of text."""
     x_px, upper_body = layout.contact_x_px(contact), layout.upper_body(contact)
@@ -263,6 +229,23 @@ def _supports(layout: _Layout) -> Iterator[str]:
         yield _path_element("thin", "".join(f"M{x_px - 8 + 6 * k:g},{y_px + 14:g}l-5,6" for k in range(4)))
 
 
+def _is_held_somewhere(body: Body) -> bool:
+    """True of a body given by its modes that has no rigid-body motion."""
+    return not (body.is_mass or body.clamped) and body.rigid_modes == 0
+
+
+def _held_span_px(layout: _Layout, body_name: str) -> tuple[float, float]:
+    """Left and right end of the words, right of a force at the left end."""
+    left_px = layout.x_px(Station(body_name)) + 24
+    return left_px, left_px + LETTER_WIDTH * len(HELD_WORDS)
+
+
+def _held_words(layout: _Layout, body_name: str, line: int) -> Iterator[str]:
+    left_px, _ = _held_span_px(layout, body_name)
+    y_px = layout.bottom_px(layout.rig.body(body_name)) + 30 + LINE_HEIGHT * line
+    yield _text_element(left_px, y_px, "start", HELD_WORDS, "dim")
+
+
 def _sensors(layout: _Layout) -> Iterator[str]:
     """Triangle at every station with sensors; their names show under the pointer."""
     sensors = [sensor for sensor in layout.rig.sensors if sensor not in layout.rig.base_sensors]
@@ -286,24 +269,30 @@ def _measured_base(layout: _Layout, foot_px: float) -> Iterator[str]:
         yield _text_element(LEFT_MARGIN, foot_px - 6, "start", f"the ground shakes, measured by {names}", "dim")
 
 
-def _baseline_px(layout: _Layout, mark: DrawnMark, text: _Text) -> float:
-    """Baseline of the lowest line of a mark's words."""
-    return layout.tops_px[mark.station.body] - 24 - LINE_HEIGHT * text.first_line
+def _baseline_px(layout: _Layout, mark: DrawnMark, text: DrawnText) -> float:
+    """Baseline of the first line of a mark's words."""
+    body = layout.rig.body(mark.station.body)
+    if layout.is_marked_below(body):
+        return layout.bottom_px(body) + 30 + LINE_HEIGHT * text.first_line
+    return layout.tops_px[body.name] - 24 - LINE_HEIGHT * (text.first_line + len(text.lines) - 1)
 
 
-def _mark_ring(layout: _Layout, mark: DrawnMark, text: _Text) -> Iterator[str]:
+def _mark_ring(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
     """Ring about the station, and a line to its words."""
-    x_px, top_px = layout.corner_x_px(mark.station, 0.38), layout.tops_px[mark.station.body]
-    middle_px = top_px + _height_px(layout.rig.body(mark.station.body)) / 2
-    yield _path_element("mark", f"M{x_px:g},{middle_px - 9:g}V{_baseline_px(layout, mark, text) + 5:g}")
+    body = layout.rig.body(mark.station.body)
+    x_px, middle_px = layout.corner_x_px(mark.station, 0.38), layout.tops_px[body.name] + _height_px(body) / 2
+    words_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * (len(text.lines) - 1) + 5
+    ends_px = (middle_px - 9, words_px)
+    if layout.is_marked_below(body):
+        ends_px = (middle_px + 9, _baseline_px(layout, mark, text) - LINE_HEIGHT + 3)
+    yield _path_element("mark", f"M{x_px:g},{ends_px[0]:g}V{ends_px[1]:g}")
     yield f'<circle class="mark" cx="{x_px:g}" cy="{middle_px:g}" r="9"/>'
 
 
-def _mark_words(layout: _Layout, mark: DrawnMark, text: _Text) -> Iterator[str]:
-    for line_index, text_line in enumerate(reversed(text.lines)):
-        yield _text_element(
-            text.x_px, _baseline_px(layout, mark, text) - LINE_HEIGHT * line_index, text.anchor, text_line, "mark-words"
-        )
+def _mark_words(layout: _Layout, mark: DrawnMark, text: DrawnText) -> Iterator[str]:
+    for line_index, text_line in enumerate(text.lines):
+        y_px = _baseline_px(layout, mark, text) + LINE_HEIGHT * line_index
+        yield _text_element(text.x_px, y_px, text.anchor, text_line, "mark-words")
 
 
 def _path_element(css_class: str, path_data: str, tooltip: str = "") -> str:

@@ -19,6 +19,9 @@ Colour = Literal["green", "yellow", "red"]
 Rows = Iterable[Sequence[str]]
 FIRST_PLOT_PX = 440
 """Height of the plot on the first screen, of 800 pixels with title, verdict and what to do next. Display."""
+PAPER_PX = 870
+"""Width of a printed page, below those of A4 and letter in a browser: plots keep the size of the screen in print, and
+are made smaller by the ratio of the widths, so that none is cut. Display."""
 SHOWN_DIGITS = 12
 """Digits of the SHA-256 of a recording that a page shows."""
 
@@ -64,7 +67,7 @@ summary{cursor:pointer;color:var(--dim)}
 .machine .body{fill:var(--line);stroke:var(--ink)}
 .machine .mark{fill:none;stroke:var(--cause);stroke-width:2.4}.machine .mark-words{fill:var(--cause);font-weight:600}
 @media print{body{max-width:none}h2,h3,summary{break-after:avoid}.plot,figure,tr{break-inside:avoid}
-.first{grid-template-columns:repeat(2,minmax(0,1fr))}table{font-size:.8rem}td.number{white-space:normal}}
+.plot{zoom:var(--shrink,1)}.first{grid-template-columns:repeat(2,minmax(0,1fr))}table{font-size:.8rem}td.number{white-space:normal}}
 @media(max-width:40rem){table{font-size:.8rem}th,td{padding-right:.4rem;hyphens:auto}td.number{white-space:normal}}
 """
 _PAGE = """<!DOCTYPE html>
@@ -74,7 +77,8 @@ _PAGE = """<!DOCTYPE html>
 <div class="verdict {colour}"><b>{verdict}</b>{sentences}</div>
 {content}
 <p class="dim">{foot}</p></main>
-<script>addEventListener("beforeprint",()=>document.querySelectorAll(".folded").forEach(one=>one.open=true))</script>
+<script>addEventListener("beforeprint",()=>(document.querySelectorAll(".folded").forEach(one=>one.open=true),
+document.body.style.setProperty("--shrink",Math.min(1,{paper_px}/document.querySelector("main").clientWidth))))</script>
 </body></html>
 """
 
@@ -118,6 +122,7 @@ def write(
         script=bokeh_script() if "Bokeh.embed" in content_html else "",
         title=escape(title),
         style=_STYLE,
+        paper_px=PAPER_PX,
         colour=answer.colour,
         verdict=escape(answer.verdict),
         sentences="".join(f"<p>{unbroken_html(escape(sentence))}</p>" for sentence in answer.sentences),
@@ -142,7 +147,7 @@ def picture(name: str, png: bytes) -> str:
 
 def figure(name: str, image: Picture, caption: str = "", height_px: int | None = None) -> str:
     """HTML of an interactive plot, of this height in a column, or else of a picture, with its caption below."""
-    plot_html = interactive_html(image.figure, height_px) or f"<div>{picture(name, image.png)}</div>"
+    plot_html = interactive_html(image.figure, height_px) or f'<div tabindex="0">{picture(name, image.png)}</div>'
     caption_html = f"<figcaption>{escape(caption)}</figcaption>" if caption else ""
     return f"<figure>{plot_html}{caption_html}</figure>\n"
 
@@ -154,7 +159,7 @@ def list_html(texts: Iterable[str]) -> str:
 
 def unbroken_html(html: str) -> str:
     """Text whose numbers stay on a line with their unit and interval, and with "p =" and "<" before them."""
-    return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html))
+    return _UNIT.sub("\\1\u00a0", _BEFORE_NUMBER.sub("\\1\u00a0", html)).replace("N s/m", "N\u00a0s/m")
 
 
 def table(headings: Sequence[str], rows: Rows) -> str:

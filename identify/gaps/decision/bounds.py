@@ -35,6 +35,11 @@ PARAMETER_DEVIATIONS = 3.0
 CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
 """Tolerance fields of a contact."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
+LAW_FAR_OFF = (
+    "its law in rig.json is further from it than no force at all would be",
+    "identify the contact with identify contact, and give that rig.json with --rig",
+)
+"""Reason why a share above the whole bounds nothing, and the remedy."""
 TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
 """Reason why a share without a scatter over seconds has no bound, and the remedy."""
 
@@ -67,18 +72,25 @@ def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters)
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
     bounded_shares = [_bounded_share("motion", misfit.motion_share, misfit.squared_share_by_second, matters.motion)]
     for contact_index, contact_name in enumerate(contact_names):
-        force_n2 = float(np.mean(misfit.force_n2[:, contact_index]))
         weights = misfit.nominal_variances.observations[contact_index].weights
-        unexplained_share = float(misfit.contact_shares[contact_index])
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size
-        if noise_n2 > HIDING_NOISE_SHARE * force_n2:
-            bounded_shares.append(
-                Bounded(contact_name, "1", unexplained_share, None, matters.contact, "noise hides it", LOUDER_ADVICE)
-            )
-        else:
-            squared_shares = misfit.contact_n2[:, contact_index] / max(force_n2, 1e-300)
-            bounded_shares.append(_bounded_share(contact_name, unexplained_share, squared_shares, matters.contact))
+        force_n2 = max(float(np.mean(misfit.force_n2[:, contact_index])), 1e-300)
+        squared_shares = misfit.contact_n2[:, contact_index] / force_n2
+        bounded_shares.append(contact_bound(contact_name, squared_shares, noise_n2 / force_n2, matters.contact))
     return tuple(bounded_shares)
+
+
+def contact_bound(
+    contact_name: str, squared_shares: Float[np.ndarray, " seconds"], noise_share: float, threshold: float
+) -> Bounded:
+    """Bounded unexplained share of a contact force, from its squares second by second and the noise's share of the
+    force's mean square."""
+    unexplained_share = float(np.sqrt(max(squared_shares.mean(), 0.0)))
+    if noise_share > HIDING_NOISE_SHARE:
+        return Bounded(contact_name, "1", unexplained_share, None, threshold, "noise hides it", LOUDER_ADVICE)
+    if unexplained_share > 1:
+        return Bounded(contact_name, "1", None, None, threshold, *LAW_FAR_OFF)
+    return _bounded_share(contact_name, unexplained_share, squared_shares, threshold)
 
 
 def _bounded_share(

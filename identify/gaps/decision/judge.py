@@ -19,7 +19,7 @@ from identify.gaps.decision.comparison import (
 )
 from identify.gaps.decision.contact_evidence import with_contact_evidence
 from identify.gaps.decision.notes import attempted
-from identify.gaps.decision.null_reference import combined_p_value, p_values, with_bound
+from identify.gaps.decision.null_reference import NullReference, combined_p_value, p_value, p_values, with_bound
 from identify.gaps.decision.predicted import PredictedDecision, predicted_decision, predicted_rollout
 from identify.gaps.decision.prepare import PreparedRecording, PreparedRecordings, SearchResult
 from identify.gaps.decision.verdict import (
@@ -99,6 +99,7 @@ def judge(
     ranked = validate_hypotheses(
         record, validation.nominal_variances, residual, search_result.hypotheses, priors, progress
     )
+    ranked = [with_lasting_error(item, prepared.null_reference) for item in ranked]
     ranked = _refit_contact_laws(prepared, ranked, residual)
     difference = difference_of(prepared, search_result.nominal_misfit, residual, matters, split_p_value(ranked))
     ranked = with_contact_evidence(prepared, search_result.candidates, ranked, difference, residual)
@@ -112,6 +113,26 @@ def judge(
     if may_hide_force(decision.evidence):
         decision, unmeasured_causes = _decide_with_force(basis, predicted.ranked, decision)
     return Judgement(decision, predicted, unmeasured_causes, linearization, residual)
+
+
+def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullReference) -> ValidatedHypothesis:
+    """Hypothesis whose standard errors grow by what it leaves of the validation record beyond tolerances and noise.
+
+    Weights that follow the misfit count what is left as scatter, but it lasts, and biases the values. With the
+    unexplained shares s_b of the bands and s_0b, the limits of what null simulations leave, the standard errors grow by
+    max(1, median of s_b / s_0b, weighted by the power of the bands) where p < `USUAL_P_VALUE`, after Birge (Phys. Rev.
+    40, 1932). The median keeps a tone that nothing names from widening all else.
+    """
+    misfit = validated.misfit
+    if p_value(null_reference, misfit) >= USUAL_P_VALUE:
+        return validated
+    shares_and_limits = zip(misfit.share_by_band, null_reference.usual_shares(), strict=False)
+    growth_by_band = np.array([share / limit if limit else 1.0 for share, limit in shares_and_limits])
+    order = np.argsort(growth_by_band)
+    power_below = np.cumsum(misfit.power_by_band[order])
+    growth = max(1.0, growth_by_band[order][np.searchsorted(power_below, power_below[-1] / 2)])
+    hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
+    return replace(validated, hypothesis=hypothesis)
 
 
 def may_hide_force(evidence: Evidence) -> bool:

@@ -5,27 +5,28 @@ from identify.gaps.results import Cause, Diagnosis
 from identify.gaps.wording import (
     DESCRIPTION_EXPLAINED,
     HINT_EXPLAINED,
+    SMALLEST_SHARE,
     between_records,
     bound_words,
     capitalised,
     joined,
     look_alikes_of,
     p_value_words,
+    stays_unexplained_words,
     unexplained_words,
 )
 from identify.pages.wording import number, percent
 
 UNSCALED = (
-    "No force was measured: a common factor of mass and stiffnesses, which rest on the mass in rig.json, does not "
-    "show, nor one of clearances and gains of the sensors; faults of channels are not looked for."
+    "No force was measured, so that all forces rest on the mass in rig.json: an error that scales mass and stiffnesses "
+    "alike does not show, nor does one that scales clearances and sensor gains alike. Channels were not checked for "
+    "faults."
 )
 VETO_SENTENCES = {
     "worse": "With that the rig predicts the measured motion worse than without.",
     "no_improvement": "With that the rig predicts the measured motion no better, as it would if that were all.",
 }
 """Sentences by the code of the rollout that vetoes."""
-SMALLEST_SHARE = 1e-9
-"""Smallest upper bound in words, "< 0.1 %": no record bounds a share by zero."""
 STRAINED_DEVIATIONS = 3.0
 """Standard deviations from which a strained tolerance is mentioned."""
 
@@ -65,7 +66,8 @@ def _cannot_tell_sentences(gap: Diagnosis) -> list[str]:
     first_clause = f"These records do not tell whether rig.json is right: no difference stands out ({p_words})"
     exceeding_bounds = [bound for bound in gap.evidence.quantities if not bound.holds and not bound.not_seen]
     if exceeding_bounds:
-        first_clause += f", though {joined([bound_words(bound) for bound in exceeding_bounds])}"
+        bounds = joined([bound_words(bound) for bound in exceeding_bounds])
+        first_clause += f", though the best value is beyond what matters for {bounds}"
     verdict_sentences = [f"{first_clause}."]
     if named_cause := _named_cause(gap):
         verdict_sentences.append(
@@ -97,7 +99,7 @@ def _explained_sentences(gap: Diagnosis) -> list[str]:
         pull_words = number(gap.before.largest_pull, 2)
         return [
             f"{capitalised(joined(named.named))} {explain} the difference, which a tolerance would have to take up "
-            f"without {_pronoun(named)}: it would be off by {pull_words} of its standard deviations."
+            f"without {_pronoun(named)}: it would be off by {pull_words} standard deviations."
         ]
     chance_words = (
         ""
@@ -133,7 +135,7 @@ def _strain_words_if_bounded(gap: Diagnosis) -> str:
 def _strain_words(gap: Diagnosis) -> str:
     if gap.before.largest_pull < STRAINED_DEVIATIONS:
         return ""
-    return f", with a tolerance off by {number(gap.before.largest_pull, 2)} of its standard deviations"
+    return f", with a tolerance off by {number(gap.before.largest_pull, 2)} standard deviations"
 
 
 def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
@@ -141,8 +143,8 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
     explain = "explains" if len(named.named) == 1 else "explain"
     return [
         f"{capitalised(joined(named.named))} {explain} the difference in part: "
-        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and {unexplained_words(gap.after)} "
-        "stay unexplained.",
+        f"{'it' if len(named.named) == 1 else 'they'} {_removal_words(gap, '')}, and "
+        f"{stays_unexplained_words(gap.after)}.",
         *_veto_sentence(gap),
         _force_description(gap, "The rest"),
     ]
@@ -151,7 +153,7 @@ def _partly_explained_sentences(gap: Diagnosis) -> list[str]:
 def _unexplained_sentences(gap: Diagnosis) -> list[str]:
     differs_clause = f"The machine differs from rig.json ({p_value_words(gap.evidence.p_value)})"
     verdict_sentences = [
-        f"{differs_clause}, by what noise hides: no share of the motion is left beyond it{_strain_words(gap)}."
+        f"{differs_clause}, but noise hides by how much: no motion is left beyond it{_strain_words(gap)}."
         if _is_hidden(gap)
         else f"{differs_clause}, which leaves {unexplained_words(gap.before)} unexplained."
     ]
@@ -163,7 +165,13 @@ def _unexplained_sentences(gap: Diagnosis) -> list[str]:
         verdict_sentences += _veto_sentence(gap)
     else:
         verdict_sentences.append("No effect of the library is named for it.")
-    return [*verdict_sentences, _force_description(gap, "The difference")]
+    return [*verdict_sentences, *_parameters_beyond(gap), _force_description(gap, "The difference")]
+
+
+def _parameters_beyond(gap: Diagnosis) -> list[str]:
+    """Sentence on contact parameters that are certainly off by more than matters."""
+    beyond = [bound for bound in gap.evidence.quantities if bound.unit != "1" and not (bound.holds or bound.not_seen)]
+    return [f"Off by more than matters: {joined([bound_words(bound) for bound in beyond])}."] if beyond else []
 
 
 _VERDICTS = {
@@ -224,16 +232,16 @@ def _ruled_out_sentence(gap: Diagnosis) -> list[str]:
 
 
 def _upper_bound_words(quantities: tuple[Bounded, ...]) -> str:
-    """Upper bounds: "at most 0.3 % of the motion and 1.2 % of the force of contact_1 differ"."""
+    """Upper bounds: "at most 0.3 % of the motion and less than 0.1 % of the force of contact_1 differ"."""
     share_bounds = [bound for bound in quantities if bound.unit == "1"]
-    upper_share_by_name = [
-        (bound.name, max(bound.upper, SMALLEST_SHARE)) for bound in share_bounds if bound.upper is not None
-    ]
-    share_words = joined(
-        [f"{percent(upper_share)} of the {quantity_name}" for quantity_name, upper_share in upper_share_by_name]
-    )
+    names_by_share: dict[str, list[str]] = {}
+    for bound in share_bounds:
+        if bound.upper is not None:
+            upper_share = percent(max(bound.upper, SMALLEST_SHARE))
+            names_by_share.setdefault(upper_share, []).append(f"of the {bound.name}")
+    share_words = joined([f"at most {share} {joined(names)}" for share, names in names_by_share.items()])
     parameter_clause = ", and no clearance, stiffness or damping by more than three tolerances"
-    return f"at most {share_words} differ{parameter_clause * (len(quantities) > len(share_bounds))}".replace(
+    return f"{share_words} differ{parameter_clause * (len(quantities) > len(share_bounds))}".replace(
         "at most < ", "less than "
     )
 

@@ -11,6 +11,7 @@ from identify.gaps.wording import (
     is_effective,
     joined,
     look_alikes_of,
+    stays_unexplained_words,
     unexplained_words,
 )
 from identify.pages.wording import number, percent
@@ -116,11 +117,11 @@ def _small_steps(gap: Gap) -> list[str]:
 
 
 def _explained_steps(gap: Gap) -> list[str]:
-    likeliest = gap.causes[0]
-    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds {joined(likeliest.named)}."]
+    effects = "effect" if len(gap.causes[0].named) == 1 else "effects"
+    steps = [f"Simulate with the corrected rig.json (--out writes it): it holds the {effects} named above."]
     if gap.after.p_value < USUAL_P_VALUE:
         steps.append(
-            f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, too little to "
+            f"What is left is {unexplained_words(gap.after)}: more than tolerances and noise leave, but too little to "
             "matter."
         )
     else:
@@ -129,10 +130,9 @@ def _explained_steps(gap: Gap) -> list[str]:
 
 
 def _partly_explained_steps(gap: Gap) -> list[str]:
-    likeliest = gap.causes[0]
     steps = [
-        "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: with "
-        f"{joined(likeliest.named)} it still leaves {unexplained_words(gap.after)} unexplained."
+        "Take the corrected rig.json (--out writes it) as the better rig, not as the right one: "
+        f"{stays_unexplained_words(gap.after)}."
     ]
     return (
         steps
@@ -166,7 +166,7 @@ def _unexplained_steps(gap: Gap) -> list[str]:
         ]
     band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
     return [
-        f"Look for something that acts from {band_words}: there more is left than what matters and what noise leaves."
+        f"Look for something that acts from {band_words}: there the rest exceeds what noise leaves, and it matters."
     ]
 
 

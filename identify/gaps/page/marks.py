@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from identify.gaps.decision_table import Verdict
 from identify.gaps.results import Gap
+from identify.gaps.wording import DESCRIPTION_EXPLAINED, HINT_EXPLAINED
 from identify.pages.machine import DrawnMark
 from rig.model.description import Rig, Station
 from rig.model.layout import station_named
@@ -47,28 +48,31 @@ def _effect_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
 
 
 def _force_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:
-    """Marks of the unmeasured force that describes the rest: at its place, its channel, its contact or its bodies."""
+    """Marks of the unmeasured force that describes the rest: at its place, its channel, its contact or its bodies.
+
+    None where it explains as little as in null simulations; a hint where it explains less than half.
+    """
     unmeasured_force = gap.unknown
-    if unmeasured_force is None:
+    if unmeasured_force is None or unmeasured_force.explained < HINT_EXPLAINED:
         return
+    hint = "a hint: " * (unmeasured_force.explained < DESCRIPTION_EXPLAINED)
     if (contact_or_sensor := unmeasured_force.contact or unmeasured_force.sensor) and (
         station := station_named(rig, contact_or_sensor)
     ):
-        yield DrawnMark(
-            station,
-            f"{contact_or_sensor}: {'clearance that swings' if unmeasured_force.contact else 'fault of the sensor'}",
-        )
+        fault_words = "clearance that swings" if unmeasured_force.contact else "fault of the sensor"
+        yield DrawnMark(station, f"{hint}{contact_or_sensor}: {fault_words}")
     for body_name, growth in unmeasured_force.growth.items():
         yield DrawnMark(
             Station(body_name, rig.body(body_name).length_m / 2),
-            f"stiffness of {body_name} changes by {100 * growth.value:.2g} %",
+            f"{hint}stiffness of the {body_name} changes by {100 * growth.value:+.2g} %",
         )
     if unmeasured_force.body is not None and unmeasured_force.position_m is not None:
         is_pair = unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None
         force_words = "unmeasured pair of forces" if is_pair else "unmeasured force"
+        place_words = "" if rig.body(unmeasured_force.body).is_mass else f", near {unmeasured_force.position_m:.2f} m"
         yield DrawnMark(
             Station(unmeasured_force.body, unmeasured_force.position_m),
-            f"{force_words}, {unmeasured_force.rms_n:.3g} N rms, near {unmeasured_force.position_m:.2f} m",
+            f"{hint}{force_words}, {unmeasured_force.rms_n:.3g} N rms{place_words}",
         )
     if unmeasured_force.against_body is not None and unmeasured_force.against_position_m is not None:
         yield DrawnMark(Station(unmeasured_force.against_body, unmeasured_force.against_position_m), "its opposite")

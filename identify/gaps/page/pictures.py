@@ -97,7 +97,7 @@ def _draw_quantities(figure: Any, gap: Gap) -> None:
             line_ends = np.nan_to_num([value, upper_end], nan=UNBOUNDED_PERCENT, posinf=UNBOUNDED_PERCENT)
             axes.plot(line_ends, [row, row], color=colour, lw=2.0)
         right_percent = max(right_percent, 2 * np.max(np.array(ends), initial=0.0, where=np.isfinite(ends)))
-    axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="matters from here")
+    axes.axvline(100.0, color=INK, lw=1.2, ls="--", label="what matters")
     axes.set_xscale("log")
     axes.set_xlim(0.7 * LEAST_PERCENT, right_percent)
     axes.set_yticks(np.arange(len(quantities)), [_shortened_name(quantity.name) for quantity in quantities])
@@ -138,7 +138,7 @@ def _draw_removed_shares(figure: Any, gap: Gap) -> None:
             textcoords="offset points",
             va="center",
         )
-    axes.set(xlim=(0, 210), xticks=range(0, 101, 25), xlabel="share of the gap that it closes, %")
+    axes.set(xlim=(0, 210), xticks=range(0, 101, 25), xlabel="share of the difference that it closes, %")
     axes.set_ylim(len(top_causes) - 0.4, -0.6)
     figure.suptitle("What each cause closes, with its 95 % interval", fontsize=10)
 
@@ -162,15 +162,17 @@ def _draw_experiments(figure: Any, gap: Gap) -> None:
 def _draw_motion(figure: Any, example: PredictionExample) -> None:
     """Measured motion, and its predictions by the nominal and the corrected rig."""
     axes = figure.subplots()
+    quantity_name, unit, scale = ("displacement", "mm", 1e3) if example.unit == "m" else ("velocity", example.unit, 1.0)
     for signal_values, colour, line_width, line_style, label in (
         (example.measured, GREY, 3.0, "-", "measured"),
         (example.nominal, RED, 1.2, "--", "predicted by the model as it is"),
         (example.corrected, BLUE, 1.2, "-", "with the named effects"),
     ):
-        axes.plot(example.time_s, signal_values, color=colour, lw=line_width, ls=line_style, label=label)
+        axes.plot(
+            example.time_s, scale * np.array(signal_values), color=colour, lw=line_width, ls=line_style, label=label
+        )
     figure.legend(loc="outside lower center", ncols=3)
-    quantity_name = "displacement" if example.unit == "m" else "velocity"
-    axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {example.unit}")
+    axes.set(xlabel="time, s", ylabel=f"{quantity_name} of {example.sensor}, {unit}")
 
 
 def _attribution_drawings(attribution: Attribution) -> Iterator[tuple[str, float, Draw]]:
@@ -227,7 +229,7 @@ def _draw_share_bars(figure: Any, share_by_part: Mapping[str, float], title: str
         BLUE,
     )
     axes.margins(x=0.18)
-    axes.set(xlabel="share of the gap, %")
+    axes.set(xlabel="share of the difference, %")
     figure.suptitle(title, fontsize=10)
 
 
@@ -240,7 +242,7 @@ def _draw_share_row(figure: Any, shares: Sequence[Share], title: str, x_label: s
         np.arange(len(shares))[labelled], interval_names[labelled], rotation=40, ha="right", rotation_mode="anchor"
     )
     axes.grid(axis="x", visible=False)
-    axes.set(xlabel=x_label, ylabel="share of the gap, %", title=title)
+    axes.set(xlabel=x_label, ylabel="share of the difference, %", title=title)
 
 
 def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, float]]) -> None:
@@ -258,7 +260,7 @@ def _draw_positions(figure: Any, shares_by_body: Mapping[str, Mapping[float, flo
         axes.margins(y=0.22)
         axes.set_title(_shortened_name(body_name), loc="left", fontsize=9)
     panels[-1].set_xlabel("distance from the left end, m")
-    panels[0].set_ylabel("share of the gap, %")
+    panels[0].set_ylabel("share of the difference, %")
     figure.suptitle("Along the bodies (stations marked)", fontsize=10)
 
 
@@ -271,7 +273,7 @@ def _draw_surface(figure: Any, residual_map: ResidualMap, contact_name: str) -> 
         np.where(percentages > 0, percentages, np.nan).T,
         cmap="viridis_r",
     )
-    figure.colorbar(cell_mesh, label="share of the gap, %")
+    figure.colorbar(cell_mesh, label="share of the difference, %")
     axes.set(xlabel="displacement, mm", ylabel="velocity, m/s", title=f"At {_shortened_name(contact_name)}")
 
 

@@ -35,13 +35,15 @@ CAPTIONS = {
     "Grey: the same setting again.",
     "large_bands": "The share of the measured acceleration that each rig leaves unexplained, in bands of frequency. "
     "Tolerances and noise alone stay below the dotted line in 19 of 20 cases; the dashed line is the share of the "
-    "whole motion from which a difference matters.",
+    "whole motion from which a difference matters. Where a curve is missing, noise hides the difference.",
     "decided_quantities": "What decides: the difference in the motion, the contact forces and the contact parameters. "
-    "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. It is settled as too "
-    "small to matter if the line ends left of the dashed one.",
+    "A line goes to the upper end of the 95 % interval, or to the edge where nothing bounds it. A quantity is settled "
+    "as too small to matter if its line ends left of the dashed one.",
     "prediction_motion": "Simulated from the measured state at the beginning of the window, under the measured force: "
     "the sensor that rig.json predicts worst, in the window of median error; of a long window its end.",
-    "unknown_law": "The force that would explain the rest, at the marked place, over the motion there: mean values.",
+    "unknown_law": "Dots: the force that would explain the rest, at the marked place, over the motion there, without "
+    "assuming a law (mean values). Line: the law found; if it is not linear, with the linear part that tolerances take "
+    "up.",
 }
 """Captions of the wide pictures; the others carry their titles."""
 DECISIVE_FIGURES: dict[Verdict, tuple[str, ...]] = dict.fromkeys(Verdict, ("large_bands",)) | {
@@ -160,7 +162,7 @@ def _band_table(gap: Gap) -> Table:
     heading_by_field = {
         "low_hz": "from Hz",
         "high_hz": "to Hz",
-        "before": "unexplained by the believed rig",
+        "before": "unexplained by the model as it is",
         "after": "unexplained with the likeliest cause",
         "usual": "nineteen of twenty null simulations stay below",
     }

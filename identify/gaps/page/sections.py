@@ -44,15 +44,6 @@ _KINDS = {
     "distributed": "a stiffness that changes over the record",
     "contact": "a clearance that swings",
 }
-PREDICTION_WORDS = {
-    "not_vetoed": "nothing speaks against it",
-    "worse": "the corrected rig predicts worse: no explanation",
-    "no_improvement": "the prediction would improve if this were all, and does not: no explanation",
-    "no_horizon": "null simulations cannot be predicted either",
-    "too_short": "the record has too few seconds",
-    "not_simulated": "the simulator cannot start from measured states",
-}
-"""Result of the prediction in words, by its code."""
 
 
 def next_steps_list(gap: Gap) -> str:
@@ -65,27 +56,24 @@ def mismatch_size(gap: Gap) -> str:
     signal_names = ["the motion", *(f"the force of {name}" for name in gap.before.contact_shares)]
     share_limits = [gap.matters.motion, *([gap.matters.contact] * len(gap.before.contact_shares))]
     columns = [_share_words(gap.before)]
-    header = ["unexplained share of", "believed rig"]
+    header = ["unexplained share of", "the model as it is"]
     is_explained = bool(gap.causes) and is_effective(gap.causes[0])
     if is_explained:
         header.append("with the likeliest cause")
         columns.append(_share_words(gap.after))
     rows = list(zip(signal_names, *columns, [percent(limit) for limit in share_limits], strict=True))
     section_html = (
-        "<p>The share of a signal's rms that the rig does not explain, beyond sensor noise, on the validation record: "
-        "a recording that no parameter was fitted to.</p>"
+        "<p>The share of a signal's rms that the model does not explain, beyond sensor noise, on the validation "
+        "record: no parameter was fitted to it.</p>"
     )
     section_html += page.table((*header, "what matters"), rows)
-    section_html += f"<p>{escape(_p_value_sentence('The believed rig', gap.before))}"
+    section_html += f"<p>{escape(_p_value_sentence('The model as it is', gap.before))}"
     section_html += (
-        f" {escape(_p_value_sentence('With the likeliest cause, the rig', gap.after))}</p>" if is_explained else "</p>"
+        f" {escape(_p_value_sentence('With the likeliest cause, it', gap.after))}</p>" if is_explained else "</p>"
     )
     if ranges_hz := unexplained_ranges_hz(gap)[:3]:
         band_words = joined([f"{low_hz:g} to {high_hz:g} Hz" for low_hz, high_hz in sorted(ranges_hz)])
-        subject = "What is left" if is_explained else "It"
-        section_html += (
-            f"<p>{subject} is more than what matters, and than null simulations leave, from {band_words}.</p>"
-        )
+        section_html += f"<p>From {band_words} the rest is more than null simulations leave, and enough to matter.</p>"
     if gap.channel_faults:
         section_html += "<h3>Channels left out</h3>" + page.table(("channel", "fault"), gap.channel_faults.items())
     return section_html
@@ -107,13 +95,13 @@ def cause_tables(gap: Gap) -> str:
         remaining.insert(0, (f"{len(remaining_causes)} further causes", sum(c.probability for c in remaining_causes)))
     remaining_rows = [(row_name, probability(p), *[""] * (2 + len(contact_names))) for row_name, p in remaining]
     section_html = (
-        "<p>Sets of effects of the library, beside no effect and something unmeasured. The probabilities of "
-        "sets sum to one. A cause closes the share by which its effects alone make the difference smaller on the "
-        "validation record, what the tolerances leave open held (95 % interval in brackets).</p>"
+        "<p>Each row is a set of effects from the library, or no effect, or something unmeasured; the probabilities "
+        "sum to one. A cause closes the share by which its effects make the difference on the validation record "
+        "smaller while what the tolerances leave open stays as it is (95 % interval in brackets).</p>"
     )
     section_html += page.table(header, [*(_cause_row(c) for c in top_causes), *remaining_rows])
     if alternatives := wording.look_alikes_of(gap):
-        section_html += "<h3>What these records hardly tell apart</h3>"
+        section_html += "<h3>What these records can hardly tell apart</h3>"
         section_html += page.list_html(
             " / ".join([effect_words, *look_alikes]) for effect_words, look_alikes in alternatives
         )
@@ -140,21 +128,26 @@ def decision(gap: Gap) -> str:
             _yes_no(criteria.differs),
             f"{p_value_words(evidence.p_value)}: yes below {DIFFERENCE_P_VALUE:g}",
         ),
-        ("Is all that matters bounded?", _yes_no(criteria.bounded), "yes if every upper bound lies below its limit"),
+        (
+            "Is it certainly too small to matter?",
+            _yes_no(criteria.bounded),
+            "yes if every upper bound is below its limit",
+        ),
         (
             "Is an effect named?",
             _yes_no(bool(criteria.named)),
-            f"yes from a probability of {percent(NAMED_PROBABILITY)} on, if the interval excludes no effect",
+            f"yes if its probability is at least {percent(NAMED_PROBABILITY)} and its interval excludes its absence",
         ),
         (
-            "Is that enough?",
+            "Does it explain enough?",
             _yes_no(criteria.enough) if criteria.named else "",
-            f"{p_value_words(evidence.p_value_after)} of what is left: yes from {USUAL_P_VALUE:g} on, or if that is "
-            "bounded",
+            f"what is left has {p_value_words(evidence.p_value_after)}: yes from {USUAL_P_VALUE:g} on, or if it is "
+            "certainly too small to matter",
         ),
     ]
-    section_html = f"<p>Four questions decide; their answers give: {escape(VERDICTS[gap.verdict])}.</p>" + page.table(
-        ("", "", ""), question_rows
+    section_html = (
+        f"<p>Four questions decide. Their answers give the verdict: {escape(VERDICTS[gap.verdict])}.</p>"
+        + page.table(("", "", ""), question_rows)
     )
     quantity_rows = [_quantity_row(q) for q in evidence.quantities]
     for quantity in evidence.quantities_beside * evidence.taken_up:
@@ -177,25 +170,21 @@ def _yes_no(answer: bool) -> str:
 
 def _quantity_row(quantity: Bounded) -> tuple[str, ...]:
     if quantity.why or quantity.value is None:
-        return quantity.name, "", "", "", f"not seen: {quantity.why}"
-    mark_words = "" if quantity.holds else "not seen" if quantity.not_seen else "beyond"
-    value_words = [
-        "no bound" if v is None else percent(v) if quantity.unit == "1" else f"{number(v, 3)} {quantity.unit}"
-        for v in (quantity.value, quantity.upper, quantity.threshold)
-    ]
-    return quantity.name, *value_words, mark_words
+        return quantity.name, "", "", "", f"not settled: {quantity.why}"
+    mark_words = "" if quantity.holds else "not settled" if quantity.not_seen else "beyond"
+    return quantity.name, *wording.bound_numbers(quantity), mark_words
 
 
 def prediction(rollout: Rollout) -> str:
     """Errors of predictions from measured states, and what they decided."""
-    section_html = f"<p>{escape(capitalised(PREDICTION_WORDS[rollout.code]))}.</p>"
+    section_html = f"<p>{escape(capitalised(wording.PREDICTION_WORDS[rollout.code]))}.</p>"
     overall_errors = rollout.whole
     if overall_errors is None:
         return section_html
     floor_words = (
-        "rig.json is at the floor of what can be predicted"
+        "rig.json errs no more than null simulations do"
         if overall_errors.at_floor
-        else f"the corrected rig closes {percent(overall_errors.shrunk or 0.0)} of what null simulations do not have"
+        else f"the corrected rig closes {percent(overall_errors.shrunk or 0.0)} of what exceeds null simulations"
     )
     error_rows = [
         ("rig.json", percent(overall_errors.nominal)),
@@ -296,8 +285,8 @@ def location(attribution: Attribution) -> str:
         for category, share in part_shares.items()
     ]
     return (
-        "<p>Of what the believed rig leaves unexplained: the largest share by every way of cutting the record. Each "
-        "way sums to 100 %.</p>"
+        "<p>What the model as it is leaves unexplained, divided in several ways: the largest share of each. The shares "
+        "of one way sum to 100 %.</p>"
         + page.table(("by", "largest", "share"), largest_rows)
         + f"<details><summary>All shares</summary>{page.table(('by', 'part', 'share'), all_share_rows)}</details>"
     )
@@ -315,7 +304,7 @@ def _share_words(unexplained: UnexplainedShares) -> list[str]:
 def _p_value_sentence(rig_words: str, unexplained: UnexplainedShares) -> str:
     """Sentence on the p-value of the unexplained shares."""
     amount_words = "what" if unexplained.p_value >= USUAL_P_VALUE else "more than"
-    frequency_clause = f"alone they leave as much in {percent(unexplained.p_value)} of all cases (p-value)"
+    frequency_clause = f"they alone would leave as much in {percent(unexplained.p_value)} of all cases (the p-value)"
     return f"{rig_words} leaves {amount_words} tolerances and noise explain: {frequency_clause}."
 
 
@@ -336,10 +325,13 @@ def _comparison_row(comparison: ParameterByRecord) -> tuple[str, ...]:
 
 def _parameter_table(cause: Cause) -> str:
     rows = [
-        *((parameter_name, interval(value)) for parameter_name, value in cause.parameters.items()),
-        *cause.places.items(),
+        *(
+            (parameter_name, interval(value), wording.RATIO_WORDS.get(parameter_name.rpartition(".")[2], ""))
+            for parameter_name, value in cause.parameters.items()
+        ),
+        *((place_name, place, "") for place_name, place in cause.places.items()),
     ]
-    return page.table((cause_name(cause), ""), rows) if rows else ""
+    return page.table((cause_name(cause), "", ""), rows) if rows else ""
 
 
 def _growth_percent(modulus_growth: Value) -> str:

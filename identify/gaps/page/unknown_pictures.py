@@ -5,14 +5,20 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from identify.pages.style import BLUE, RED
+from identify.gaps.unmeasured_force.force_laws import LAW_FORMS
+from identify.pages.style import BLUE, INK, RED
 from rig.model.unmeasured_force import MeanForce, UnmeasuredForce
 
 _HEIGHT_IN = 3.2
 """Height of a figure, inches. Display."""
 _MOTION_AXIS = {"displacement": 0, "clearance": 0, "velocity": 1, "velocity squared": 1}
 """Axis by which the law of an unmeasured force is drawn: 0 displacement, 1 velocity."""
+LINE_POINTS = 400
+"""Points of the line of a law. Display."""
+MIN_CELLS = 4
+"""Cells below which no line is drawn over them: the linear part has three unknowns."""
 
 
 def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Callable[[Any], None]]]:
@@ -21,7 +27,8 @@ def drawings(unknown_force: UnmeasuredForce) -> Iterator[tuple[str, float, Calla
         yield "spectrum", _HEIGHT_IN, partial(_draw_spectrum, unknown_force=unknown_force)
     if unknown_force.over_motion and unknown_force.against in _MOTION_AXIS:
         axis_index = _MOTION_AXIS[unknown_force.against]
-        yield "law", _HEIGHT_IN, partial(_draw_law, mean_force=unknown_force.over_motion, axis_index=axis_index)
+        draw_law = partial(_draw_law, unknown_force, unknown_force.over_motion, axis_index)
+        yield "law", _HEIGHT_IN, draw_law
         yield "motion", _HEIGHT_IN, partial(_draw_motion_map, mean_force=unknown_force.over_motion)
     if unknown_force.by_time:
         yield "time", _HEIGHT_IN, partial(_draw_time_course, unknown_force=unknown_force)
@@ -46,27 +53,68 @@ def _draw_spectrum(figure: Any, unknown_force: UnmeasuredForce) -> None:
     figure.legend(loc="outside lower center", ncols=2)
 
 
-def _draw_law(figure: Any, mean_force: MeanForce, axis_index: int) -> None:
-    """Mean force of each cell over displacement (axis 0) or velocity (axis 1), coloured by the other."""
+def _draw_law(unknown_force: UnmeasuredForce, mean_force: MeanForce, axis_index: int, figure: Any) -> None:
+    """Mean force of each cell over displacement (axis 0) or velocity (axis 1), coloured by the other, and the law."""
     displacements_m, velocities_m_per_s = (
         np.convolve(cell_edges, [0.5, 0.5], "valid")
         for cell_edges in (mean_force.displacement_m, mean_force.velocity_m_per_s)
     )
     mean_forces_n = np.array(mean_force.force_n)
     displacement_cells, velocity_cells = np.nonzero(mean_forces_n)
-    motion_of_cells = (1e3 * displacements_m[displacement_cells], velocities_m_per_s[velocity_cells])
+    cell_forces_n = mean_forces_n[displacement_cells, velocity_cells]
+    cell_motion = np.stack([displacements_m[displacement_cells], velocities_m_per_s[velocity_cells]])
+    motion_of_cells = (1e3 * cell_motion[0], cell_motion[1])
     axis_names = ("displacement there, mm", "velocity there, m/s")
     axes = figure.subplots()
     cell_points = axes.scatter(
         motion_of_cells[axis_index],
-        mean_forces_n[displacement_cells, velocity_cells],
+        cell_forces_n,
         c=motion_of_cells[1 - axis_index],
         s=10,
         cmap="viridis",
     )
     figure.colorbar(cell_points, label=axis_names[1 - axis_index])
+    if law_line := _law_line(unknown_force, cell_motion, cell_forces_n, axis_index):
+        line_motion, line_forces_n = law_line
+        axes.plot((1e3, 1.0)[axis_index] * line_motion, line_forces_n, color=INK, lw=2.2, label="the law found")
+        figure.legend(loc="outside lower center")
     axes.set(xlabel=axis_names[axis_index], ylabel="mean force against the motion, N")
     figure.suptitle("How it follows the motion", fontsize=10)
+
+
+def _law_line(
+    unknown_force: UnmeasuredForce,
+    cell_motion: Float[np.ndarray, "2 cells"],
+    cell_forces_n: Float[np.ndarray, " cells"],
+    axis_index: int,
+) -> tuple[Float[np.ndarray, " points"], Float[np.ndarray, " points"]] | None:
+    """Motion along the axis and the law there, N, with the other motion zero, or nothing without a law.
+
+    Tolerances take up much of a force that is linear in the motion, so that the free force of the cells lacks such a
+    part: F = law(w, v) + a w + b v + c by least squares over the cells. A law that is linear itself is drawn as it is.
+    """
+    law_form = next((form for form in LAW_FORMS if form.name == unknown_force.law_name), None)
+    if law_form is None or cell_forces_n.size < MIN_CELLS:
+        return None
+    values = {name: value.value for name, value in unknown_force.law_parameters.items()}
+    coefficients = [values[name] for name in ("coefficient", "cubic")[: len(law_form.coefficient_units)]]
+
+    def law_n(motion: Float[np.ndarray, "2 points"]) -> Float[np.ndarray, " points"]:
+        shapes = law_form.unit_forces(
+            motion[0] + values.get("offset", 0.0), motion[1], values.get(law_form.parameter_name, 0.0)
+        )
+        return np.einsum("c,cp->p", coefficients, np.array(shapes))
+
+    line_motion = np.zeros((2, LINE_POINTS))
+    line_motion[axis_index] = np.linspace(cell_motion[axis_index].min(), cell_motion[axis_index].max(), LINE_POINTS)
+    line_forces_n, cell_law_n = law_n(line_motion), law_n(cell_motion)
+    linear_columns = np.vstack([cell_motion, np.ones(cell_forces_n.size)]).T
+    cell_law_part, free_force_part = (
+        np.linalg.lstsq(linear_columns, forces_n, rcond=None)[0] for forces_n in (cell_law_n, cell_forces_n)
+    )
+    if not np.allclose(linear_columns @ cell_law_part, cell_law_n, rtol=0, atol=1e-6 * np.abs(cell_law_n).max()):
+        line_forces_n += (free_force_part - cell_law_part) @ np.vstack([line_motion, np.ones(LINE_POINTS)])
+    return line_motion[axis_index], line_forces_n
 
 
 def _draw_motion_map(figure: Any, mean_force: MeanForce) -> None:

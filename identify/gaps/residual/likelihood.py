@@ -166,17 +166,18 @@ class Misfit:
     def motion_share(self) -> float:
         """Unexplained share of the acceleration's root mean square over all bands, beyond noise."""
         excess_power = self.variance_beyond_noise.sum(axis=1)
-        motion_power = max(
-            float(self.nominal_variances.line_counts @ self.nominal_variances.acceleration_power.sum(axis=1)), 1e-300
-        )
+        motion_power = max(self.power_by_band.sum(), 1e-300)
         return float(np.sqrt(self.nominal_variances.line_counts @ excess_power / motion_power))
+
+    @property
+    def power_by_band(self) -> Float[np.ndarray, " bands"]:
+        """Power of the measured acceleration in each band, over all sensors."""
+        return np.asarray(self.nominal_variances.line_counts * self.nominal_variances.acceleration_power.sum(axis=1))
 
     @property
     def squared_share_by_second(self) -> Float[np.ndarray, " seconds"]:
         """Square of `motion_share` for each second; negative where a second is quieter than the noise."""
-        motion_power = max(
-            float(self.nominal_variances.line_counts @ self.nominal_variances.acceleration_power.sum(axis=1)), 1e-300
-        )
+        motion_power = max(self.power_by_band.sum(), 1e-300)
         excess_power = (
             self.variance_by_second * self.variance_correction - self.nominal_variances.noise_variance
         ) * self.nominal_variances.has_signal

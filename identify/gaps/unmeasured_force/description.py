@@ -118,10 +118,10 @@ def _drift_description(force_fit: UnmeasuredForceFit) -> UnmeasuredForce:
         )
     }
     change_texts = " and ".join(
-        f"of the {body_name} by {100 * change.value:+.2g} %" for body_name, change in growth_by_body.items()
+        f"that of the {body_name} by {100 * change.value:+.2g} %" for body_name, change in growth_by_body.items()
     )
     return UnmeasuredForce(
-        sentence=f"a stiffness that changes over the record, {change_texts}",
+        sentence=f"a stiffness that changes over the record: {change_texts}",
         kind="distributed",
         growth=growth_by_body,
         same_place=force_fit.same_place,
@@ -253,7 +253,7 @@ def _sentence(force_law: ForceLaw | None, size: _Size, timing: _Timing, place_te
             "growing with time": ", growing with time",
         }
         noun = (
-            "a random force" if timing.before_excitation_ratio > RANDOM_RATIO else "a force by no law that was tried,"
+            "a random force" if timing.before_excitation_ratio > RANDOM_RATIO else "a force that follows no law tried,"
         )
         return (
             f"{noun} from {low:.3g} to {high:.3g} Hz, {size.rms_value:.2g} N rms, "

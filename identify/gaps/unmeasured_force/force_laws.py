@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from identify.gaps.unmeasured_force.time_history import ForceHistory
 from rig.model.contact_laws import penetration_m
+from rig.model.quantities import printed_unit
 from rig.model.unmeasured_force import Against, Value
 
 Series = Float[np.ndarray, " fine"]
@@ -74,7 +75,7 @@ class ForceLaw:
         """Formula of the force against the motion, N, of w in m and v in m/s, each value with its unit."""
         law_form = self.form
         coefficient_texts = [
-            f"{coefficient:.4g} {unit}"
+            f"{coefficient:.4g} {printed_unit(unit)}"
             for coefficient, unit in zip(self.coefficients, law_form.coefficient_units, strict=True)
         ]
         parameter_text = (

@@ -123,6 +123,11 @@ def test_the_page_is_accessible(inaccessible, drawn_page):
     assert inaccessible(drawn_page, PHONE_PX) == []
 
 
+def test_the_page_of_a_refused_record_is_accessible(inaccessible, silent, tmp_path):
+    write_results(silent, tmp_path, "mass", {c.name: c.law for c in silent.rig.contacts}, "true")
+    assert inaccessible(tmp_path / "contact.html", PHONE_PX) == []
+
+
 def test_a_browser_shows_all_of_it_on_a_phone(opened, drawn_page):
     browser_page = opened(drawn_page, PHONE_PX)
     assert browser_page.scroll_px <= PHONE_PX

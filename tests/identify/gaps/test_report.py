@@ -29,11 +29,13 @@ from identify.gaps.wording import (
     removed_share_words,
     unexplained_words,
 )
+from identify.pages.machine import HELD_WORDS, rig_drawing
 from identify.pages.page import unbroken_html
 from identify.pages.wording import number, percent
 from rig.errors import RigError
 from rig.model.description import from_json
-from rig.model.unmeasured_force import Value
+from rig.model.unmeasured_force import MeanForce, Value
+from tests.identify.test_structure import as_data
 
 VOID = {"meta", "img", "br", "link", "hr"}
 PHONE_PX = 375
@@ -67,10 +69,15 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def written(drawn_diagnosis, tmp_path_factory):
-    """A diagnosis, its pictures, and its page as parsed."""
-    figures, path = pictures(drawn_diagnosis), tmp_path_factory.mktemp("page") / "gap.html"
-    write_page(drawn_diagnosis, figures, "Gap of one & two", path)
+def written(drawn_diagnosis, rig_of, tmp_path_factory):
+    """A diagnosis, its pictures, and its page as parsed, with the drawing of the rig."""
+    figures, path, rig = (
+        pictures(drawn_diagnosis),
+        tmp_path_factory.mktemp("page") / "gap.html",
+        rig_of(drawn_diagnosis),
+    )
+    drawing = rig_drawing(rig, {}, marks(drawn_diagnosis, rig))
+    write_page(drawn_diagnosis, figures, "Gap of one & two", path, drawing=drawing)
     return drawn_diagnosis, figures, Page(path.read_text(encoding="utf-8")), path
 
 
@@ -129,7 +136,7 @@ def test_every_number_is_on_the_page(written):
     assert said <= set(page.texts)
     text = " ".join(page.texts)
     assert p_value_words(gap.evidence.p_value) in text
-    assert f"alone they leave as much in {percent(gap.before.p_value)} of all cases" in text
+    assert f"they alone would leave as much in {percent(gap.before.p_value)} of all cases" in text
 
 
 def test_the_pictures_are_in_the_page_and_nothing_is_fetched(written):
@@ -178,10 +185,10 @@ def test_what_is_not_seen_is_said_with_what_would_show_it(gaps, tmp_path):
 
 
 def test_numbers_stay_on_a_line_with_their_units():
-    broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg at 0.99 m in 3 machines")
+    broken = escape("1.2 % of the motion, < 0.1 % (p = 0.31), 0.141 kg, 3.1 N s/m at 0.99 m in 3 machines")
     assert unbroken_html(broken).split(" ") == [
         *("1.2\xa0%", "of", "the", "motion,", "&lt;\xa00.1\xa0%", "(p\xa0=\xa00.31),"),
-        *("0.141\xa0kg", "at", "0.99\xa0m", "in", "3", "machines"),
+        *("0.141\xa0kg,", "3.1\xa0N\xa0s/m", "at", "0.99\xa0m", "in", "3", "machines"),
     ]
 
 
@@ -357,6 +364,40 @@ def test_a_browser_shows_all_of_it_on_a_phone(opened, written):
 def test_the_page_is_accessible(inaccessible, written):
     _, _, _, path = written
     assert inaccessible(path, PHONE_PX) == []
+
+
+def test_the_page_of_a_structure_is_accessible(inaccessible, gaps, rig_of, tmp_path):
+    rig = as_data(rig_of(gaps["partly_explained"]))
+    write_all(gaps["partly_explained"], rig, "a structure", tmp_path)
+    html = (tmp_path / "gap.html").read_text(encoding="utf-8")
+    assert html.count(HELD_WORDS) == sum(body.rigid_modes == 0 for body in rig.bodies) == 1
+    assert inaccessible(tmp_path / "gap.html", PHONE_PX) == []
+
+
+def test_what_explains_little_is_marked_as_a_hint_or_not_at_all(gaps, rig_of):
+    gap = gaps["unexplained"]
+    for explained, begin in ((0.6, ["unmeasured force"]), (0.3, ["a hint: unmeasured force"]), (0.05, [])):
+        drawn = marks(replace(gap, unknown=replace(gap.unknown, explained=explained)), rig_of(gap))
+        assert [mark.words.partition(",")[0] for mark in drawn] == begin
+
+
+def test_the_law_of_an_unmeasured_force_is_drawn_up_to_a_linear_part(gaps):
+    """The force of the law's own formula over the cells, less what is linear in the motion, gives back the law."""
+    unknown = gaps["unexplained"].unknown
+    edges_m, edges_m_per_s = np.linspace(-0.05, 0.05, 41), np.linspace(-1.0, 1.0, 41)
+    middle_m, middle_m_per_s = (np.convolve(edges, [0.5, 0.5], "valid") for edges in (edges_m, edges_m_per_s))
+    stiffness, w0 = (unknown.law_parameters[name].value for name in ("coefficient", "w0"))
+    law_n = stiffness * w0 * np.tanh(middle_m / w0)
+    cells_n = (law_n - 20.0 * middle_m)[:, None] - 0.3 * middle_m_per_s + 0.01
+    over_motion = MeanForce(tuple(edges_m), tuple(edges_m_per_s), tuple(map(tuple, cells_n)))
+    gap = replace(gaps["unexplained"], unknown=replace(unknown, over_motion=over_motion))
+    axes = pictures(gap)["unknown_law"].figure.axes[0]
+    (line,) = axes.lines
+    w_m = 1e-3 * line.get_xdata()
+    np.testing.assert_allclose(line.get_ydata(), stiffness * w0 * np.tanh(w_m / w0) - 20.0 * w_m + 0.01, atol=1e-9)
+    spring = replace(gap.unknown, law_name="linear spring", law_parameters={"coefficient": Value(50.0, 1.0, "N/m")})
+    (line,) = pictures(replace(gap, unknown=spring))["unknown_law"].figure.axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), 50.0 * 1e-3 * line.get_xdata(), atol=1e-9)
 
 
 def test_the_exported_curves_are_those_of_the_page(diagnosis):

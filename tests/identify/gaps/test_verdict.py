@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from identify.gaps.decision.bounds import Difference
+from identify.gaps.decision.bounds import Difference, contact_bound
 from identify.gaps.decision.comparison import TEMPERATURE, ValidatedHypothesis, split_p_value
-from identify.gaps.decision.judge import may_hide_force
+from identify.gaps.decision.judge import may_hide_force, with_lasting_error
 from identify.gaps.decision.notes import Attempt
 from identify.gaps.decision.null_reference import NullReference, NullSimulation
 from identify.gaps.decision.predicted import predicted_decision
@@ -116,6 +116,24 @@ DIFFERENCE = Difference(1e-9, Bounded("motion", "1", 0.2, 0.3, 5e-3), ())
 
 def decide(ranked, vetoed):
     return decide_verdict(ranked, DIFFERENCE, NULLS, Matters(), None, vetoed)
+
+
+@pytest.mark.parametrize(("bands_left", "growth"), [(0, 1.0), (15, 1.0), (25, 3.0)])
+def test_what_a_set_leaves_in_most_of_the_motion_enters_its_standard_errors(bands_left, growth):
+    mass = validated_hypothesis(1.0, "added_mass")
+    level_by_band = np.where(np.arange(40) < bands_left, 5.0, 1.0)
+    misfit = replace(mass.misfit, variance_by_second=np.tile(level_by_band[None, :, None], (20, 1, 6)))
+    machines = tuple(
+        NullSimulation(x, 0.0, 1.0, tuple(mass.misfit.share_by_band), 0.0, ()) for x in np.linspace(-9, 9, 12)
+    )
+    grown = with_lasting_error(replace(mass, misfit=misfit), NullReference("key", machines)).hypothesis.covariance
+    np.testing.assert_allclose(np.sqrt(np.diag(grown) / np.diag(mass.hypothesis.covariance)), growth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("squared_share", "value"), [(0.25, 0.5), (4.0, None)])
+def test_a_share_above_the_whole_force_is_not_seen(squared_share, value):
+    bound = contact_bound("force of contact_1", np.full(20, squared_share), 1e-6, 0.03)
+    assert (bound.value, bound.not_seen) == (value, value is None)
 
 
 def ruling_out(*worse):

@@ -7,7 +7,8 @@ from xml.etree import ElementTree
 import pytest
 from msgspec.structs import replace
 
-from identify.pages.machine import LETTER_WIDTH, WIDTH, DrawnMark, rig_drawing
+from identify.pages.drawing_texts import BOLD_LETTER_WIDTH, LETTER_WIDTH, WIDTH
+from identify.pages.machine import DrawnMark, rig_drawing
 from rig.model.description import Station, Support
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.campaigns.topologies import RIGS
@@ -40,6 +41,44 @@ def test_every_contact_has_its_values_and_no_text_lies_over_another(name):
     for (one, left, right, y), (other, other_left, other_right, other_y) in combinations(texts, 2):
         assert abs(y - other_y) > 12 or right < other_left + 2 or other_right < left + 2, (one, other)
     assert all(left > -2 and right < WIDTH + 2 for _, left, right, _ in texts)
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_no_text_of_a_contact_lies_on_the_post_of_another(name):
+    rig = DRAWN[name]
+    svg = drawing(rig)
+    posts = [
+        re.match(r"M([-0-9.]+),([-0-9.]+)h([0-9.]+)V([-0-9.]+)", path.get("d"))
+        for path in svg.iter("path")
+        if path.get("class") == "found"
+    ]
+    for post in filter(None, posts):
+        x, top, wide, foot = map(float, post.groups())
+        for text, left, right, y in boxes(svg):
+            is_name = text in {body.name for body in rig.bodies}  # on its block, with a halo
+            assert is_name or not (left < x + wide < right and top < y < foot), text
+
+
+def test_the_words_of_a_mark_end_before_the_line_of_the_next():
+    rig = BarrelCradle().rig()
+    words = "a damper of 59.5 N s/m between the barrel and the ground"
+    svg = drawing(rig, *(DrawnMark(Station("barrel", x_m), words) for x_m in (0.78, 0.80)))
+    lines_px = sorted(
+        float(re.match(r"M([-0-9.]+)", p.get("d"))[1]) for p in svg.iter("path") if p.get("class") == "mark"
+    )
+    halves = [len(t.text) * BOLD_LETTER_WIDTH / 2 for t in svg.iter("text") if t.get("class") == "mark-words"]
+    middles = [float(t.get("x")) for t in svg.iter("text") if t.get("class") == "mark-words"]
+    ends = [middle + half for middle, half in zip(middles, halves, strict=True)]
+    assert len(ends) >= 4
+    assert max(ends[: len(ends) // 2]) < lines_px[1]
+
+
+def test_the_lowest_body_is_marked_below_where_no_contact_stands():
+    rig = BarrelCradle().rig()
+    svg = drawing(rig, *(DrawnMark(Station(body.name, 0.5), body.name + " marked") for body in rig.bodies))
+    tops = [float(block.get("y")) for block in svg.iter("rect")]
+    (cradle, barrel) = (float(t.get("y")) for t in svg.iter("text") if t.text.endswith(" marked"))
+    assert cradle > tops[0] > tops[1] > barrel
 
 
 def test_stops_stand_at_the_places_of_the_contacts():

@@ -34,6 +34,21 @@ def test_what_is_wrong_with_a_page_is_seen(opened, tmp_path, html, found):
     assert found(opened(written(tmp_path / "page.html", html), PHONE_PX))
 
 
+def test_plots_fit_the_paper_in_print(framed, tmp_path):
+    """Plots keep their size on the screen, so that print has to make them smaller."""
+    path, script = (
+        written(tmp_path / "page.html", "a page"),
+        (
+            "const page = this.contentDocument; this.contentWindow.dispatchEvent(new Event('beforeprint'));"
+            "const shrink = Number(page.body.style.getPropertyValue('--shrink'));"
+            "this.title = JSON.stringify([page.querySelector('main').clientWidth, shrink])"
+        ),
+    )
+    for width_px in (1200, PHONE_PX):
+        (content_px, shrink), _ = framed(path.read_text(encoding="utf-8"), width_px, script)
+        assert content_px * shrink == pytest.approx(min(content_px, page.PAPER_PX), abs=1)
+
+
 @pytest.mark.parametrize(
     ("html", "found"),
     [
