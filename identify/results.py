@@ -87,7 +87,7 @@ class Illustrated(Summarized):
 class ContactResult(Illustrated):
     """Contacts by a recording: `found["contact_1"].clearance` has `.value`, `.interval`, `.unit`, `.standard_error`."""
 
-    found: Identification | SpaceIdentification = field(repr=False)
+    identification: Identification | SpaceIdentification = field(repr=False)
     """Estimates with the signals from which the figures are drawn."""
     title: str
     """Name of the rig, with the file of the recording."""
@@ -116,12 +116,12 @@ class ContactResult(Illustrated):
     @property
     def report(self) -> ContactReport:
         """All estimates with standard errors: the contents of contact.json."""
-        return self.found.report
+        return self.identification.report
 
     @property
     def rig(self) -> Rig:
         """Rig of the recording with the identified contacts."""
-        return identified_rig(self.found.rig, self.report)
+        return identified_rig(self.identification.rig, self.report)
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary as in contact.json."""
@@ -140,13 +140,13 @@ class ContactResult(Illustrated):
         """All figures by their names."""
         from identify.contacts.drawn_results import figures_of
 
-        return figures_of(self.found, self.laws, self.laws_name)
+        return figures_of(self.identification, self.laws, self.laws_name)
 
     def save(self, folder: str | Path) -> None:
         """Write contact.html, a self-contained page, the figures, the identified rig.json, and contact.json."""
         from identify.contacts.drawn_results import write_files
 
-        write_files(self.found, Path(folder), self.title, self.laws, self.laws_name, self.sources)
+        write_files(self.identification, Path(folder), self.title, self.laws, self.laws_name, self.sources)
 
     def summary(self) -> Summary:
         """Clearance, stiffness and damping of each contact ± half their 95 % intervals, and what is not told."""
@@ -162,7 +162,7 @@ class ContactResult(Illustrated):
 class LawResult(Illustrated):
     """Contact laws as formulae."""
 
-    found: Laws = field(repr=False)
+    identification: Laws = field(repr=False)
     """Laws with the signals from which the figures are drawn."""
     title: str
     """Name of the rig, with the file of the recording."""
@@ -172,7 +172,7 @@ class LawResult(Illustrated):
     @property
     def report(self) -> LawReport:
         """Laws with all values: the contents of law.json."""
-        return self.found.report
+        return self.identification.report
 
     def to_dict(self) -> dict[str, Any]:
         """Dictionary as in law.json."""
@@ -191,13 +191,13 @@ class LawResult(Illustrated):
         """All figures by their names, if a law was found."""
         from identify.laws.report import law_figures
 
-        return law_figures(self.found.found)
+        return law_figures(self.identification.fits)
 
     def save(self, folder: str | Path) -> None:
         """Write law.html, a self-contained page, the figures, and law.json."""
         from identify.laws.report import write_results
 
-        write_results(self.found, Path(folder), self.title, self.sources)
+        write_results(self.identification, Path(folder), self.title, self.sources)
 
     def summary(self) -> Summary:
         """Laws tried on each contact with what they leave of the held-out force, and the verdicts with the formulae."""

@@ -85,7 +85,7 @@ def friction_damper(
         (law,) = result.report.laws
         tension_n = tension_lb * NEWTONS_PER_POUND
         laws.append(DamperLaw(file=path.name, frequency_hz=frequency_hz, tension_n=tension_n, law=law))
-        plotted_laws.append(result.found.found[0])
+        plotted_laws.append(result.identification.fits[0])
     write_json(laws, out / "friction_damper.json")
     draw_laws(laws, plotted_laws, out / "friction_damper.png")
     console = Console()

@@ -61,3 +61,17 @@ def test_importing_a_package_pulls_in_nothing_heavy(package, spared):
     program = IMPORT_ALL.format(package=package, spared=spared)
     done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.stdout == "imported\n", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize("command", [rig, identify], ids=["rig", "identify"])
+def test_the_help_of_a_command_waits_for_no_numerical_library(command):
+    program = f"""
+import atexit, sys
+sys.argv = ["{command.__name__}", "--help"]
+atexit.register(lambda: print({{"numpy", "scipy", "google", "mcap"}} & set(sys.modules), file=sys.stderr))
+from rig.commands.start import {command.__name__} as start
+start()
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert f"Usage: {command.__name__}" in done.stdout
+    assert done.stderr == "set()\n"

@@ -80,7 +80,7 @@ def stops(believed, true, rms_n=12.0):
 def last_refusal(case, actual, folder):
     """Raise the refusal of the last contact of a topology that is refused."""
     path = topologies.recorded(case, folder / "r.mcap", duration_s=12.0, actual=actual)
-    *_, last = identify.contact(path).found.outcomes.refusals.values()
+    *_, last = identify.contact(path).identification.outcomes.refusals.values()
     raise ContactRefusedError(last)
 
 

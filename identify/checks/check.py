@@ -305,8 +305,8 @@ def _runs_backwards(channels: Sequence[_Channel], force: Rows, rate_hz: float) -
 
 def _motion_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Channels that move from the record's first samples on; none if only few do."""
-    motions = [
+    finding_by_channel = [
         waveforms.motion_finding(c.name, c.rate_hz, c.samples, START_S[c.group]) for c in channels if c.group in START_S
     ]
-    findings = [f for f in motions if f is not None]
-    return findings if len(findings) > MOVING_CHANNELS_SHARE * len(motions) else []
+    findings = [f for f in finding_by_channel if f is not None]
+    return findings if len(findings) > MOVING_CHANNELS_SHARE * len(finding_by_channel) else []

@@ -214,7 +214,8 @@ class _Column:
 def _column_sum(columns: list[_Column], coefficients: np.ndarray) -> np.ndarray | float:
     """Sum of the columns times their coefficients."""
     return sum(
-        (np.float32(value) * column.values() for value, column in zip(coefficients, columns, strict=True)), start=0.0
+        (np.float32(coefficient) * column.values() for coefficient, column in zip(coefficients, columns, strict=True)),
+        start=0.0,
     )
 
 

@@ -258,10 +258,8 @@ def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, flo
         )
         if not (on_tone.any() and off_tone.any()):
             continue
-        tone_amplitude, background_amplitude = (
-            float(amplitude[on_tone].max()),
-            float(np.sqrt(np.mean(amplitude[off_tone] ** 2))),
-        )
+        tone_amplitude = float(amplitude[on_tone].max())
+        background_amplitude = float(np.sqrt(np.mean(amplitude[off_tone] ** 2)))
         if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > TONE_SHARE * float(
             samples.std()
         ):

@@ -1,26 +1,32 @@
 """The command `identify`."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.text import Text
 
 import identify
-from identify.commands.contact import contact, print_findings
+from identify.commands.contact import contact
 from identify.commands.gap import gap
 from identify.commands.history import compare, history
-from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
-from identify.commands.plan import plan
-from identify.laws.report import curves as law_curves
-from identify.laws.results import LawReport
-from identify.pages.tables import save_tables
+from identify.commands.options import (
+    ExportOption,
+    TolerancesOption,
+    UseOption,
+    check_export,
+    checked_use,
+    option_words,
+    print_json,
+)
+from identify.commands.plan import plan, plan_words
 from rig.commands.command_line import (
     Force,
     Json,
     Version,
     console_table,
+    help_filled_by,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -29,13 +35,20 @@ from rig.commands.command_line import (
     working,
 )
 
+if TYPE_CHECKING:
+    from identify.laws.results import LawReport
+else:
+    LawReport = Any
+
 app = typer.Typer(no_args_is_help=True, add_completion=True, pretty_exceptions_enable=False)
 
-app.command()(contact)
-app.command()(gap)
-app.command()(compare)
-app.command()(history)
-app.command()(plan)
+CommandOfOptions = help_filled_by(option_words)
+
+app.command(cls=CommandOfOptions)(contact)
+app.command(cls=CommandOfOptions)(gap)
+app.command(cls=CommandOfOptions)(compare)
+app.command(cls=CommandOfOptions)(history)
+app.command(cls=help_filled_by(plan_words))(plan)
 
 
 @app.callback()
@@ -43,7 +56,7 @@ def _callback(version: Version = False) -> None:
     """Finds clearances and contact stiffnesses in recordings made by `rig record` or by a laboratory."""
 
 
-@app.command()
+@app.command(cls=CommandOfOptions)
 def check(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     use: UseOption = "auto",
@@ -72,7 +85,7 @@ def check(
         raise typer.Exit(1)
 
 
-@app.command()
+@app.command(cls=CommandOfOptions)
 def law(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
     contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
@@ -91,6 +104,9 @@ def law(
 
     Example: identify law barrel_cradle.mcap --contact contact_1 --out results
     """
+    from identify.laws.report import curves
+    from identify.pages.tables import save_tables
+
     sensors = checked_use(use)
     check_export(export, out)
     if out is not None:
@@ -109,7 +125,7 @@ def law(
     if out is not None:
         result.save(out)
         if export is not None:
-            save_tables(law_curves(result.found.found), out, export)
+            save_tables(curves(result.identification.fits), out, export)
     if as_json:
         print_json(result.report)
     else:
@@ -118,6 +134,8 @@ def law(
 
 def print_laws(report: LawReport, console: Console) -> None:
     """Print the findings, then the verdict, formula and candidates of every contact."""
+    from identify.commands.contact_files import print_findings
+
     print_findings(report.findings, console)
     for law_estimate in report.laws:
         console.print(Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."), soft_wrap=True)

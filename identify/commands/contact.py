@@ -1,35 +1,16 @@
 """The command `identify contact`, for a recording or for a folder of them."""
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
 
-from identify.checks import Finding
-from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
-from identify.commands.contact_folder import contact_folder
-from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, UseOption, check_export, checked_use, print_json
-from identify.contacts.results import ContactReport, Estimate
-from identify.pages.wording import interval, number
-from identify.signals.spectra import WINDOW_POWERS, Averaging
-from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing
+from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
-from rig.model.tolerances import tolerances_named
 
 DRAWING_START_SHARE = 0.8
 """Share of the progress at which results are drawn."""
-
-
-def print_findings(findings: Sequence[Finding], console: Console) -> None:
-    """Print the findings of a check, if there are any."""
-    if findings:
-        console.print("Not to be relied on:", style="bold red")
-    for finding in findings:
-        console.print(f"  {finding.sentence}", soft_wrap=True)
 
 
 def contact(
@@ -43,7 +24,7 @@ def contact(
     averages: Annotated[int, typer.Option(help="How many blocks to average over.")] = 40,
     block: Annotated[float | None, typer.Option(help="Length of a block, s; otherwise from the averages.")] = None,
     overlap: Annotated[float, typer.Option(help="Overlap of the blocks, 0 to below 1.")] = 0.5,
-    window: Annotated[str, typer.Option(help=f"Window: {', '.join(WINDOW_POWERS)}.")] = "hann",
+    window: Annotated[str, typer.Option(help="Window: {windows}.")] = "hann",
     tolerances: TolerancesOption = None,
     band: Annotated[tuple[float, float] | None, typer.Option(help="Band of NIFO, Hz; otherwise the force's.")] = None,
     segment: Annotated[
@@ -68,6 +49,12 @@ def contact(
 
     identify contact recordings --out results
     """
+    from identify.commands.contact_files import RESULTS, ContactSettings, identify_file, print_report
+    from identify.commands.contact_folder import contact_folder
+    from identify.commands.many import check_folder_options
+    from identify.signals.spectra import WINDOW_POWERS, Averaging
+    from rig.model.tolerances import tolerances_named
+
     sensors = checked_use(use)
     if window not in WINDOW_POWERS:
         raise typer.BadParameter(f"{window!r} is none of {', '.join(WINDOW_POWERS)}", param_hint="--window")
@@ -97,55 +84,3 @@ def contact(
         print_json(file_answer.report)
     else:
         print_report(file_answer.report, literal_console(), details)
-
-
-def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
-    """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
-    print_findings(report.findings, console)
-    rubs = any(estimate.friction_coefficient for estimate in report.contacts)
-    headings = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else []))
-    contact_table = console_table(f"Contacts of {report.rig}, ± 95 %", headings)
-    for estimate in report.contacts:
-        contact_table.add_row(
-            estimate.name,
-            "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
-            _interval(estimate.stiffness_n_per_m),
-            _interval(estimate.damping_n_s_per_m),
-            *([_interval(estimate.friction_coefficient)] if estimate.friction_coefficient else []),
-        )
-    console.print(contact_table)
-    for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
-        console.print(f"{sentence}.", soft_wrap=True)
-    for unanswered_contact in report.unanswered:
-        console.print(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}")
-    for note in report.notes:
-        console.print(f"note: {note}", soft_wrap=True)
-    if details and report.nifo:
-        console.print(_nifo_table(report))
-    for mode in report.modes if details else ():
-        console.print(
-            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
-            + (f" ({mode.flag})" if mode.flag else "")
-        )
-
-
-def _nifo_table(report: ContactReport) -> Table:
-    title = "NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
-    nifo_table = console_table(title, ("equation", "contact", "stiffness, N/m", "spread, %", ""), 2)
-    for equation_result in report.nifo:
-        for stiffness in equation_result.stiffness:
-            nifo_table.add_row(
-                equation_result.equation,
-                stiffness.contact,
-                number(stiffness.mean_n_per_m.value),
-                f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
-                "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",
-            )
-        answered_contacts = {s.contact for s in equation_result.stiffness}
-        for contact_name in (n for n in equation_result.nearly_invisible if n not in answered_contacts):
-            nifo_table.add_row(equation_result.equation, contact_name, "", "", "on a node: not told")
-    return nifo_table
-
-
-def _interval(estimate: Estimate, unit_factor: float = 1.0) -> str:
-    return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, "1")

@@ -1,20 +1,25 @@
-"""Identification of a recording's contacts by the settings of the command, at once or segment by segment, and the files
-of its result."""
+"""Identification of a recording's contacts by the settings of the command, at once or segment by segment, the files of
+its result, and the report on the terminal."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+from rich.console import Console
+from rich.table import Table
 
 import identify
+from identify.checks import Finding
 from identify.contacts.drawn_results import curves_of
 from identify.contacts.pooled import LARGE_BYTES, identify_long, longest_segment_s
-from identify.contacts.results import ContactReport, Segment, Segments, identified_rig
+from identify.contacts.results import ContactReport, Estimate, Segment, Segments, identified_rig
 from identify.pages.tables import save_tables
+from identify.pages.wording import interval, number
 from identify.results import ContactResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
+from rig.commands.command_line import console_table
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import to_json
 from rig.model.tolerances import Tolerances
@@ -78,7 +83,7 @@ def identify_file(
 def _save(contact_result: ContactResult, out: Path, export: str | None) -> None:
     contact_result.save(out)
     if export is not None:
-        save_tables(curves_of(contact_result.found), out, export)
+        save_tables(curves_of(contact_result.identification), out, export)
 
 
 def _save_pooled(
@@ -92,3 +97,63 @@ def _save_pooled(
     write_json(Segments(segment_results), out / "segments.json")
     write_bytes(to_json(identified_rig(next(iter(segments(file, segment_s, 0.0))).rig, report)), out / "rig.json")
     write_json(report, out / "contact.json")
+
+
+def print_findings(findings: Sequence[Finding], console: Console) -> None:
+    """Print the findings of a check, if there are any."""
+    if findings:
+        console.print("Not to be relied on:", style="bold red")
+    for finding in findings:
+        console.print(f"  {finding.sentence}", soft_wrap=True)
+
+
+def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
+    """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
+    print_findings(report.findings, console)
+    rubs = any(estimate.friction_coefficient for estimate in report.contacts)
+    headings = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else []))
+    contact_table = console_table(f"Contacts of {report.rig}, ± 95 %", headings)
+    for estimate in report.contacts:
+        contact_table.add_row(
+            estimate.name,
+            "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
+            _interval(estimate.stiffness_n_per_m),
+            _interval(estimate.damping_n_s_per_m),
+            *([_interval(estimate.friction_coefficient)] if estimate.friction_coefficient else []),
+        )
+    console.print(contact_table)
+    for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
+        console.print(f"{sentence}.", soft_wrap=True)
+    for unanswered_contact in report.unanswered:
+        console.print(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}")
+    for note in report.notes:
+        console.print(f"note: {note}", soft_wrap=True)
+    if details and report.nifo:
+        console.print(_nifo_table(report))
+    for mode in report.modes if details else ():
+        console.print(
+            f"mode {mode.index} of {mode.beam}: {mode.frequency_hz:.3f} Hz, damping {100 * mode.damping_ratio:.2f} %"
+            + (f" ({mode.flag})" if mode.flag else "")
+        )
+
+
+def _nifo_table(report: ContactReport) -> Table:
+    title = "NIFO by modal equation: spectral mean, which has no known error, rms spread over frequency"
+    nifo_table = console_table(title, ("equation", "contact", "stiffness, N/m", "spread, %", ""), 2)
+    for equation_result in report.nifo:
+        for stiffness in equation_result.stiffness:
+            nifo_table.add_row(
+                equation_result.equation,
+                stiffness.contact,
+                number(stiffness.mean_n_per_m.value),
+                f"{100 * stiffness.rms_deviation_n_per_m / abs(stiffness.mean_n_per_m.value):.2g}",
+                "nearly invisible" if stiffness.contact in equation_result.nearly_invisible else "",
+            )
+        answered_contacts = {s.contact for s in equation_result.stiffness}
+        for contact_name in (n for n in equation_result.nearly_invisible if n not in answered_contacts):
+            nifo_table.add_row(equation_result.equation, contact_name, "", "", "on a node: not told")
+    return nifo_table
+
+
+def _interval(estimate: Estimate, unit_factor: float = 1.0) -> str:
+    return interval(unit_factor * estimate.value, unit_factor * estimate.standard_error, "1")

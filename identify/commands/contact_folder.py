@@ -7,8 +7,7 @@ from rich.table import Table
 
 from identify.commands.contact_files import RESULTS, ContactSettings, identify_file
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
-from identify.contacts.refusals import ContactRefusedError
-from identify.contacts.results import ContactEstimate, ContactReport, Estimate, Unanswered
+from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages.wording import interval
 from rig.commands.command_line import literal_console
 from rig.errors import RigError
@@ -50,8 +49,6 @@ def contact_rows(task: RecordingTask) -> TableRows:
     settings = msgspec.json.decode(task.settings, type=ContactSettings)
     try:
         file_answer = identify_file(task.path, settings)
-    except ContactRefusedError as error:
-        return refused_row(task.path, error, code=error.refusal.code)
     except RigError as error:
         return refused_row(task.path, error)
     file_answer.save(task.folder)
@@ -62,7 +59,10 @@ def _rows_of_report(recording_name: str, report: ContactReport) -> list[dict[str
     findings = " | ".join(finding.sentence for finding in report.findings)
     verdict = "not_to_be_relied_on" if findings else "identified"
     contact_cells = [(_estimate_cells(contact), contact.name, verdict) for contact in report.contacts]
-    contact_cells += [(_reason_cells(contact), contact.name, "not_told") for contact in report.unanswered]
+    contact_cells += [
+        ({"code": contact.code or "", "reason": contact.reason}, contact.name, "not_told")
+        for contact in report.unanswered
+    ]
     return [
         {
             "recording": recording_name,
@@ -93,10 +93,6 @@ def _estimate_cells(contact: ContactEstimate) -> dict[str, str | float | None]:
     if contact.exponent is not None:
         cells["exponent"], cells["exponent_standard_error"] = contact.exponent.value, contact.exponent.standard_error
     return cells
-
-
-def _reason_cells(contact: Unanswered) -> dict[str, str | float | None]:
-    return {"code": contact.code or "", "reason": contact.reason}
 
 
 def _print_contacts(answers: list[TableRows]) -> None:

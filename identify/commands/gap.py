@@ -5,18 +5,10 @@ from typing import Annotated
 
 import typer
 
-from identify.api import gap as diagnose
-from identify.commands.gap_folder import GapSettings, gap_folder
-from identify.commands.many import check_folder_options
 from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
-from identify.gaps.page.report import curves
-from identify.gaps.results import Matters
-from identify.pages.tables import save_tables
 from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 from rig.errors import RigError
-from rig.model.description import read_rig, to_json
-from rig.model.tolerances import tolerances_named
 
 
 def gap(
@@ -78,6 +70,16 @@ def gap(
     DIR/NAME, one table to DIR/gaps.csv and .parquet; the same command goes on after an interruption. Exit status 1 if
     recordings were refused.
     """
+    from identify.api import gap as diagnose
+    from identify.commands.gap_folder import GapSettings, gap_folder
+    from identify.commands.many import check_folder_options
+    from identify.gaps.page.report import curves
+    from identify.gaps.page.screen import screen_view
+    from identify.gaps.results import Matters
+    from identify.pages.tables import save_tables
+    from rig.model.description import read_rig, to_json
+    from rig.model.tolerances import tolerances_named
+
     check_export(export, out)
     thresholds = Matters(matters / 100, matters_contact / 100)
     if any(path.is_dir() for path in real):
@@ -126,8 +128,6 @@ def gap(
     if as_json:
         print_json(gap_result.report)
     else:
-        from identify.gaps.page.screen import screen_view
-
         console = literal_console()
         console.print(screen_view(gap_result.report))
         if gap_result.findings:

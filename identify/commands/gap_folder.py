@@ -8,7 +8,6 @@ from rich.table import Table
 
 from identify.api import gap as diagnose
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
-from identify.contacts.refusals import ContactRefusedError
 from identify.gaps.decision.null_reference import NULL_REFERENCE_SUFFIX
 from identify.gaps.page.report import curves
 from identify.gaps.results import Gap, Matters
@@ -102,8 +101,6 @@ def gap_rows(task: RecordingTask) -> TableRows:
             next_experiment=settings.next_experiment,
             rig=None if settings.rig is None else from_json(settings.rig.encode(), "--rig"),
         )
-    except ContactRefusedError as error:
-        return refused_row(task.path, error, code=error.refusal.code)
     except RigError as error:
         return refused_row(task.path, error)
     result.save(task.folder)

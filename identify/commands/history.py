@@ -5,10 +5,7 @@ from typing import Annotated
 
 import typer
 
-from identify.api import compare as compare_recordings
 from identify.commands.options import TolerancesOption, UseOption, checked_use, print_json
-from identify.history.observations import sources_in
-from identify.history.page import quantity_rows
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history.csv and history.json.")]
@@ -45,12 +42,17 @@ def history(
 
     Example: identify history recordings --out results
     """
+    from identify.history.observations import sources_in
+
     _compare_and_print(sources_in(folder), out, use, tolerances, as_json, force)
 
 
 def _compare_and_print(
     sources: list[Path], out: Path | None, use: str, tolerances: str | None, as_json: bool, force: bool
 ) -> None:
+    from identify.api import compare as compare_recordings
+    from identify.history.page import quantity_rows
+
     sensors = checked_use(use)
     if out is not None:
         for file_name in ("history.html", "history.csv", "history.json"):

@@ -8,6 +8,7 @@ import msgspec
 import typer
 
 from identify.commands.options import print_json
+from identify.contacts.refusals import ContactRefusedError
 from identify.history.observations import sorted_by_name
 from identify.pages.tables import Row, save_rows
 from rig.commands.command_line import refuse_existing, say
@@ -67,8 +68,9 @@ class TableRows(msgspec.Struct, frozen=True):
     is_refused: bool = False
 
 
-def refused_row(path: Path, error: BaseException, verdict: str = REFUSED, code: str = "") -> TableRows:
-    """Row of a recording without a result, with the reason."""
+def refused_row(path: Path, error: BaseException, verdict: str = REFUSED) -> TableRows:
+    """Row of a recording without a result, with the reason and, where a contact was refused, its code."""
+    code = error.refusal.code if isinstance(error, ContactRefusedError) else ""
     reason = one_line(str(error) if isinstance(error, RigError) else f"{type(error).__name__}: {error}")
     row: dict[str, str | float | None] = {"recording": path.name, "verdict": verdict, "code": code, "reason": reason}
     return TableRows((row,), is_refused=True)

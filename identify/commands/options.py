@@ -2,33 +2,52 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Any, get_args
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import msgspec
 import typer
 
-from identify.pages.tables import WRITERS
-from identify.signals.kinematics import Use
+if TYPE_CHECKING:
+    from identify.signals.kinematics import Use
+else:
+    Use = str  # what a command needs of the other rooms is imported when it runs: the help is shown at once
 
-UseOption = Annotated[str, typer.Option(help=f"Which sensors: {', '.join(get_args(Use))}.")]
+UseOption = Annotated[str, typer.Option(help="Which sensors: {use}.")]
 TolerancesOption = Annotated[
     str | None,
     typer.Option(help="How exactly rig.json is believed: laboratory, exact, or a TOML file; else as it says itself."),
 ]
 ExportOption = Annotated[
-    str | None, typer.Option(help=f"Write the curves of the figures to the folder too, as {', '.join(WRITERS)}.")
+    str | None, typer.Option(help="Write the curves of the figures to the folder too, as {table_formats}.")
 ]
+
+
+def option_words() -> dict[str, str]:
+    """Words for the help of the options: sensors, windows, formats of tables."""
+    from identify.pages.tables import WRITERS
+    from identify.signals.kinematics import Use
+    from identify.signals.spectra import WINDOW_POWERS
+
+    return {
+        "use": ", ".join(get_args(Use)),
+        "windows": ", ".join(WINDOW_POWERS),
+        "table_formats": ", ".join(WRITERS),
+    }
 
 
 def checked_use(use: str) -> Use:
     """Sensors to use; raises typer.BadParameter for an unknown name."""
-    if use not in get_args(Use):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Use))}", param_hint="--use")
-    return msgspec.convert(use, Use)
+    from identify.signals.kinematics import Use as Uses
+
+    if use not in get_args(Uses):
+        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Uses))}", param_hint="--use")
+    return msgspec.convert(use, Uses)
 
 
 def check_export(export: str | None, out: Path | None) -> None:
     """Raises typer.BadParameter for an unknown format, or without a folder."""
+    from identify.pages.tables import WRITERS
+
     if export is not None and (export not in WRITERS or out is None):
         sentence = "needs --out, its folder" if export in WRITERS else f"{export!r} is none of {', '.join(WRITERS)}"
         raise typer.BadParameter(sentence, param_hint="--export")

@@ -6,16 +6,20 @@ from typing import Annotated
 
 import typer
 
-from identify.api import plan as plan_test
 from identify.commands.options import TolerancesOption, print_json
-from identify.planning import page
-from identify.planning.ranking import MAX_CHANGES
 from rig.commands.command_line import Force, Json, console_table, literal_console, progress_bar, refuse_existing, say
 
 SHOWN_CHANGES = 8
 """Number of ranked changes on the terminal."""
 MAX_WORKERS = 8
 """Most processes, each of which takes some 0.4 GB."""
+
+
+def plan_words() -> dict[str, str]:
+    """Word for the help: the number of changes that are tried at most."""
+    from identify.planning.ranking import MAX_CHANGES
+
+    return {"changes": str(MAX_CHANGES)}
 
 
 def plan(
@@ -34,8 +38,11 @@ def plan(
     ] = None,
     tolerances: TolerancesOption = None,
     changes: Annotated[
-        int, typer.Option(min=0, help="How many changes of the test to try at most; 0: expected intervals alone.")
-    ] = MAX_CHANGES,
+        int | None,
+        typer.Option(
+            min=0, help="How many changes of the test to try at most, otherwise {changes}; 0: expected intervals alone."
+        ),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="How many processes; otherwise one for each core, at most 8.")
     ] = None,
@@ -51,6 +58,10 @@ def plan(
 
     Example: identify plan rig.json --duration 30 --force-rms 14 --band 0.5 100 --out plan
     """
+    from identify.api import plan as plan_test
+    from identify.planning import page
+    from identify.planning.ranking import MAX_CHANGES
+
     if out is not None:
         for file_name in ("plan.html", "plan.json"):
             refuse_existing(out / file_name, force, source, new_folder=True)
@@ -62,7 +73,7 @@ def plan(
             band_hz=band,
             tolerances=tolerances,
             simulator=simulator,
-            most_changes=changes,
+            most_changes=MAX_CHANGES if changes is None else changes,
             workers=workers or min(os.cpu_count() or 1, MAX_WORKERS),
             progress=progress,
         )

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Cause, Finding
@@ -151,22 +150,26 @@ def widened_estimate(estimate: AnyEstimate, parameters: Sequence[Nuisance], mass
     return replace(estimate, covariances=covariances)
 
 
-def fit_findings(estimates: Mapping[str, JointEstimate], parameters: Sequence[Nuisance]) -> Iterator[Finding]:
-    """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate."""
-    yield from pull_findings([estimate.pulls for estimate in estimates.values()], parameters)
-    for name, estimate in estimates.items():
-        damping, error = float(estimate.values[-1]), float(estimate.errors[-1])
-        yield from estimate_findings(name, damping, error, estimate.half_differences, estimate.unexplained_share)
-
-
-def pull_findings(
-    pulls: Sequence[Float[np.ndarray, " nuisances"]], parameters: Sequence[Nuisance]
+def fit_findings(
+    estimates: Mapping[str, JointEstimate | AnnularEstimate], parameters: Sequence[Nuisance], damping_index: int = -1
 ) -> Iterator[Finding]:
-    """Findings on nuisance parameters that a contact's fit pulls beyond `PULL_LIMIT`."""
+    """Findings on the fits: nuisance parameters pulled beyond `PULL_LIMIT`, and those of each estimate, whose damping
+    (N s/m) is the value of that index."""
     for parameter_index, parameter in enumerate(parameters):
-        pull = max((contact_pulls[parameter_index] for contact_pulls in pulls), key=abs, default=0.0)
+        pulls = (estimate.pulls[parameter_index] for estimate in estimates.values())
+        pull = max(pulls, key=abs, default=0.0)
         if parameter.kind in CAUSES and abs(pull) > PULL_LIMIT:
             yield _pull_finding(parameter, pull)
+    for name, estimate in estimates.items():
+        damping, error = float(estimate.values[damping_index]), float(estimate.errors[damping_index])
+        if damping < -NEGATIVE_DAMPING_ERRORS * error:
+            damping_text = interval(damping, error, "N s/m")
+            yield _fit_finding(name, f"{name} comes out with a negative damping of {damping_text}")
+        if max(np.abs(estimate.half_differences)) > HALF_DIFFERENCE_LIMIT:
+            yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
+        if estimate.unexplained_share > UNEXPLAINED_LIMIT:
+            unexplained = f"{100 * estimate.unexplained_share:.2g} %"
+            yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 
 def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
@@ -178,20 +181,6 @@ def _pull_finding(parameter: Nuisance, pull: float) -> Finding:
         evidence=f"the contacts' fit asks for the {parameter.kind} of {owner} to be {pull:+.2g} tolerances off",
         mend="check it (a clock that is off shifts all frequencies alike), or widen its tolerance",
     )
-
-
-def estimate_findings(
-    name: str, damping: float, error: float, half_differences: tuple[float, float], unexplained_share: float
-) -> Iterator[Finding]:
-    """Findings on one estimate: negative damping (N s/m, with its standard error), halves that differ, unexplained
-    force."""
-    if damping < -NEGATIVE_DAMPING_ERRORS * error:
-        yield _fit_finding(name, f"{name} comes out with a negative damping of {interval(damping, error, 'N s/m')}")
-    if max(np.abs(half_differences)) > HALF_DIFFERENCE_LIMIT:
-        yield _fit_finding(name, f"{name} differs between the halves of the record by more than scatter makes")
-    if unexplained_share > UNEXPLAINED_LIMIT:
-        unexplained = f"{100 * unexplained_share:.2g} %"
-        yield _fit_finding(name, f"no clearance and stiffness explain {unexplained} of {name}'s force")
 
 
 def equation_findings(

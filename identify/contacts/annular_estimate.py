@@ -56,8 +56,8 @@ class AnnularEstimate:
     eta_m: Float[np.ndarray, "2 samples"]
     rate_m_per_s: Float[np.ndarray, "2 samples"]
     force_n: Float[np.ndarray, "2 fewer"]
-    unexplained: float
-    halves: tuple[float, float]
+    unexplained_share: float
+    half_differences: tuple[float, float]
 
     @property
     def covariance(self) -> RingCovariance:
@@ -127,28 +127,30 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
         eta_m=eta - state.values[CENTER][:, None],
         rate_m_per_s=rate,
         force_n=record.force_n + values[-DIRECTIONS:, None],
-        unexplained=unexplained_share(
+        unexplained_share=unexplained_share(
             [
                 (residual[record.used], plane.force_n[record.used], plane.noise_n)
                 for residual, plane in zip(residuals, record.planes, strict=True)
             ]
         ),
-        halves=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
+        half_differences=half_differences(by_parts[:, [CLEARANCE, STIFFNESS]]),
     )
 
 
 def _center_by_rest(values: RingValues) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2 9"]]:
     """Centre against the position at rest, m, and its derivatives by the values."""
-    rest = values[REST]
-    force_n, stiffness = max(float(np.hypot(*rest)), 1e-12), values[STIFFNESS]
-    along = rest / force_n
+    rest_force_n = values[REST]
+    force_n, stiffness = max(float(np.hypot(*rest_force_n)), 1e-12), values[STIFFNESS]
+    rest_direction = rest_force_n / force_n
     radius_m = values[CLEARANCE] + force_n / stiffness
     by_values = np.zeros((DIRECTIONS, len(RING)))
-    by_values[:, CLEARANCE] = -along
-    by_values[:, STIFFNESS] = along * force_n / stiffness**2
-    across = np.eye(DIRECTIONS) - np.outer(along, along)
-    by_values[:, REST] = -(np.outer(along, along) / stiffness + radius_m / force_n * across)
-    return -radius_m * along, by_values
+    by_values[:, CLEARANCE] = -rest_direction
+    by_values[:, STIFFNESS] = rest_direction * force_n / stiffness**2
+    tangent_projection = np.eye(DIRECTIONS) - np.outer(rest_direction, rest_direction)
+    by_values[:, REST] = -(
+        np.outer(rest_direction, rest_direction) / stiffness + radius_m / force_n * tangent_projection
+    )
+    return -radius_m * rest_direction, by_values
 
 
 def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.ndarray, " parts"]) -> RingCovariance:
@@ -161,7 +163,7 @@ def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.nd
     squares = fit.weights.reshape(DIRECTIONS, -1) ** 2
     eta, rate = fit.motion(state.knots, state.pulls)
     motion = ring_motion(state.values, record.at_forces(eta), record.at_forces(rate))
-    closed, grows = record.used & (motion.depth_m > 0), motion.along_m_per_s > 0
+    closed, grows = record.used & (motion.depth_m > 0), motion.radial_rate_m_per_s > 0
     deep = motion.depth_m > np.median(motion.depth_m[closed])
     scale = np.max(np.abs(by_law), axis=(0, 1))
     covariance = np.zeros((len(RING), len(RING)))

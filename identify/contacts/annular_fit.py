@@ -97,10 +97,12 @@ class AnnularFit:
         )
         residual = []
         for p, plane in enumerate(record.planes):
-            own = pulls[record.columns[p]]
-            unfitted = plane.force_n + values[REST][p] - own @ plane.nuisance_n - fitted[p, : plane.force_n.size]
+            plane_pulls = pulls[record.columns[p]]
+            unfitted_n = (
+                plane.force_n + values[REST][p] - plane_pulls @ plane.nuisance_n - fitted[p, : plane.force_n.size]
+            )
             ground = ground_n_per_m(plane) @ knots[p::DIRECTIONS]
-            residual.append(unfitted / (1 - own @ plane.force_noise_multiple) - ground)
+            residual.append(unfitted_n / (1 - plane_pulls @ plane.force_noise_multiple) - ground)
         state = AnnularState(values, knots, pulls, np.concatenate(residual))
         prior = record.drift_spline.curvature @ knots - record.drift_spline.target
         squares = np.sum((self.weights * state.residual_n) ** 2) + np.sum(prior**2)
@@ -165,17 +167,17 @@ class AnnularFit:
         count = record.force_n.shape[1]
         rows = np.zeros((state.pulls.size, DIRECTIONS, count), np.float32)
         for p, plane in enumerate(record.planes):
-            own = record.columns[p]
+            plane_columns = record.columns[p]
             ground = ground_n_per_m(plane) @ state.knots[p::DIRECTIONS]
             force_residual = state.residual_n.reshape(DIRECTIONS, -1)[p] + ground
-            for i, signal, noise in zip(own, plane.nuisance_n, plane.force_noise_multiple, strict=True):
+            for i, signal, noise in zip(plane_columns, plane.nuisance_n, plane.force_noise_multiple, strict=True):
                 rows[i, p] += signal - noise * force_residual
             drift = record.at_forces((plane.drift_spline.value @ state.knots[p::DIRECTIONS])[None])[0]
             for i, signal_m, noise in zip(
-                own[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
+                plane_columns[plane.shifts_eta], plane.nuisance_m, plane.eta_noise_multiple, strict=True
             ):
-                moved = slopes.by_eta[:, p] * signal_m + slopes.by_rate[:, p] * plane.velocity_of(signal_m)
-                rows[i] -= _low_passed(record, moved) + noise * by_eta[:, p] * drift
+                force_change_n = slopes.by_eta[:, p] * signal_m + slopes.by_rate[:, p] * plane.velocity_of(signal_m)
+                rows[i] -= _low_passed(record, force_change_n) + noise * by_eta[:, p] * drift
         for p, plane in enumerate(record.planes):
             rows[:, p] /= np.float32(1 - state.pulls[record.columns[p]] @ plane.force_noise_multiple)
         return rows.reshape(state.pulls.size, -1).T

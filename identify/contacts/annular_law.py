@@ -45,8 +45,8 @@ class RingMotion:
     tangent: Float[np.ndarray, "2 *samples"]
     radius_m: Signal
     depth_m: Signal
-    across_m_per_s: Signal
-    along_m_per_s: Signal
+    tangential_rate_m_per_s: Signal
+    radial_rate_m_per_s: Signal
     pushes: Bool[np.ndarray, "*samples"]
     damper: Signal
     normal_n: Signal
@@ -62,17 +62,27 @@ def ring_motion(
     y, z = y - values[CENTER][0], z - values[CENTER][1]
     radius = np.maximum(np.sqrt(y * y + z * z), 1e-12)
     ey, ez = y / radius, z / radius
-    along, across = ey * vy + ez * vz, ey * vz - ez * vy
+    radial_rate, tangential_rate = ey * vy + ez * vz, ey * vz - ez * vy
     depth = radius - values[CLEARANCE]
-    damper = along * np.clip(depth / DAMPING_DEPTH_M, 0.0, 1.0)
+    damper = radial_rate * np.clip(depth / DAMPING_DEPTH_M, 0.0, 1.0)
     normal = values[STIFFNESS] * depth + values[DAMPING] * damper
     pushes = (depth > 0) & (normal > 0)
     normal = normal * pushes
-    sliding = np.tanh(across * np.exp(-values[LOG_SPEED]))
+    sliding = np.tanh(tangential_rate * np.exp(-values[LOG_SPEED]))
     rub = values[FRICTION] * sliding
     radial, tangent = np.stack([ey, ez]), np.stack([-ez, ey])
     return RingMotion(
-        radial, tangent, radius, depth, across, along, pushes, damper, normal, sliding, radial + rub * tangent
+        radial,
+        tangent,
+        radius,
+        depth,
+        tangential_rate,
+        radial_rate,
+        pushes,
+        damper,
+        normal,
+        sliding,
+        radial + rub * tangent,
     )
 
 
@@ -102,8 +112,8 @@ def ring_derivatives(
     _, stiffness, damping, friction, log_speed, *_ = values.tolist()
     share = damping * np.clip(m.depth_m / DAMPING_DEPTH_M, 0.0, 1.0) * m.pushes
     grip = friction * m.normal_n * (1 - m.sliding**2) * np.exp(-log_speed)  # of the tangential force by v_t
-    normal_by_eta = stiffness * m.pushes * m.radial + share * m.across_m_per_s / m.radius_m * m.tangent
-    turned = (m.normal_n - grip * m.along_m_per_s) * m.tangent - friction * m.normal_n * m.sliding * m.radial
+    normal_by_eta = stiffness * m.pushes * m.radial + share * m.tangential_rate_m_per_s / m.radius_m * m.tangent
+    turned = (m.normal_n - grip * m.radial_rate_m_per_s) * m.tangent - friction * m.normal_n * m.sliding * m.radial
     by_eta = m.unit[:, None] * normal_by_eta[None] + turned[:, None] / m.radius_m * m.tangent[None]
     by_rate = m.unit[:, None] * (share * m.radial)[None] + (grip * m.tangent)[:, None] * m.tangent[None]
     by_law = np.stack(
@@ -112,7 +122,7 @@ def ring_derivatives(
             m.depth_m * m.pushes * m.unit,
             m.damper * m.pushes * m.unit,
             m.normal_n * m.sliding * m.tangent,
-            -grip * m.across_m_per_s * m.tangent,
+            -grip * m.tangential_rate_m_per_s * m.tangent,
             -by_eta[:, 0],
             -by_eta[:, 1],
         ]

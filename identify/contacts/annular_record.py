@@ -7,8 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import csr_matrix, diags, hstack, kron, vstack
-from scipy.sparse.linalg import spsolve
+from scipy.sparse import csr_matrix, kron, vstack
 
 from identify.contacts.annular_law import CLEARANCE, FRICTION, LOG_SPEED, REST, RING, STIFFNESS, RingValues
 from identify.contacts.contact_record import (
@@ -18,7 +17,7 @@ from identify.contacts.contact_record import (
     QUIET_DEVIATIONS,
     ContactRecord,
 )
-from identify.contacts.initial_guess import OUTLIER_SCALE, REGRESSION_STAGES, initial_pulls
+from identify.contacts.initial_guess import initial_pulls, robust_regression
 from identify.contacts.refusals import RefusalCode, refused
 from identify.linear.nuisance import RECORD_NAME, SINGLE_FORCE_NAME, Nuisance
 from identify.signals.drift import Spline
@@ -103,8 +102,8 @@ class AnnularRecord:
     def initial_pulls(self) -> Float[np.ndarray, " nuisances"]:
         """Initial states of the modes of a record that begins in motion; zero for all other parameters."""
         pulls = np.zeros(len(self.parameters))
-        for plane, own in zip(self.planes, self.columns, strict=True):
-            pulls[own] += initial_pulls(plane)
+        for plane, plane_columns in zip(self.planes, self.columns, strict=True):
+            pulls[plane_columns] += initial_pulls(plane)
         return pulls
 
     def at_forces(self, rows: Float[np.ndarray, "2 samples"]) -> Float[np.ndarray, "2 fewer"]:
@@ -202,12 +201,18 @@ def annular_guess(
         for name in ("eta_m", "velocity_m_per_s")
     )
     force = force[:, closed]
-    along = force / np.hypot(*force)
-    across = np.stack([-along[1], along[0]])
-    sliding = np.tanh(np.sum(rate * across, axis=0) / sliding_speed_m_per_s) * across
+    normal = force / np.hypot(*force)
+    tangent = np.stack([-normal[1], normal[0]])
+    sliding = np.tanh(np.sum(rate * tangent, axis=0) / sliding_speed_m_per_s) * tangent
     center = np.repeat(np.eye(DIRECTIONS), closed.sum(), axis=0) if record.zero_known else np.zeros((eta.size, 0))
-    law_columns = np.column_stack([along.ravel(), -sliding.ravel(), force.ravel(), center])
-    knots, solution = _regressed(record, closed, eta.ravel(), law_columns)
+    law_columns = np.column_stack([normal.ravel(), -sliding.ravel(), force.ravel(), center])
+    drift = vstack(
+        [
+            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)
+            for p, plane in enumerate(record.planes)
+        ]
+    )
+    knots, solution = robust_regression(eta.ravel(), -drift, law_columns, record.drift_spline)
     clearance, rubbed, softness, *middle = solution.tolist()
     if not (softness > 0 and clearance > 0):
         raise refused(RefusalCode.NO_STIFFNESS)
@@ -221,31 +226,3 @@ def annular_guess(
     values[5 : 5 + len(middle)] = middle
     values[REST] = rest_n
     return values, knots
-
-
-def _regressed(
-    record: AnnularRecord,
-    closed: Bool[np.ndarray, " fewer"],
-    eta: Float[np.ndarray, " samples"],
-    law_columns: Float[np.ndarray, "samples laws"],
-) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
-    """Knots of both directions in turn, and the coefficients of the law, by `initial_guess.REGRESSION_STAGES`."""
-    drift = vstack(
-        [
-            interleaved(plane.at_force_samples(plane.drift_spline.value)[closed], p)
-            for p, plane in enumerate(record.planes)
-        ]
-    )
-    curvature, target = record.drift_spline.curvature, record.drift_spline.target
-    columns = hstack([-drift, law_columns]).tocsr()
-    curvature_rows = hstack([curvature, csr_matrix((target.size, law_columns.shape[1]))])
-    weights, knot_count = np.ones(eta.size), drift.shape[1]
-    for share, curvature_weight in REGRESSION_STAGES:
-        scale_m = share * float(np.std(eta))
-        rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        normal = rows.T @ rows
-        ridge = diags(np.r_[np.full(knot_count, 1e-12 * normal.diagonal().max()), np.zeros(law_columns.shape[1])])
-        right = np.concatenate([weights * eta / scale_m, curvature_weight * target])
-        solution = spsolve((normal + ridge).tocsc(), rows.T @ right)
-        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
-    return solution[:knot_count], solution[knot_count:]

@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from identify.contacts.curves import curves
 from identify.contacts.figures import contact_figures
 from identify.contacts.identification import Identification
 from identify.contacts.report import write_results
@@ -39,3 +38,54 @@ def write_files(
         write_space_results(identification, out, title, laws, laws_name, sources)
     else:
         write_results(identification, out, title, laws, laws_name, sources)
+
+
+def curves(result: Identification) -> dict[str, Table]:
+    """Curves by family: `motion` (relative displacements and separated contact forces over time), `surface` (restoring
+    force of the main modal equation, as measured and as fitted) and `nifo` (over frequency; not of a free decay).
+    """
+    names = [c.name for c in result.rig.contacts]
+    tables = {"motion": _motion_table(result)}
+    if result.methods.main_surfaces:
+        tables["surface"] = _surface_table(result, names)
+    return tables | ({"nifo": _nifo_table(result, names)} if result.methods.main_spectra else {})
+
+
+def _motion_table(result: Identification) -> Table:
+    """Curves over time at the rate of the separated forces, one pair of columns per pair of places."""
+    factor = result.decimation
+    force = result.separated_n
+    eta = result.eta_m[[group.contact_indices[0] for group in result.contact_groups], ::factor]
+    rows = min(eta.shape[1], force.shape[1])
+    table: Table = {"time_s": result.motion.time_s(rows, factor)}
+    for group, displacement, contact_n in zip(result.contact_groups, eta, force, strict=True):
+        name = group.contact.name
+        table[f"{name} relative displacement m"] = displacement[:rows]
+        table[f"{name} contact force N"] = contact_n[:rows]
+    return table
+
+
+def _surface_table(result: Identification, names: list[str]) -> Table:
+    """Relative displacements, modal velocity and restoring force of the main modal equation over time."""
+    surface = result.surface
+    eta = result.eta_m[:, :: surface.decimation]
+    velocity = surface.equation.velocity[:: surface.decimation]
+    rows = min(eta.shape[1], surface.measured_force.size, velocity.size)
+    table: Table = {"time_s": result.motion.time_s(rows, surface.decimation)}
+    table |= {f"{name} relative displacement m": row[:rows] for name, row in zip(names, eta, strict=True)}
+    table["modal velocity sqrt(kg) m/s"] = velocity[:rows]
+    table["restoring force N/sqrt(kg)"] = surface.measured_force[:rows]
+    table["fitted restoring force N/sqrt(kg)"] = surface.fitted_force[:rows]
+    return table
+
+
+def _nifo_table(result: Identification, names: list[str]) -> Table:
+    """FRF of the modal coordinate over the modal force, and stiffness of every contact, by both forms of NIFO."""
+    table: Table = {"frequency_Hz": result.weak_nifo.frequency_hz}
+    for form, nifo in (("weak form", result.weak_nifo), ("paper's form", result.paper_nifo)):
+        rows = {"FRF s^2": nifo.frf}
+        rows |= {f"{names[j]} stiffness N/m": row for j, row in zip(nifo.contacts, nifo.stiffness_n_per_m, strict=True)}
+        for name, row in rows.items():
+            if nifo.frequency_hz.size == result.weak_nifo.frequency_hz.size:
+                table[f"{form} {name} real"], table[f"{form} {name} imaginary"] = row.real, row.imag
+    return table

@@ -26,6 +26,7 @@ from identify.contacts.law_form import (
 )
 from identify.contacts.linearization import Guess, ground_n_per_m
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, refused
+from identify.signals.drift import Spline
 from identify.signals.refit import refit_until_settled
 
 Sides = tuple[bool, bool]
@@ -84,18 +85,30 @@ def closed_regression(
     drift_m = record.at_force_samples(curve.value)[is_closed]
     eta = record.at_force_samples(record.eta_m)[is_closed]
     law_columns = np.stack([sign, force_n, *(-sign * excess_n for excess_n in knee_excess_n)], axis=1)[is_closed]
-    columns = hstack([-drift_m if with_drift else csr_matrix(drift_m.shape), law_columns]).tocsr()
+    drift_columns = -drift_m if with_drift else csr_matrix(drift_m.shape)
+    return np.concatenate(robust_regression(eta, drift_columns, law_columns, curve))
+
+
+def robust_regression(
+    eta_m: Float[np.ndarray, " samples"],
+    drift_columns: csr_matrix,
+    law_columns: Float[np.ndarray, "samples laws"],
+    curve: Spline,
+) -> tuple[Float[np.ndarray, " knots"], Float[np.ndarray, " laws"]]:
+    """Knots of the drift and coefficients of the law, by least squares reweighted through `REGRESSION_STAGES`."""
+    columns = hstack([drift_columns, law_columns]).tocsr()
     curvature_rows = hstack([curve.curvature, csr_matrix((curve.target.size, law_columns.shape[1]))])
-    weights = np.ones(eta.size)
+    weights, knot_count = np.ones(eta_m.size), drift_columns.shape[1]
     for share, curvature_weight in REGRESSION_STAGES:
-        scale_m = share * float(np.std(eta))
+        scale_m = share * float(np.std(eta_m))
         rows = vstack([diags(weights / scale_m) @ columns, curvature_weight * curvature_rows]).tocsc()
-        right_side = np.concatenate([weights * eta / scale_m, curvature_weight * curve.target])
-        knot_ridge = np.full(curve.knots, 1e-12 * (rows.T @ rows).diagonal().max())
+        normal_matrix = rows.T @ rows
+        right_side = np.concatenate([weights * eta_m / scale_m, curvature_weight * curve.target])
+        knot_ridge = np.full(knot_count, 1e-12 * normal_matrix.diagonal().max())
         ridge = diags(np.r_[knot_ridge, np.zeros(law_columns.shape[1])])
-        solution = spsolve((rows.T @ rows + ridge).tocsc(), rows.T @ right_side)
-        weights = 1 / (1 + ((eta - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
-    return np.asarray(solution)
+        solution = spsolve((normal_matrix + ridge).tocsc(), rows.T @ right_side)
+        weights = 1 / (1 + ((eta_m - columns @ solution) / (OUTLIER_SCALE * scale_m)) ** 2)
+    return solution[:knot_count], solution[knot_count:]
 
 
 def reach_m(record: ContactRecord) -> Float[np.ndarray, "2"]:
@@ -241,10 +254,8 @@ def _knee_guesses(record: ContactRecord, nominal: NominalLaws, touched: TouchedS
             for side in range(2):
                 contacts = np.flatnonzero(touched[:, side])
                 contacts = contacts[np.argsort(nominal[contacts, side], kind="stable")]
-                law[contacts, side], law[contacts, 2] = (
-                    clearances_m[: contacts.size],
-                    stiffnesses_n_per_m[: contacts.size],
-                )
+                law[contacts, side] = clearances_m[: contacts.size]
+                law[contacts, 2] = stiffnesses_n_per_m[: contacts.size]
             drift_ratio = 1 + record.spring_n_per_m * compliance * with_drift
             yield law.ravel(), knots / drift_ratio
 

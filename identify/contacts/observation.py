@@ -22,7 +22,7 @@ from identify.contacts.station_spectra import (
 )
 from identify.linear.model import Response, has_high_passed_springs
 from identify.linear.nuisance import ObservedSignals
-from identify.linear.observed_motion import ObservedAcross, ObservedBase
+from identify.linear.observed_motion import ObservedBase, ObservedTransverse
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig
@@ -117,7 +117,7 @@ def observation_of(
         displacements=np.concatenate([displacements, np.zeros_like(gauge_rows.measured)]),
         bodies=tuple(observed_body_motion(rig, r, motion, station_signals / station_response) for r in responses),
         base=observed_base,
-        across=_observed_across(record, lines, rows),
+        transverse=_observed_transverse(record, lines, rows),
         by_displacements=np.concatenate([rows.in_metres, np.zeros(gauge_rows.measured.shape, dtype=bool)]),
     )
     gauge_names = tuple(s.name for s in gauges.sensors)
@@ -137,15 +137,17 @@ def _station_spectra(
     return lines.spectra(motion.displacement_m), accelerations
 
 
-def _observed_across(record: SeparationInput, lines: SpectralLines, station_rows: StationRows) -> ObservedAcross | None:
+def _observed_transverse(
+    record: SeparationInput, lines: SpectralLines, station_rows: StationRows
+) -> ObservedTransverse | None:
     """Motion in the other direction at the stations where it is measured too."""
-    across, stations = record.motion.across, record.motion.stations
-    if across is None:
+    transverse, stations = record.motion.transverse, record.motion.stations
+    if transverse is None:
         return None
-    pairs = [(i, row) for i, station in enumerate(stations) if (row := across.row(station)) is not None]
+    pairs = [(i, row) for i, station in enumerate(stations) if (row := transverse.row(station)) is not None]
     sensors, rows = [i for i, _ in pairs], [row for _, row in pairs]
-    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, across, lines))
-    return ObservedAcross(sensors, station_rows.of(sensors).signals(displacements, accelerations), displacements)
+    displacements, accelerations = (spectra[rows] for spectra in _station_spectra(record, transverse, lines))
+    return ObservedTransverse(sensors, station_rows.of(sensors).signals(displacements, accelerations), displacements)
 
 
 def noise_observation(
@@ -163,7 +165,7 @@ def noise_observation(
         displacements=displacements,
         bodies=tuple(observed_body_motion(rig, b.response, motion, accelerations) for b in observed.bodies),
         base=observed.base and observed.base.at_rest,
-        across=observed.across and observed.across.at_rest,
+        transverse=observed.transverse and observed.transverse.at_rest,
     )
 
 

@@ -49,7 +49,7 @@ class SignalsByLaw:
 
     eta_m: Float[np.ndarray, "contacts samples"]
     force_n: Float[np.ndarray, "contacts samples"]
-    penetration_m: Float[np.ndarray, "contacts samples"]
+    force_over_stiffness_m: Float[np.ndarray, "contacts samples"]
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
     """Signals of contacts between the same places, whose estimates share the drift, each in its own direction."""
     names = [c.name for c in separation.rig.contacts]
     eta = np.empty((len(names), separation.records[0].eta_m.size))
-    force_n, penetration_m = np.zeros_like(eta), np.zeros_like(eta)
+    force_n, force_over_stiffness_m = np.zeros_like(eta), np.zeros_like(eta)
     for group, record in zip(separation.contact_groups, separation.records, strict=True):
         eta_m, rate = record.eta_m, record.velocity_m_per_s
         signs = dict(zip((names[j] for j in group.contact_indices), group.signs, strict=True))
@@ -125,9 +125,9 @@ def signals_by_law(separation: Separation, outcomes: Outcomes) -> SignalsByLaw:
             eta[j] = sign * eta_m
             if names[j] in estimated_names:
                 estimate = outcomes.estimates[names[j]]
-                penetration_m[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
+                force_over_stiffness_m[j] = evaluated_law(estimate.spring_m, eta[j][None], record.sample_rate_hz)
                 force_n[j] = estimate.force_n(eta[j], sign * rate)
-    return SignalsByLaw(eta, force_n, penetration_m)
+    return SignalsByLaw(eta, force_n, force_over_stiffness_m)
 
 
 def stops_of(rig: Rig, outcomes: Outcomes) -> tuple[Stops | None, ...]:
@@ -159,7 +159,7 @@ def paper_methods(
     notes: list[str] = []
     motion = motion.segment(slice(signals.eta_m.shape[1]))
     samples = correctable_samples(motion)
-    eta, penetration_m = signals.eta_m[:, :samples], signals.penetration_m[:, :samples]
+    eta, force_over_stiffness_m = signals.eta_m[:, :samples], signals.force_over_stiffness_m[:, :samples]
     blocks_by_body = _blocks(rig, motion, samples, averaging, notes)
     whole_motion, bodies = motion, {body.name: body for body in rig.bodies}
 
@@ -178,7 +178,7 @@ def paper_methods(
 
     def by_nifo(modal: ModalEquation, form: Form = "weak") -> Nifo:
         force_n = equivalent_force_n(rig, modal, motion.forces_n)
-        return nifo(modal, force_n, penetration_m, blocks_by_body[modal.body], form)
+        return nifo(modal, force_n, force_over_stiffness_m, blocks_by_body[modal.body], form)
 
     def by_surface(modal: ModalEquation) -> Surface:
         return fit_surface(modal, equivalent_force_n(rig, modal, motion.forces_n), eta, decimation, stops)

@@ -66,7 +66,7 @@ def _whirls(
     if not samples.size:
         return np.zeros((0, 2), dtype=int)
     breaks = np.flatnonzero(np.diff(samples) > bridged)
-    starts, ends = samples[np.r_[0, breaks + 1]], samples[np.r_[breaks, samples.size - 1]]
+    starts, stops = samples[np.r_[0, breaks + 1]], samples[np.r_[breaks, samples.size - 1]]
     turned = np.unwrap(angle)
-    around = np.abs(turned[ends] - turned[starts]) >= 2 * np.pi
-    return np.stack([starts[around], ends[around]], axis=1)
+    goes_around = np.abs(turned[stops] - turned[starts]) >= 2 * np.pi
+    return np.stack([starts[goes_around], stops[goes_around]], axis=1)

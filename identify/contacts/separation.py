@@ -79,17 +79,23 @@ def separate_planes(recordings: Sequence[Recording], use: Use, tolerances: Toler
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
     """
     measured = [gauges_of(recording, use, kinematics(recording, use)) for recording in recordings]
-    driven = [motion for _, motion in measured if not is_unforced(motion)]
+    driven_motions = [motion for _, motion in measured if not is_unforced(motion)]
     highest_excited_hz = (
-        max(map(highest_driven_hz, driven)) if driven else max(highest_vibration_hz(motion) for _, motion in measured)
+        max(map(highest_driven_hz, driven_motions))
+        if driven_motions
+        else max(highest_vibration_hz(motion) for _, motion in measured)
     )
-    excited_from = min((motion.excited_from for motion in driven), default=0)
-    across = [motion for _, motion in measured[::-1]] if len(measured) > 1 else [None]
+    excited_from = min((motion.excited_from for motion in driven_motions), default=0)
+    transverse_motions = [motion for _, motion in measured[::-1]] if len(measured) > 1 else [None]
     return tuple(
         _separated(
-            recording, gauges, replace(motion, excited_from=excited_from, across=other), highest_excited_hz, tolerances
+            recording,
+            gauges,
+            replace(motion, excited_from=excited_from, transverse=transverse),
+            highest_excited_hz,
+            tolerances,
         )
-        for recording, (gauges, motion), other in zip(recordings, measured, across, strict=True)
+        for recording, (gauges, motion), transverse in zip(recordings, measured, transverse_motions, strict=True)
     )
 
 
@@ -331,9 +337,9 @@ def _error_density(
             body_stations.index(row)
         ]
         error_power += tolerances.position_m**2 * np.mean(slope**2)
-    if motion.across and (other := motion.across.row(station)) is not None:
-        across_m_per_s2 = _slow_acceleration(motion.across.acceleration_m_per_s2[other], motion)
-        error_power += tolerances.cross_axis**2 * np.mean(across_m_per_s2**2)
+    if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
+        transverse_m_per_s2 = _slow_acceleration(motion.transverse.acceleration_m_per_s2[transverse_row], motion)
+        error_power += tolerances.cross_axis**2 * np.mean(transverse_m_per_s2**2)
     return float(np.sqrt(2 * noise_m_per_s2[row] ** 2 / motion.sample_rate_hz + error_power / DRIFT_BAND_HZ))
 
 

@@ -68,10 +68,10 @@ class SlowModel:
         integrated displacement."""
         count = self.low_pass_gain.shape[1]
         by_contacts = self.input_displacements[-len(contact_forces) :]
-        slow_displacements = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
-        slow_displacements = slow_displacements - self.nuisance_changes.get(parameter, 0.0)
+        slow_changes = np.einsum("isl,il->sl", by_contacts, contact_forces[:, :count])
+        slow_changes = slow_changes - self.nuisance_changes.get(parameter, 0.0)
         integrated_motion = (1 - self.low_pass_gain) * displacements[:, :count]
-        return np.concatenate([integrated_motion + slow_displacements, displacements[:, count:]], axis=1)
+        return np.concatenate([integrated_motion + slow_changes, displacements[:, count:]], axis=1)
 
 
 def slow_model(

@@ -1,7 +1,7 @@
 """Contacts of a rig in space: its two plane rigs are separated by themselves, and each annular contact is fitted over
 both; contacts of one direction are those of its plane rig."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -10,9 +10,7 @@ import numpy as np
 from identify.checks import check_recording, naming_first_finding
 from identify.checks.findings import Finding
 from identify.contacts.acceptance import (
-    estimate_findings,
     fit_findings,
-    pull_findings,
     widened_estimate,
     without_dead_force,
 )
@@ -72,8 +70,8 @@ def check_directions(rig: Rig, use: Use) -> None:
     for contact in (c for c in rig.contacts if c.law.spatial):
         for station in contact_stations(contact):
             sensors = [s for s in rig.sensors if s.station.body == station.body and use in ("auto", s.quantity)]
-            seen = {s.station.direction for s in sensors if s.measures.translates}
-            if missing := {*rig.directions} - seen:
+            measured_directions = {s.station.direction for s in sensors if s.measures.translates}
+            if missing := {*rig.directions} - measured_directions:
                 raise refused(
                     RefusalCode.ONE_DIRECTION, contact=contact.name, body=station.body, direction=min(missing)
                 )
@@ -103,17 +101,15 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
     check_described(rig)
     for contact in rig.contacts if rig.gravity_m_per_s2 else ():
         if not contact.law.spatial and contact.at.direction == "y":
-            what = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
-            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=what)
-    counted = from_rest_position(recording)
-    planes = [plane_recording(counted, direction) for direction in rig.directions]
+            unmodelled_words = f"gravity_m_per_s2 and contact {contact.name!r} in y that is not annular"
+            raise refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_words)
+    from_rest = from_rest_position(recording)
+    planes = [plane_recording(from_rest, direction) for direction in rig.directions]
     planes = [replace(plane, rig=condensed(plane.rig)) for plane in planes]
     y, z = separate_planes(planes, use, tolerances)
-    records, annular, refusals = (
-        annular_records(rig, (y, z), tolerances),
-        dict[str, AnnularEstimate](),
-        dict[str, Refusal](),
-    )
+    records = annular_records(rig, (y, z), tolerances)
+    annular = dict[str, AnnularEstimate]()
+    refusals = dict[str, Refusal]()
     for name, record in records.items():
         law = rig.contact(name).law
         assert isinstance(law, Annular)
@@ -125,7 +121,9 @@ def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> Sp
         else:
             annular[name] = widened_estimate(estimate, record.parameters, max(y.mass_pull, z.mass_pull))
     plane, findings = _plane_outcomes(rig, (y, z))
-    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *_annular_findings(annular, records)))
+    shared_parameters = next(iter(records.values())).parameters if annular else ()
+    annular_findings = fit_findings(annular, shared_parameters, DAMPING)
+    return SpaceContacts((y, z), annular, records, plane, refusals, (*findings, *annular_findings))
 
 
 def annular_records(
@@ -173,8 +171,8 @@ def _with_whole_band(
             NuisanceKind.GAIN: tolerance.gain * motion.displacement_m[row],
             NuisanceKind.DELAY: -tolerance.delay_s * motion.velocity_m_per_s[row],
         }
-        if motion.across and (across := motion.across.row(station)) is not None:
-            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.across.displacement_m[across]
+        if motion.transverse and (transverse_row := motion.transverse.row(station)) is not None:
+            changes_m[NuisanceKind.CROSS_AXIS] = tolerance.cross_axis * motion.transverse.displacement_m[transverse_row]
         for kind, change_m in changes_m.items():
             if (parameter := Nuisance(kind, sensor)) in parameters:
                 whole_m = sign * change_m[:samples]
@@ -197,36 +195,24 @@ def _plane_outcomes(rig: Rig, separations: tuple[Separation, Separation]) -> tup
     annular = {contact.name for contact in rig.contacts if contact.law.spatial}
     for separation in separations:
         contacts = separation.rig.contacts
-        kept = [
+        groups = [
             k
             for k, p in enumerate(separation.contact_groups)
             if not annular & {contacts[j].name for j in p.contact_indices}
         ]
-        if not kept:
+        if not groups:
             continue
-        alone = replace(
+        plane_separation = replace(
             separation,
-            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(kept, kept)]),
-            contact_groups=tuple(separation.contact_groups[k] for k in kept),
-            records=tuple(separation.records[k] for k in kept),
+            forces=replace(separation.forces, slow_n_per_m=separation.forces.slow_n_per_m[np.ix_(groups, groups)]),
+            contact_groups=tuple(separation.contact_groups[k] for k in groups),
+            records=tuple(separation.records[k] for k in groups),
         )
-        found, parameters = determine(alone), separation.forces.nuisances.parameters
+        determined, parameters = determine(plane_separation), separation.forces.nuisances.parameters
         estimates = {
             name: widened_estimate(estimate, parameters, separation.mass_pull)
-            for name, estimate in found.estimates.items()
+            for name, estimate in determined.estimates.items()
         }
-        outcomes = outcomes | Outcomes(estimates, found.refusals)
+        outcomes = outcomes | Outcomes(estimates, determined.refusals)
         findings += fit_findings(estimates, parameters)
     return outcomes, tuple(findings)
-
-
-def _annular_findings(
-    annular: Mapping[str, AnnularEstimate], records: Mapping[str, AnnularRecord]
-) -> Iterator[Finding]:
-    """Findings on the fits of annular contacts."""
-    if annular:
-        parameters = next(iter(records.values())).parameters
-        yield from pull_findings([estimate.pulls for estimate in annular.values()], parameters)
-    for name, estimate in annular.items():
-        damping, error = float(estimate.values[DAMPING]), float(estimate.errors[DAMPING])
-        yield from estimate_findings(name, damping, error, estimate.halves, estimate.unexplained)

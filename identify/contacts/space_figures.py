@@ -81,9 +81,9 @@ def _orbit(panel: _Panel) -> None:
     panel.figure.colorbar(points, ax=axes, label="contact force, N", location="bottom")
     angle = np.linspace(0, 2 * np.pi, 181)
     circle = np.stack([np.sin(angle), np.cos(angle)])
-    found_mm, line = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
-    axes.plot(*found_mm, color="w", lw=4.0, zorder=3)  # seen upon the points
-    axes.plot(*found_mm, color=GREEN, label="clearance found", **line)
+    clearance_circle_mm, line = 1e3 * estimate.values[CLEARANCE] * circle, {"lw": 1.4, "zorder": 3}
+    axes.plot(*clearance_circle_mm, color="w", lw=4.0, zorder=3)  # seen upon the points
+    axes.plot(*clearance_circle_mm, color=GREEN, label="clearance found", **line)
     if panel.law is not None:
         reference_label = f"clearance, {panel.laws_name}"
         axes.plot(*(1e3 * panel.law.clearance_m * circle), color="k", ls=":", label=reference_label, **line)
@@ -122,14 +122,14 @@ def _surface(panel: _Panel) -> None:
 def _friction(panel: _Panel) -> None:
     """Ratio of the separated force along the wall to that across it, over the sliding velocity."""
     axes, estimate, law = panel.axes, panel.estimate, panel.law
-    radius, normal, along = panel.polar
+    radius, normal_n, tangential_n = panel.polar
     (y, z), (vy, vz) = panel.eta_m, _at_forces(panel.result, estimate.rate_m_per_s, estimate)
     speed = (y * vz - z * vy) / radius
-    clear = (normal > CLOSED_FORCE_SHARE * np.quantile(normal, 0.995)) & (radius > estimate.values[CLEARANCE])
-    ratio = along[clear] / normal[clear]
-    axes.plot(1e3 * speed[clear], ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
-    ends = np.quantile(speed[clear], [0.005, 0.995]) if clear.any() else np.zeros(2)
-    span = np.linspace(ends[0], ends[1], 200)
+    is_closed = (normal_n > CLOSED_FORCE_SHARE * np.quantile(normal_n, 0.995)) & (radius > estimate.values[CLEARANCE])
+    ratio = tangential_n[is_closed] / normal_n[is_closed]
+    axes.plot(1e3 * speed[is_closed], ratio, ".", ms=4, color=GREY, alpha=0.4, label="separated, no law")
+    speed_range = np.quantile(speed[is_closed], [0.005, 0.995]) if is_closed.any() else np.zeros(2)
+    span = np.linspace(speed_range[0], speed_range[1], 200)
     mu, v_0 = estimate.values[FRICTION], np.exp(estimate.values[LOG_SPEED])
     axes.plot(1e3 * span, mu * np.tanh(span / v_0), color=BLUE, lw=1.2, label="law found")
     limit = 3 * abs(mu) + 0.05

@@ -121,10 +121,10 @@ def _rings_are_coupled(contacts: SpaceContacts) -> bool:
 
 
 def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> results.ContactEstimate:
-    values, errors, own = estimate.values, estimate.errors, estimate.own_errors
+    values, errors, repeatable_errors = estimate.values, estimate.errors, estimate.own_errors
 
     def of(index: int) -> results.Estimate:
-        return results.Estimate(float(values[index]), float(errors[index]), float(own[index]))
+        return results.Estimate(float(values[index]), float(errors[index]), float(repeatable_errors[index]))
 
     speed = float(np.exp(values[LOG_SPEED]))
     center_y, center_z = range(len(values))[CENTER]
@@ -137,7 +137,9 @@ def _annular(name: str, estimate: AnnularEstimate, shares: RingShares) -> result
         closed_share=1.0 - shares.free,
         law="annular",
         friction_coefficient=of(FRICTION),
-        sliding_speed_m_per_s=results.Estimate(speed, speed * float(errors[LOG_SPEED]), speed * float(own[LOG_SPEED])),
+        sliding_speed_m_per_s=results.Estimate(
+            speed, speed * float(errors[LOG_SPEED]), speed * float(repeatable_errors[LOG_SPEED])
+        ),
         center_y_m=of(center_y) if estimate.center_known else None,
         center_z_m=of(center_z) if estimate.center_known else None,
         rest_force_y_n=of(rest_y),

@@ -127,10 +127,8 @@ def history_figure(history: History) -> Picture:
                 shifted_positions = recording_positions + 0.08 * np.diff(recording_positions).min() * (
                     contact_index - (len(histories) - 1) / 2
                 )
-                deviations_percent, half_widths_percent = (
-                    100 * (values / quantity_history.mean - 1),
-                    100 * COVERED * own_errors / quantity_history.mean,
-                )
+                deviations_percent = 100 * (values / quantity_history.mean - 1)
+                half_widths_percent = 100 * COVERED * own_errors / quantity_history.mean
                 colour = colours[contact_index % len(colours)]
                 axes.errorbar(
                     shifted_positions,

@@ -90,7 +90,7 @@ class Laws:
     """Laws of the contacts that were identified, with the report on all."""
 
     report: LawReport
-    found: tuple[ContactLawFit, ...]
+    fits: tuple[ContactLawFit, ...]
 
 
 def identify_law(

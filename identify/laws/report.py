@@ -31,7 +31,7 @@ _CAPTIONS = {
 def write_results(laws: Laws, out: Path, title: str, sources: Sequence[Path] = ()) -> None:
     """Write law.html, the figures as PNG and, last of all, law.json."""
     make_folder(out)
-    figures = law_figures(laws.found)
+    figures = law_figures(laws.fits)
     for figure_name, law_figure in figures.items():
         law_figure.save(out / f"{figure_name}.png")
     write_page(laws.report, figures, title, out / "law.html", sources)

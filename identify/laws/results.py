@@ -9,13 +9,11 @@ from identify.contacts.results import Estimate, Unanswered
 from identify.laws.fitted_laws import PiecewiseLinear, SlidingFriction
 from identify.pages.wording import interval
 
-PIECEWISE, FORMULA, DEAD_ZONE, CUBIC, SLIDING = (
-    "piecewise-linear law",
-    "formula found",
-    "dead zone of the joint estimate",
-    "cubic polynomial",
-    "friction behind a backlash",
-)
+PIECEWISE = "piecewise-linear law"
+FORMULA = "formula found"
+DEAD_ZONE = "dead zone of the joint estimate"
+CUBIC = "cubic polynomial"
+SLIDING = "friction behind a backlash"
 FLAT_SHARE = 0.01
 """Slope over the steepest below which a piece counts as flat, the gap of a dead zone."""
 

@@ -99,7 +99,7 @@ class Response:
     mode_count: int
     dynamics: Dynamics
     cache: ResponseCache = field(repr=False)
-    known_shapes: dict[Hashable, Float[np.ndarray, "places _"]] = field(default_factory=dict, repr=False, compare=False)
+    shape_cache: dict[Hashable, Float[np.ndarray, "places _"]] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
@@ -107,7 +107,7 @@ class Response:
 
     def shapes(self, places: Sequence[Place]) -> Float[np.ndarray, "places modes"]:
         """Mode shapes at places of motion, -h phi''(x) at strain gauges; zero on other bodies and at the ground."""
-        return self._known(tuple(places), lambda: self._shapes_at(places, 0.0))
+        return self._cache(tuple(places), lambda: self._shapes_at(places, 0.0))
 
     def slopes(self, places: Sequence[Station | Sensor]) -> Float[np.ndarray, "places modes"]:
         """Derivatives of `shapes` along the body, per metre, at places on it; zero for a single mass."""
@@ -146,14 +146,14 @@ class Response:
             weights[:, rows] = self.shapes(stations)[:, :modes] @ inverse_shapes
             return weights
 
-        return self._known((tuple(sensor_stations), tuple(stations)), make)
+        return self._cache((tuple(sensor_stations), tuple(stations)), make)
 
-    def _known(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
+    def _cache(self, key: Hashable, make: Callable[[], Float[np.ndarray, "places _"]]) -> Float[np.ndarray, "places _"]:
         """Array by a key, made once; not to be written to."""
-        if key not in self.known_shapes:
-            self.known_shapes[key] = make()
-            self.known_shapes[key].flags.writeable = False
-        return self.known_shapes[key]
+        if key not in self.shape_cache:
+            self.shape_cache[key] = make()
+            self.shape_cache[key].flags.writeable = False
+        return self.shape_cache[key]
 
     def sensitivity(self, by_frequency: bool, modes: slice = slice(None)) -> Complex[np.ndarray, "modes lines"]:
         """Relative change -dD / D of each mode's acceleration by that of its frequency, or of its damping.

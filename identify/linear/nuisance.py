@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Complex, Float, Int
 
 from identify.linear.model import Response, real_product
-from identify.linear.observed_motion import BodyMotion, ObservedAcross, ObservedBase
+from identify.linear.observed_motion import BodyMotion, ObservedBase, ObservedTransverse
 from identify.signals.kinematics import CORNER_HZ, integrated
 from rig.model.description import Sensor, force_names
 from rig.model.tolerances import Tolerances
@@ -113,7 +113,7 @@ class ObservedSignals:
     bodies: tuple[BodyMotion, ...]
     further_changes: tuple[Change, ...] = ()
     base: ObservedBase | None = None
-    across: ObservedAcross | None = None
+    transverse: ObservedTransverse | None = None
     by_displacements: Bool[np.ndarray, "sensors lines"] | None = None
 
     def share_of(self, channel: Sensor, row: int, base: ObservedBase | None = None) -> Bool[np.ndarray, " lines"]:
@@ -179,9 +179,9 @@ def _sensor_changes(observed: ObservedSignals) -> Iterator[Change]:
 
 def _cross_axis_changes(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by the share of the motion across that each sensor shows."""
-    across = observed.across
+    transverse = observed.transverse
     for i, signals, displacements in (
-        zip(across.sensors, across.signals, across.displacements, strict=True) if across else ()
+        zip(transverse.sensors, transverse.signals, transverse.displacements, strict=True) if transverse else ()
     ):
         sensor, displacement_sensor = observed.sensors[i], observed.displaced_by[i]
         for channel in dict.fromkeys((sensor, displacement_sensor)):

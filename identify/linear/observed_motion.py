@@ -51,14 +51,15 @@ class ObservedBase:
 
 
 @dataclass(frozen=True)
-class ObservedAcross:
-    """Signals and displacements of the motion across, in the other direction, at the places of some sensors."""
+class ObservedTransverse:
+    """Signals and displacements, at the places of some sensors, of the motion in the other direction of a rig in
+    space."""
 
     sensors: list[int]
     signals: Complex[np.ndarray, "some lines"]
     displacements: Complex[np.ndarray, "some lines"]
 
     @property
-    def at_rest(self) -> "ObservedAcross":
+    def at_rest(self) -> "ObservedTransverse":
         """The same places without motion across."""
         return replace(self, signals=0 * self.signals, displacements=0 * self.displacements)

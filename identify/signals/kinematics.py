@@ -5,8 +5,8 @@ from functools import cache
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.fft import irfft, next_fast_len, rfft
 
 from identify.signals.beginning import QUIET_S, excitation_start, lead_in
 from identify.signals.measured_base import MeasuredBase, excitations, forces_on_bodies
@@ -41,7 +41,7 @@ class Kinematics:
     rest, of those at contacts. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement at a
     contact lacks, zero elsewhere. excited_from is the first sample with a force, 0 without a quiet start. start_s is
     the time of the first sample in the record. slow_by_gauges is True if strain gauges gave the slow displacements.
-    across is the motion in the other direction of a rig in space.
+    transverse is the motion in the other direction of a rig in space.
 
     Where a sensor measures how the base shakes, all motion is relative to the base, and the last of the forces is the
     inertial force on each kilogram, minus the base's acceleration (N/kg).
@@ -63,7 +63,7 @@ class Kinematics:
     start_s: float = 0.0
     slow_by_gauges: bool = False
     base: MeasuredBase | None = None
-    across: "Kinematics | None" = None
+    transverse: "Kinematics | None" = None
 
     def time_s(self, samples: int, factor: int = 1) -> Float[np.ndarray, " samples"]:
         """Times of every `factor`-th of the first samples, s."""
@@ -100,7 +100,7 @@ class Kinematics:
             excited_from=max(0, self.excited_from - (samples.start or 0)),
             start_s=self.start_s + (samples.start or 0) / self.sample_rate_hz,
             base=self.base and self.base.segment(samples),
-            across=self.across and self.across.segment(samples),
+            transverse=self.transverse and self.transverse.segment(samples),
         )
 
     @property
@@ -139,10 +139,12 @@ class _PaddedTransform:
             padded_signal[-lead_samples:] = lead_in(padded_signal[: signal.size], lead_samples)
         in_passband = self.omega >= PASSBAND_START * 2 * np.pi * sensor.high_pass_hz
         response = sensor.response(self.omega)
-        return np.divide(rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband)
+        return np.divide(
+            scipy.fft.rfft(padded_signal), response, out=np.zeros(self.omega.size, dtype=complex), where=in_passband
+        )
 
     def usable_samples(self, spectrum: Complex[np.ndarray, " lines"]) -> Float[np.ndarray, " usable"]:
-        return np.asarray(irfft(spectrum, self.padded_count)[: self.usable_count])
+        return np.asarray(scipy.fft.irfft(spectrum, self.padded_count)[: self.usable_count])
 
 
 @dataclass(frozen=True)
@@ -245,7 +247,7 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     end_taper = taper(sample_count, round(TAPER_S * rate_hz))
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
-    padded_count = next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
+    padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
     excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate_hz)
     return _PaddedTransform(
         corner_hz=corner_hz,
@@ -263,7 +265,7 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
     omega, corner_hz = transform.omega, transform.corner_hz
     order_factor = cache(lambda power: integrated(omega, power, corner_hz))
     below_corner = 1 - _high_pass(omega, corner_hz)
-    contact_sides = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
+    contact_places = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
     derivatives = tuple(
         np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )
@@ -284,7 +286,7 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
             spectrum = spectra[sensor.name, lead_samples] * order_factor(differentiations)
             derivatives[order][row] = transform.usable_samples(spectrum)
             channels[sensor.name] = None
-        if station in contact_sides and 0 not in by_order:  # the spectrum is the acceleration's
+        if station in contact_places and 0 not in by_order:  # the spectrum is the acceleration's
             lost_m_per_s2[row] = transform.usable_samples(spectrum * below_corner)
     return _Motion(derivatives, lost_m_per_s2, tuple(channels))
 

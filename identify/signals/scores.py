@@ -21,8 +21,8 @@ def part_scores(
     Econometrica 48, 1980, by clusters).
     """
     starts = even_parts(residual.size) if starts is None else starts
-    ends = np.append(starts[1:], residual.size)
-    return np.array([influence[start:stop].T @ residual[start:stop] for start, stop in zip(starts, ends, strict=True)])
+    stops = np.append(starts[1:], residual.size)
+    return np.array([influence[start:stop].T @ residual[start:stop] for start, stop in zip(starts, stops, strict=True)])
 
 
 def even_parts(sample_count: int) -> Int[np.ndarray, " parts"]:

@@ -6,9 +6,8 @@ from functools import lru_cache
 
 import msgspec
 import numpy as np
+import scipy
 from jaxtyping import Complex, Float
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.signal import resample
 
 from rig.errors import RigError
 
@@ -92,7 +91,7 @@ class Blocks:
                 np.multiply(first[0], first[1].signal[samples], out=windowed[channel])
                 for weight, term in other_terms:
                     windowed[channel] += weight * term.signal[samples]
-            spectra[:, block] = rfft(windowed, axis=1)[:, self.lines]
+            spectra[:, block] = scipy.fft.rfft(windowed, axis=1)[:, self.lines]
         return spectra
 
 
@@ -145,7 +144,7 @@ def window_derivatives(window_name: str, block_samples: int, sample_rate_hz: flo
 def oversampled(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Band-limited signals at `factor` times their rate."""
     ramped = _ramped(signals, 1)
-    fine_signals = resample(ramped, factor * ramped.shape[-1], axis=-1)
+    fine_signals = scipy.signal.resample(ramped, factor * ramped.shape[-1], axis=-1)
     return np.asarray(fine_signals[..., factor * RAMP_SAMPLES : factor * (RAMP_SAMPLES + signals.shape[-1])])
 
 
@@ -156,11 +155,11 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
     ramped = _ramped(signals, factor)
     length = ramped.shape[-1] // factor
     subsequences = np.moveaxis(ramped.reshape(*ramped.shape[:-1], length, factor), -1, -2)
-    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), rfft(subsequences))
+    lines = np.einsum("pk,...pk->...k", _phase_factors(length, factor), scipy.fft.rfft(subsequences))
     if length % 2 == 0:
         lines[..., -1] *= 2  # half the new rate stands for both signs, as in scipy.signal.resample
     first_sample, new_count = RAMP_SAMPLES, -(-signals.shape[-1] // factor)
-    return np.asarray(irfft(lines / factor, length)[..., first_sample : first_sample + new_count])
+    return np.asarray(scipy.fft.irfft(lines / factor, length)[..., first_sample : first_sample + new_count])
 
 
 @lru_cache(maxsize=4)
@@ -177,7 +176,7 @@ def _phase_factors(length: int, factor: int) -> Complex[np.ndarray, "factor line
 def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
     sample_count, rise_samples = signals.shape[-1], RAMP_SAMPLES * factor
-    length = factor * next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
+    length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
     fall_samples = length - sample_count - rise_samples
     ramped = np.empty((*signals.shape[:-1], length))
     ramped[..., :rise_samples] = signals[..., :1] * (np.arange(rise_samples) / rise_samples)

@@ -1,19 +1,18 @@
 """The command `rig`."""
 
 import json
-from collections.abc import Mapping
+import math
 from functools import reduce
 from inspect import getdoc
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-import numpy as np
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from rig.commands.cli_files import draw, export_, fmu, import_, recover, schema
+from rig.commands.cli_files import draw, export_, fmu, format_words, import_, recover, schema
 from rig.commands.cli_init import init
 from rig.commands.cli_view import view
 from rig.commands.command_line import (
@@ -22,6 +21,7 @@ from rig.commands.command_line import (
     StoppedError,
     Version,
     check_ending,
+    help_filled_by,
     literal_console,
     progress_bar,
     refuse_existing,
@@ -31,16 +31,18 @@ from rig.commands.command_line import (
 )
 from rig.commands.demo import demo
 from rig.commands.doctor import doctor as installation
-from rig.effects import effect_named, effects
 from rig.errors import RigError, hint
-from rig.model.contact_laws import walls_m
-from rig.model.description import ON_GROUND, Station, read_rig, to_json
-from rig.model.space import check_plane
-from rig.recording import Recording, Signals, read, truth_path
-from rig.simulation.own import OwnRig, OwnRigSettings, own_rig, plant_for
-from rig.simulation.plants import PLANTS, plant_named
-from rig.simulation.record import record as record_rig
-from rig.simulation.reference import REFERENCES, Reference, reference, settings_in_order
+
+if TYPE_CHECKING:
+    from numpy import ndarray
+
+    from rig.model.description import Station
+    from rig.recording import Recording, Signals
+    from rig.simulation.own import OwnRig
+    from rig.simulation.reference import Reference
+else:
+    # what a command needs of the other rooms is imported when it runs: the help is shown at once
+    ndarray = Station = Recording = Signals = OwnRig = Reference = Any
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
@@ -52,15 +54,23 @@ def _callback(version: Version = False) -> None:
     """A virtual test rig: simulates a structure with clearances and records it as a laboratory would."""
 
 
-def _settings_text(title_words: str, type_by_name: Mapping[str, type[msgspec.Struct]]) -> str:
-    """Help text: every setting with its default."""
-    return "\n\n".join(
-        f"{title_words} {name}: {_defaults_text(settings_type)}" for name, settings_type in type_by_name.items()
+def _record_words() -> dict[str, str]:
+    """Words for the help of `rig record`: reference rigs, plants, and every setting and effect with its defaults."""
+    from rig.effects import effects
+    from rig.simulation.own import OwnRigSettings
+    from rig.simulation.plants import PLANTS
+    from rig.simulation.reference import REFERENCES, settings_in_order
+
+    def defaults_text(struct_type: type[msgspec.Struct]) -> str:
+        return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
+
+    settings = {**REFERENCES, "FILE.json": OwnRigSettings}
+    paragraphs = (
+        *(f"Settings of {name}: {defaults_text(settings_type)}" for name, settings_type in settings.items()),
+        "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
+        *(f"Effect {name}: {defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
     )
-
-
-def _defaults_text(struct_type: type[msgspec.Struct]) -> str:
-    return ", ".join(f"{field.name}={field.default}" for field in settings_in_order(struct_type))
+    return {"references": ", ".join(REFERENCES), "plants": ", ".join(PLANTS), "settings": "\n\n".join(paragraphs)}
 
 
 def _first_paragraph(documented_class: type) -> str:
@@ -68,25 +78,16 @@ def _first_paragraph(documented_class: type) -> str:
     return " ".join((getdoc(documented_class) or "").partition("\n\n")[0].split())
 
 
-_EPILOG = (
-    _settings_text("Settings of", {**REFERENCES, "FILE.json": OwnRigSettings}),
-    "None stands for a value that follows from the rig: rms_n moves the contacts by some clearances.",
-    *(f"Effect {name}: {_defaults_text(kind)}. {_first_paragraph(kind)}" for name, kind in effects().items()),
-)
-
-
-@app.command(epilog="\n\n".join(_EPILOG))
+@app.command(cls=help_filled_by(_record_words), epilog="{settings}")
 def record(
     scenario: Annotated[
         str,
-        typer.Argument(metavar="RIG", help=f"One of {', '.join(REFERENCES)}, or a rig of your own: its rig.json."),
+        typer.Argument(metavar="RIG", help="One of {references}, or a rig of your own: its rig.json."),
     ],
     out: Annotated[Path, typer.Option(help="The recording to write; the truth file is written beside it.")],
     plant: Annotated[
         str | None,
-        typer.Option(
-            help=f"How it is simulated: {', '.join(PLANTS)}. Otherwise ancf; modal where a body is a structure."
-        ),
+        typer.Option(help="How it is simulated: {plants}. Otherwise ancf; modal where a body is a structure."),
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Length of the record, s.")] = None,
     seed: Annotated[int | None, typer.Option(help="Seed of the force and of the sensors' noise.")] = None,
@@ -109,6 +110,13 @@ def record(
 
     Example: rig record rig.json --duration 60 --set rms_n=20 --out own.mcap
     """
+    from rig.effects import effect_named
+    from rig.model.space import check_plane
+    from rig.recording import truth_path
+    from rig.simulation.own import OwnRig, plant_for
+    from rig.simulation.plants import PLANTS, plant_named
+    from rig.simulation.record import record as record_rig
+
     setting_parts = [parsed_settings.partition("=") for parsed_settings in settings or []]
     for key, equals, _ in setting_parts:
         if not equals:
@@ -164,6 +172,8 @@ def record(
 
 def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:
     """Level of the force on a user's rig, why it was chosen and warnings, for JSON; empty for a reference rig."""
+    from rig.simulation.own import OwnRig
+
     if not isinstance(machine, OwnRig):
         return {}
     return {"force": {"rms_n": machine.level.rms_n, "why": machine.level.reason, "warnings": machine.warnings}}
@@ -174,6 +184,10 @@ def _reference_or_own_rig(scenario: str, settings: dict[str, str]) -> Reference 
 
     Raises typer.BadParameter for a wrong name or setting, RigError for a file that holds no rig.
     """
+    from rig.model.description import read_rig
+    from rig.simulation.own import own_rig
+    from rig.simulation.reference import REFERENCES, reference
+
     is_file = Path(scenario).suffix == ".json"
     if not is_file and scenario not in REFERENCES:
         reference_names = ", ".join(REFERENCES)
@@ -194,6 +208,9 @@ def info(file: File, as_json: Json = False) -> None:
 
     Example: rig info barrel_cradle.mcap
     """
+    from rig.model.contact_laws import walls_m
+    from rig.recording import read
+
     with working(f"reading {file.name}"):
         recording = read(file)
     if as_json:
@@ -231,6 +248,8 @@ def check(file: File, as_json: Json = False) -> None:
 
     Example: rig check barrel_cradle.mcap
     """
+    from rig.recording import read
+
     with working(f"reading {file.name}"):
         recording = read(file)
     if as_json:
@@ -243,8 +262,8 @@ def check(file: File, as_json: Json = False) -> None:
 app.command()(view)
 app.command()(demo)
 app.command()(recover)
-app.command("import")(import_)
-app.command("export")(export_)
+app.command("import", cls=help_filled_by(format_words))(import_)
+app.command("export", cls=help_filled_by(format_words))(export_)
 app.command()(draw)
 app.command()(fmu)
 app.command()(schema)
@@ -258,6 +277,8 @@ def doctor() -> None:
 
 
 def _summary_json(recording: Recording) -> dict[str, Any]:
+    from rig.model.description import to_json
+
     return {
         "rig": json.loads(to_json(recording.rig)),
         "duration_s": recording.duration_s,
@@ -296,12 +317,14 @@ def _empty_table(title: str, *headings: str) -> Table:
 
 
 def _station_text(station: Station) -> str:
+    from rig.model.description import ON_GROUND
+
     in_z = "" if station.direction == "y" else ", z"
     return station.body if station == ON_GROUND else f"{station.body} {station.position_m:g} m{in_z}"
 
 
-def _rms(samples: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(samples**2)))
+def _rms(samples: ndarray) -> float:
+    return math.sqrt((samples**2).mean())
 
 
 def main() -> None:

@@ -1,25 +1,29 @@
 """The commands of `rig` that bring recordings and rigs back, in and out: recover, import, export, draw."""
 
 import json
+import math
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
-import numpy as np
 import typer
 
 from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
 from rig.files import check_source, write_bytes
-from rig.lab.exporting import FILE_ENDINGS, WRITERS, export
-from rig.lab.import_map import Map
-from rig.lab.importing import import_file
-from rig.lab.looking import look_at
-from rig.lab.tables import READERS
-from rig.model.description import read_rig
-from rig.model.schema import rig_schema, schema_of
-from rig.recording import RIG_NAME, read
-from rig.recording.recovery import recover as recover_recording
+
+if TYPE_CHECKING:
+    from rig.model.description import Rig
+else:
+    Rig = Any  # what a command needs of rig.lab and rig.model is imported when it runs: the help is shown at once
+
+
+def format_words() -> dict[str, str]:
+    """Words for the help: suffixes that are read, formats that are written."""
+    from rig.lab.exporting import WRITERS
+    from rig.lab.tables import READERS
+
+    return {"suffixes": ", ".join(READERS), "formats": ", ".join(WRITERS)}
 
 
 def recover(
@@ -32,6 +36,8 @@ def recover(
 
     Example: rig recover barrel_cradle.mcap.part --out saved.mcap
     """
+    from rig.recording.recovery import recover as recover_recording
+
     refuse_existing(out, force, file)
     check_ending(out, (".mcap",), "a recording")
     with working(f"recovering {file.name}"):
@@ -45,7 +51,7 @@ def recover(
 
 
 def import_(
-    source: Annotated[Path, typer.Argument(metavar="FILE", help=f"The measured data, a file of {', '.join(READERS)}.")],
+    source: Annotated[Path, typer.Argument(metavar="FILE", help="The measured data, a file of {suffixes}.")],
     map_: Annotated[
         Path | None,
         typer.Option("--map", help="The TOML file that says which column is which sensor; without it one is proposed."),
@@ -63,6 +69,8 @@ def import_(
 
     Example: rig import run7.csv --write-map run7.toml, then rig import run7.csv --map run7.toml --out run7.mcap
     """
+    from rig.lab.importing import import_file
+
     if map_ is None:
         if out is not None:
             raise typer.BadParameter(
@@ -86,6 +94,10 @@ def import_(
 
 def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force: bool, as_json: bool) -> None:
     """Print the map proposed for a file, or write it and print the observations behind it."""
+    from rig.lab.looking import look_at
+    from rig.model.description import read_rig
+    from rig.recording import RIG_NAME
+
     if write_map is not None:
         refuse_existing(write_map, force, source)
         check_ending(write_map, (".toml",), "a map")
@@ -115,7 +127,7 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
 
 def export_(
     file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
-    format_: Annotated[str, typer.Option("--format", help=f"One of: {', '.join(WRITERS)}.")],
+    format_: Annotated[str, typer.Option("--format", help="One of: {formats}.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     map_: Annotated[
         Path | None, typer.Option("--map", help="Write the map to import it again too, and rig.json beside the map.")
@@ -126,6 +138,9 @@ def export_(
 
     Example: rig export barrel_cradle.mcap --format csv --out barrel_cradle.csv --map barrel_cradle.toml
     """
+    from rig.lab.exporting import FILE_ENDINGS, WRITERS, export
+    from rig.recording import RIG_NAME, read
+
     if format_ not in WRITERS:
         raise typer.BadParameter(f"{format_!r} is none of {', '.join(WRITERS)}", param_hint="--format")
     refuse_existing(out, force, file)
@@ -139,6 +154,14 @@ def export_(
     with progress_bar(f"writing {out.name}") as progress:
         export(read(file), format_, out, map_, progress)
     print(f"{', '.join(map(str, written_paths))}: written")
+
+
+def _rig_in(file: Path) -> Rig:
+    """Rig of a rig.json or of a recording."""
+    from rig.model.description import read_rig
+    from rig.recording import read
+
+    return read_rig(file) if file.suffix == ".json" else read(file).rig
 
 
 def draw(
@@ -156,7 +179,7 @@ def draw(
     svg_path = out or file.with_suffix(".svg")
     refuse_existing(svg_path, force, file)
     check_ending(svg_path, (".svg",), "a drawing")
-    draw_rig(read_rig(file) if file.suffix == ".json" else read(file).rig, svg_path)
+    draw_rig(_rig_in(file), svg_path)
     print(f"{svg_path}: written; a browser shows it")
 
 
@@ -172,12 +195,12 @@ def fmu(
     """
     from rig.simulation.fmu import export_fmu
 
-    if not 0 < step < np.inf:
+    if not 0 < step < math.inf:
         raise typer.BadParameter(f"{step} is not a finite number above zero", param_hint="--step")
     check_source(file)
     refuse_existing(out, force, file)
     check_ending(out, (".fmu",), "an FMU")
-    export_fmu(read_rig(file) if file.suffix == ".json" else read(file).rig, out, step)
+    export_fmu(_rig_in(file), out, step)
     print(f"{out}: written; its force is the value at the end of the next step")
 
 
@@ -191,5 +214,8 @@ def schema(
 
     Example: rig schema > rig.schema.json
     """
+    from rig.lab.import_map import Map
+    from rig.model.schema import rig_schema, schema_of
+
     chosen_schema = schema_of(Map, "import map") if of_map else rig_schema()
     print(json.dumps(chosen_schema, indent=2))

@@ -6,18 +6,23 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from inspect import Parameter, Signature
 from pathlib import Path
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
 
 import msgspec
 import typer
+from typer.core import TyperGroup
+from typer.main import get_group
 
 from rig.commands.command_line import Force, Json, refuse_existing, working
-from rig.lab.starting import KINDS, MAP_NAME, Start, StartWithStops, write_start
 from rig.model.decoding import explained
-from rig.recording import RIG_NAME
+
+if TYPE_CHECKING:
+    from rig.lab.starting import Start
+else:
+    Start = Any  # loaded with the kinds of rigs, when one is asked for
 
 Kind = type[Start]
-Out = Annotated[Path, typer.Option(help=f"The folder for {RIG_NAME} and {MAP_NAME}; made if need be.")]
+Out = Annotated[Path, typer.Option(help="The folder for rig.json and map.toml; made if need be.")]
 _EXAMPLES = {
     "mass": "--mass-kg 1 --frequency-hz 5 --clearance-m 1e-3 --stiffness-n-per-m 1e4 --sample-rate-hz 512 --out lab",
     "two_masses": "--masses-kg 1,2 --frequencies-hz 6,9 --stops upper --clearance-m 5e-4 --stiffness-n-per-m 2e4 "
@@ -31,7 +36,31 @@ _EXAMPLES = {
     "measured": "--from-record level1.mat --force-column Force --columns 'Acceleration[1],Acceleration[2]' --unit "
     "m/s^2 --positions-m 0,0.5 --force-m 0 --sample-rate-hz 400 --out lab",
 }
-init = typer.Typer(no_args_is_help=True)
+
+
+class KindGroup(TyperGroup):
+    """Group of one command for each kind of rig, made when one is asked for: the kinds are slow to import."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        self._add_kinds()
+        return super().list_commands(ctx)
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        self._add_kinds()
+        return super().get_command(ctx, cmd_name)
+
+    def _add_kinds(self) -> None:
+        if self.commands:
+            return
+        from rig.lab.starting import KINDS
+
+        kinds_app = typer.Typer()
+        for kind_name, kind in KINDS.items():
+            kinds_app.command(kind_name)(_command(kind_name, kind))
+        self.commands.update(get_group(kinds_app).commands)
+
+
+init = typer.Typer(cls=KindGroup, no_args_is_help=True)
 
 
 @init.callback()
@@ -44,6 +73,9 @@ def _callback() -> None:
 
 def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
     """Command that starts one kind of rig, with an option for each field of the kind."""
+    from rig.lab.starting import MAP_NAME, write_start
+    from rig.recording import RIG_NAME
+
     help_by_field = _help_by_field(kind)
 
     def command(out: Path, force: bool, as_json: bool, **texts: str | None) -> None:
@@ -82,6 +114,8 @@ def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
 
 def _fields_in_order(kind: Kind) -> list[msgspec.structs.FieldInfo]:
     """Fields of a kind in the order of the help: its own first, those of every rig last."""
+    from rig.lab.starting import StartWithStops
+
     shared_names = [f.name for f in msgspec.structs.fields(StartWithStops)]
     return sorted(msgspec.structs.fields(kind), key=lambda f: f.name in shared_names)
 
@@ -143,7 +177,3 @@ def _field_value(kind: Kind, field_name: str, text: str) -> Any:
         raise typer.BadParameter(
             f"{text!r} does not fit: {reason}", param_hint=f"--{field_name.replace('_', '-')}"
         ) from error
-
-
-for _name, _kind in KINDS.items():
-    init.command(_name)(_command(_name, _kind))

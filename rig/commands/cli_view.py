@@ -1,16 +1,15 @@
 """The command `rig view`: a recording for the rerun viewer, with what was identified and diagnosed."""
 
+import math
 import os
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
 from rig.commands.command_line import Force, check_ending, progress_bar, refuse_existing, working
 from rig.extras import needs_extra
 from rig.files import check_source
-from rig.recording import read, read_truth, truth_path
 
 
 def view(
@@ -46,6 +45,7 @@ def view(
 
     Example: rig view barrel_cradle.mcap --contact results/contact.json --out barrel_cradle.rrd
     """
+    from rig.recording import read, read_truth, truth_path
     from rig.simulation.prediction import modal
 
     with needs_extra("view", "rig view (rerun)"):
@@ -56,7 +56,7 @@ def view(
         from rig.viewer.viewing import open_viewer, write_rrd
         from rig.viewer.web import serve
 
-    if magnification is not None and not 0 < magnification < np.inf:
+    if magnification is not None and not 0 < magnification < math.inf:
         raise typer.BadParameter(f"{magnification} is not a finite number above zero", param_hint="--magnification")
     check_source(file)
     rrd_path = out or file.with_suffix(".rrd")

@@ -4,18 +4,19 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 from rich.text import Text
+from typer.core import TyperCommand
 
 from rig.errors import RigError, is_plain, one_line
 from rig.files import check_target, part_of
@@ -38,6 +39,21 @@ Version = Annotated[
     bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Show the version and exit.")
 ]
 Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")]
+
+
+def help_filled_by(texts: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
+    """Command class whose help has placeholders, {name}; `texts`, slow to import, fills them when the help is shown."""
+
+    class FilledHelpCommand(TyperCommand):
+        def format_help(self, ctx: Any, formatter: Any) -> None:
+            text_by_name = texts()
+            self.epilog = (self.epilog or "").format_map(text_by_name)
+            for parameter in self.params:
+                if help_text := getattr(parameter, "help", None):
+                    parameter.help = help_text.format_map(text_by_name)  # type: ignore[attr-defined]
+            super().format_help(ctx, formatter)
+
+    return FilledHelpCommand
 
 
 class StoppedError(Exception):
@@ -72,10 +88,8 @@ def run(app: typer.Typer, command_name: str) -> None:
         sys.exit(1)
     except OSError as error:
         file_name = "standard output" if error.filename is None else error.filename
-        exit_status, sentence = (
-            1,
-            one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place"),
-        )
+        exit_status = 1
+        sentence = one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
     print(f"{command_name}: {sentence}", file=sys.stderr)
     sys.exit(exit_status)

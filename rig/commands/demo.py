@@ -28,7 +28,6 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from rig.commands.command_line import Force, refuse_existing, say
 from rig.errors import RigError
-from rig.simulation.reference import BarrelCradle
 
 MASS_KG, POSITION_M = 0.15, 0.8
 """Unknown mass, and its place on the barrel, of the changed machine."""
@@ -50,6 +49,8 @@ def demo(
 
     Example: rig demo --out demo
     """
+    from rig.simulation.reference import BarrelCradle
+
     started_s = time.monotonic()
     plant = "ancf" if find_spec("exudyn") else "modal"
     setting_options = [argument for key, value in SETTINGS.items() for argument in ("--set", f"{key}={value}")]
@@ -124,6 +125,8 @@ def _print_commands(commands: tuple[tuple[object, ...], ...]) -> None:
 
 def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> None:
     """Clearance and stiffness of each contact with 95 % intervals, beside the settings of the rig."""
+    from rig.simulation.reference import BarrelCradle
+
     _print_commands(commands)
     settings = BarrelCradle()
     contact_json = json.loads((folder / "contact.json").read_text(encoding="utf-8"))

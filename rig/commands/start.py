@@ -14,6 +14,8 @@ INTERRUPTED_STATUS = 130
 ENDING_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 NAME = "rig-identify"
 COMMANDS = ("rig", "identify")
+LIGHT_OPTIONS = {"--help", "--version"}
+"""Options that need no libraries."""
 LAST_DATE_S = 253_402_300_800
 """The year 10000."""
 
@@ -56,6 +58,8 @@ def _start(command_name: str) -> None:
             signal.signal(ending_signal, exit_interrupted)
     try:
         main = import_module(f"{command_name}.commands.cli").main
+        if sys.argv[1:] and not LIGHT_OPTIONS & set(sys.argv):
+            import_module(f"{command_name}.api")  # the libraries, which commands import when they run
     except ImportError as error:
         sys.exit(f"{command_name}: cannot start ({error}); ask for the reason: {NAME} doctor")
     for ending_signal, handler in earlier_handlers.items():

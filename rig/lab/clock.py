@@ -111,10 +111,8 @@ def _resample_to_grid(
     grid_start = 0
     for first_sample in range(0, sample_times.sample_count - 1, piece_length):
         last_sample = min(first_sample + piece_length, sample_times.sample_count - 1)
-        first_knot, last_knot = (
-            max(first_sample - OVERLAP_SAMPLES, 0),
-            min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count),
-        )
+        first_knot = max(first_sample - OVERLAP_SAMPLES, 0)
+        last_knot = min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count)
         knots_s = sample_times.stamps(first_knot, last_knot)
         is_final = last_sample == sample_times.sample_count - 1
         grid_stop = (

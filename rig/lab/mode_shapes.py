@@ -53,10 +53,8 @@ def mode_shapes(rig: Rig, node_by_station: Mapping[Station, int]) -> Iterator[di
 
 def _body_shapes(rig: Rig, body: Body, node_by_position: Mapping[float, int]) -> Iterator[dict[str, Any]]:
     modes, shape_count = modes_of(rig, body), mode_count(body, MOST_MODES)
-    node_numbers, shapes = (
-        np.array([*node_by_position.values()]),
-        modes.shapes(np.array([*node_by_position]), shape_count),
-    )
+    node_numbers = np.array([*node_by_position.values()])
+    shapes = modes.shapes(np.array([*node_by_position]), shape_count)
     mode_rows = zip(modes.frequencies_hz(shape_count), modes.damping_ratios(shape_count), shapes.T, strict=True)
     for mode_number, (frequency_hz, damping_ratio, shape) in enumerate(mode_rows, start=1):
         yield _shape_dataset(

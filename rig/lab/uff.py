@@ -145,11 +145,9 @@ def _integer(line: bytes | str, first_character: int, end_character: int) -> int
 
 def _history_block(content: mmap.mmap, dataset: Dataset) -> ColumnBlock | Refused:
     type_line, header_lines, numbers_offset = _header(content, dataset.start)
-    name, unit, type_code = (
-        header_lines[0][:80].strip(),
-        header_lines[8][46:67].strip(),
-        _integer(header_lines[6], 0, 10),
-    )
+    name = header_lines[0][:80].strip()
+    unit = header_lines[8][46:67].strip()
+    type_code = _integer(header_lines[6], 0, 10)
     if _integer(header_lines[5], 0, 5) != TIME_RESPONSE_CODE or type_code not in (SINGLE, DOUBLE):
         return Refused(name, f"dataset {name!r} is no time history; export time histories alone")
     try:

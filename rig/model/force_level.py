@@ -41,8 +41,10 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
     mean over its stops in reach. In space, the larger of the forces of both directions.
     """
     if rig.in_space:
-        driven = {station.direction for station in rig.forces}
-        levels = [rattling_level(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven]
+        driven_axes = {station.direction for station in rig.forces}
+        levels = [
+            rattling_level(plane, low_hz, high_hz) for axis, plane in plane_rigs(rig).items() if axis in driven_axes
+        ]
         return max(levels, key=lambda level: level.rms_n)
     omega = 2 * np.pi * np.linspace(max(low_hz, high_hz * 1e-3), high_hz, LINE_COUNT)
     mean_squares = np.sum([_mean_squares(rig, station, omega) for station in rig.forces], axis=0)

@@ -45,10 +45,8 @@ def modal(
     modes_by_stations = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
     step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
-    trajectory, contact_n = (
-        np.empty((step_count + 1, 2 * model.omega.size)),
-        np.empty((2, len(model.eta_rows), step_count)),
-    )
+    trajectory = np.empty((step_count + 1, 2 * model.omega.size))
+    contact_n = np.empty((2, len(model.eta_rows), step_count))
     with threadpool_limits(1):  # the matrices are small
         for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
             start_step = first_sample * steps_per_sample

@@ -1,5 +1,7 @@
 """The paper's two reference rigs and one in space, with the settings of `rig record SCENARIO --set KEY=VALUE`."""
 
+from collections.abc import Callable
+from functools import partial
 from typing import Literal
 
 import msgspec
@@ -7,6 +9,7 @@ import msgspec
 from rig.errors import RigError, hint
 from rig.model.beam import Beam
 from rig.model.components import DIRECTIONS
+from rig.model.contact_laws import ContactLaw
 from rig.model.contact_laws.annular import Annular
 from rig.model.contact_laws.dead_zone import equal_sides
 from rig.model.decoding import explained
@@ -131,29 +134,16 @@ class BarrelCradle(_Settings, frozen=True, kw_only=True):
             )
             for name, end_condition in _END_CONDITIONS
         )
-        barrel_overlap_m = self.length_m - self.overlap_start_m
-        contacts = tuple(
-            Contact(
-                name=name,
-                at=Station("barrel", on_barrel_m),
-                against=Station("cradle", on_cradle_m),
-                law=equal_sides(clearance_m, stiffness_n_per_m, self.contact_damping_n_s_per_m),
-            )
-            for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in (
-                ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
-                ("contact_2", barrel_overlap_m, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
-            )
-        )
         quantities = _quantities(self.sensors)
         return Rig(
             name="barrel_cradle",
             bodies=beams,
-            contacts=contacts,
+            contacts=_barrel_contacts(self, partial(equal_sides, damping_n_s_per_m=self.contact_damping_n_s_per_m)),
             force_at=Station("barrel", self.length_m),
             sensors=tuple(
                 named_sensor(Station(beam_name, position_m), quantity, self.noise_density)
                 for quantity in quantities
-                for beam_name, positions_m in self._positions(barrel_overlap_m)
+                for beam_name, positions_m in self._positions(self.length_m - self.overlap_start_m)
                 for position_m in positions_m
             ),
             sample_rate_hz=self.sample_rate_hz,
@@ -212,10 +202,6 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
             "cradle": (0.25 * self.length_m, self.overlap_start_m, 0.75 * self.length_m, self.length_m),
             "barrel": (0.0, 0.25 * self.length_m, barrel_overlap_m, self.length_m),
         }
-        contacts = (
-            ("contact_1", 0.0, self.overlap_start_m, self.clearance_1_m, self.stiffness_1_n_per_m),
-            ("contact_2", barrel_overlap_m, self.length_m, self.clearance_2_m, self.stiffness_2_n_per_m),
-        )
         return Rig(
             name="barrel_cradle_annular",
             bodies=tuple(
@@ -229,19 +215,13 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
                 )
                 for name, end_condition in _END_CONDITIONS
             ),
-            contacts=tuple(
-                Contact(
-                    name=name,
-                    at=Station("barrel", on_barrel_m),
-                    against=Station("cradle", on_cradle_m),
-                    law=Annular(
-                        clearance_m=clearance_m,
-                        stiffness_n_per_m=stiffness_n_per_m,
-                        damping_n_s_per_m=self.contact_damping_n_s_per_m,
-                        friction_coefficient=self.friction_coefficient,
-                    ),
-                )
-                for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in contacts
+            contacts=_barrel_contacts(
+                self,
+                partial(
+                    Annular,
+                    damping_n_s_per_m=self.contact_damping_n_s_per_m,
+                    friction_coefficient=self.friction_coefficient,
+                ),
             ),
             force_at=tuple(Station("barrel", self.length_m, direction) for direction in DIRECTIONS),
             sensors=tuple(
@@ -254,6 +234,25 @@ class BarrelCradleAnnular(_Settings, frozen=True, kw_only=True):
             sample_rate_hz=self.sample_rate_hz,
             gravity_m_per_s2=self.gravity_m_per_s2,
         )
+
+
+def _barrel_contacts(
+    settings: BarrelCradle | BarrelCradleAnnular, law_of: Callable[..., ContactLaw]
+) -> tuple[Contact, ...]:
+    """Contacts at both ends of the overlap, whose laws take clearance_m and stiffness_n_per_m."""
+    overlap_m = settings.length_m - settings.overlap_start_m
+    return tuple(
+        Contact(
+            name=name,
+            at=Station("barrel", on_barrel_m),
+            against=Station("cradle", on_cradle_m),
+            law=law_of(clearance_m=clearance_m, stiffness_n_per_m=stiffness_n_per_m),
+        )
+        for name, on_barrel_m, on_cradle_m, clearance_m, stiffness_n_per_m in (
+            ("contact_1", 0.0, settings.overlap_start_m, settings.clearance_1_m, settings.stiffness_1_n_per_m),
+            ("contact_2", overlap_m, settings.length_m, settings.clearance_2_m, settings.stiffness_2_n_per_m),
+        )
+    )
 
 
 _END_CONDITIONS: tuple[tuple[str, Literal["clamped-free", "free-free"]], ...] = (

@@ -117,11 +117,9 @@ def send_close_up(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     The label of a wall is beyond it, so that it cannot be mistaken for that of the other; each law has its own column
     of labels: right, left and before the trail.
     """
-    entity_path, law, half_width_mm = (
-        entity("close_up", motion.contact.name),
-        motion.contact.law,
-        1.1 * motion.reach_mm,
-    )
+    entity_path = entity("close_up", motion.contact.name)
+    law = motion.contact.law
+    half_width_mm = 1.1 * motion.reach_mm
     if motion.orbit is None:
         _send_walls(stream, entity_path, motion, half_width_mm)
     else:

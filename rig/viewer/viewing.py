@@ -251,10 +251,8 @@ def _send_series(
     for contact_motion, colour in zip(contact_motions, shades(FORCE, len(contact_motions)), strict=True):
         if contact_motion.force_n is not None:
             contact_name, plotted_samples = contact_motion.contact.name, contact_motion.plotted_samples
-            plotted_time_s, force_n = (
-                contact_motion.time_s[plotted_samples],
-                contact_motion.force_n[None, plotted_samples],
-            )
+            plotted_time_s = contact_motion.time_s[plotted_samples]
+            force_n = contact_motion.force_n[None, plotted_samples]
             send_lines(
                 stream, entity("contact_force", contact_name), plotted_time_s, force_n, [contact_name], (colour,)
             )
@@ -267,10 +265,8 @@ def _send_series(
                 (i, s) for i, s in enumerate(signals.channels.stations) if s is not None and s.body == body.name
             ]
             values = signals.values[[i for i, _ in channel_stations], ::stride]
-            station_names, entity_path = (
-                [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations],
-                entity(quantity, body.name),
-            )
+            station_names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations]
+            entity_path = entity(quantity, body.name)
             colours = shades(SENSOR, len(station_names))
             send_lines(stream, entity_path, time_s[::stride], values, station_names, colours)
             send_legend(stream, entity_path, list(zip(station_names, colours, strict=True)))

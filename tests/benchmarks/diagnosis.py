@@ -24,6 +24,7 @@ from rig.simulation import replay
 from rig.simulation.excitation import force_history
 from rig.simulation.reference import BarrelCradle
 from tests.benchmarks.measuring import Figure
+from tests.campaigns.stage_costs import peak_mb
 
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3)
 CASES = {
@@ -73,17 +74,11 @@ def _null_reference(which: int, kept: Path) -> tuple[float, float]:
     recording = _recordings(())[which]
     begin = time.process_time()
     null_reference_of(recording, LABORATORY, SIMULATOR.simulate, SIMULATOR.name, path=kept, predict=SIMULATOR.predict)
-    return time.process_time() - begin, _peak_mb()
+    return time.process_time() - begin, peak_mb()
 
 
 def _case(effects: tuple[str, ...], kept: Path) -> tuple[float, float]:
     first, second = _recordings(effects)
     begin = time.process_time()
     diagnose(first, second, SIMULATOR, kept)
-    return time.process_time() - begin, _peak_mb()
-
-
-def _peak_mb() -> float:
-    """Of this process alone: `ru_maxrss` also counts its parent's before it was started."""
-    line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
-    return float(line.split()[1]) / 1e3
+    return time.process_time() - begin, peak_mb()

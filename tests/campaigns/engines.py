@@ -109,10 +109,8 @@ def _long_run(settings: BarrelCradle, seeds: int) -> Table:
         return np.array([astuple(statistics(plant, settings, k, f"{name}, seed {k}")) for k in range(1, count + 1)])
 
     count = max(CHANCE_SEEDS, seeds)
-    linear, twin = (
-        runs(modal.simulate, "modal", count),
-        runs(partial(modal.simulate, modes_per_beam=24), "24 modes", count),
-    )
+    linear = runs(modal.simulate, "modal", count)
+    twin = runs(partial(modal.simulate, modes_per_beam=24), "24 modes", count)
     finite_elements = runs(ancf.simulate, "ancf", seeds)
     chance = 100 * np.std(twin / linear - 1, axis=0, ddof=1) / np.sqrt(seeds)
     table = Table(title=f"{seeds} x {settings.duration_s:g} s at step 1/{round(1 / settings.step_s)} s, 14 N")

@@ -92,7 +92,7 @@ def _interrupted(path: Path, after_bytes: int, undisturbed: Recording) -> str:
 
 def _saved(part_path: Path, undisturbed: Recording) -> str:
     """Check of what comes back of a file without its end, and its result in words."""
-    stored, saved = _stored(part_path), part_path.with_name("saved.mcap")
+    stored, saved = stored_samples(part_path), part_path.with_name("saved.mcap")
     if not stored or len(stored) < len(undisturbed.signals):
         done = _run("rig.commands.cli", "recover", part_path, "--out", saved)
         assert done.returncode == 1
@@ -119,7 +119,7 @@ def _saved(part_path: Path, undisturbed: Recording) -> str:
     return f"{kept}, clearance {1e3 * clearance_m:.4f} mm"
 
 
-def _stored(part_path: Path) -> dict[str, np.ndarray]:
+def stored_samples(part_path: Path) -> dict[str, np.ndarray]:
     """Samples of every group in the complete chunks, as mcap's reader finds them."""
     found: dict[str, list[np.ndarray]] = {}
     with part_path.open("rb") as content:

@@ -46,7 +46,7 @@ class StageCosts:
         begun_s = time.process_time() if self.cpu_s else 0.0
         _forget_peak()
         result = work()
-        self.cpu_s[stage], self.peak_mb[stage] = time.process_time() - begun_s, _peak_mb()
+        self.cpu_s[stage], self.peak_mb[stage] = time.process_time() - begun_s, peak_mb()
         return result
 
 
@@ -107,7 +107,7 @@ def _forget_peak() -> None:
     Path("/proc/self/clear_refs").write_text("5")
 
 
-def _peak_mb() -> float:
+def peak_mb() -> float:
     """Peak of this process's resident memory: `ru_maxrss` also counts its parent's before it was started."""
     line = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM"))
     return float(line.split()[1]) / 1e3

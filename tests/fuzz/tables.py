@@ -22,6 +22,7 @@ from rig.recording import Recording, read
 from rig.simulation.reference import Sdof
 from tests.fuzz.judging import refused_or_right
 from tests.fuzz.mutate import bytes_changed, cut, text_changed
+from tests.uff_histories import time_history
 
 SDOF = Sdof().rig()
 FEW = 200
@@ -118,24 +119,8 @@ def _judged_import(folder: Path, name: str, content: bytes, told: bytes, check: 
 
 @cache
 def uff(binary: int) -> bytes:
-    datasets = [
-        {
-            "type": 58,
-            "binary": binary,
-            "id1": name,
-            "func_type": 1,
-            "rsp_node": 1,
-            "rsp_dir": 3,
-            "ref_node": 0,
-            "ref_dir": 0,
-            "abscissa_spacing": 1,
-            "ordinate_axis_units_lab": "NONE",
-            "orddenom_spec_data_type": 0,
-            "x": np.arange(FEW) / RATE_HZ,
-            "data": rows,
-        }
-        for name, rows in table()[1].items()
-    ]
+    time_s = np.arange(FEW) / RATE_HZ
+    datasets = [time_history(name, time_s, rows, binary=binary) for name, rows in table()[1].items()]
     with TemporaryDirectory() as folder:
         path = Path(folder) / "lab.uff"
         pyuff.UFF(str(path)).write_sets(datasets, "add")

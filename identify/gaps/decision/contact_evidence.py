@@ -36,11 +36,11 @@ def with_contact_evidence(
     candidates: Sequence[Candidate],
     ranked_hypotheses: Sequence[ValidatedHypothesis],
     difference: Difference,
-    nominal_residual: Residual,
+    validation_residual: Residual,
 ) -> list[ValidatedHypothesis]:
     """Hypotheses with their `contact_minus_two_log`, and that of the contact fit itself; the likeliest first.
 
-    nominal_residual is that of the nominal rig on the validation record.
+    validation_residual is that of the nominal rig on the validation record.
     """
     law_estimates, validation = difference.contact_estimates, prepared.validation_recording
     record, validated = validation.record, list(ranked_hypotheses)
@@ -52,7 +52,7 @@ def with_contact_evidence(
     ):
         priors = log_priors([contact_hypothesis], candidates)
         validated += validate_hypotheses(
-            record, validation.nominal_variances, nominal_residual, [contact_hypothesis], priors
+            record, validation.nominal_variances, validation_residual, [contact_hypothesis], priors
         )
     with_evidence = []
     for hypothesis in validated:
@@ -68,10 +68,8 @@ def contact_minus_two_log(
     estimate: LawEstimate, nominal_rig: Rig, hypothesis_rig: Rig, tolerances: Tolerances
 ) -> float:
     """-2 ln p of one contact in `hypothesis_rig`: d' (C + S)^-1 d - n; zero for a law of another kind."""
-    nominal_contact, contact = (
-        _contact_of_estimate(nominal_rig, estimate),
-        _contact_of_estimate(hypothesis_rig, estimate),
-    )
+    nominal_contact = _contact_of_estimate(nominal_rig, estimate)
+    contact = _contact_of_estimate(hypothesis_rig, estimate)
     if not numbers_alone_differ(contact.law, nominal_contact.law):
         return 0.0
     return law_distance(estimate, contact, nominal_contact, tolerances).chi_squared - estimate.quantity_values.size

@@ -181,10 +181,8 @@ def enlarge_strengths(hypothesis: Hypothesis) -> Hypothesis:
     A typical effect replaces the standard error where it is smaller. A cause that a record hardly shows is fitted as
     almost nothing; simulated so, no experiment would discriminate it from another.
     """
-    enlarged_values, standard_errors = (
-        hypothesis.values.copy(),
-        np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0)),
-    )
+    enlarged_values = hypothesis.values.copy()
+    standard_errors = np.sqrt(np.maximum(np.diag(hypothesis.covariance), 0.0))
     typical_values = np.concatenate([np.zeros(0), *(candidate.typical_values for candidate in hypothesis.candidates)])
     for parameter_index, parameter in enumerate(hypothesis.parameters):
         if parameter.neutral is not None:
@@ -258,9 +256,7 @@ def _cost_difference(
     actual_rig = enlarged_cause.applied_to(nominal_rig)
     simulated_record = record_of(simulate(nominal_rig, actual_rig, forces_n, 5), tolerances=tolerances)
     common_start = initial_search(simulated_record, actual_rig)
-    true_refit, rival_refit = (
-        refit_hypothesis(common_start, enlarged_cause),
-        refit_hypothesis(common_start, rival_cause),
-    )
+    true_refit = refit_hypothesis(common_start, enlarged_cause)
+    rival_refit = refit_hypothesis(common_start, rival_cause)
     disagreement_excess = disagreement(rival_cause, rival_refit) - disagreement(true_cause, true_refit)
     return rival_refit.misfit.minus_two_log - true_refit.misfit.minus_two_log + disagreement_excess

@@ -198,10 +198,8 @@ def _refit_contact_laws(
     rig.
     """
     likeliest, *lower_ranked = ranked
-    recordings, record = (
-        [observation.recording for observation in prepared.fitted_recordings],
-        prepared.validation_recording.record,
-    )
+    recordings = [observation.recording for observation in prepared.fitted_recordings]
+    record = prepared.validation_recording.record
     refitted = with_contact_fit(likeliest.hypothesis, recordings, record.tolerances)
     if refitted is likeliest.hypothesis:
         return ranked

@@ -110,10 +110,8 @@ def _dominant_mode(
     """
     body = rig.body(station.body)
     modes, compared_mode_count = modes_of(rig, body), mode_count(body, body.max_modes)
-    frequencies_hz, damping_ratios = (
-        modes.frequencies_hz(compared_mode_count),
-        np.maximum(modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO),
-    )
+    frequencies_hz = modes.frequencies_hz(compared_mode_count)
+    damping_ratios = np.maximum(modes.damping_ratios(compared_mode_count), MIN_DAMPING_RATIO)
     if body.rigid_modes:
         return None
     frequency_changes_hz, damping_changes = _modal_changes(rig, candidate, effect_values, station.body)
@@ -175,10 +173,8 @@ def level_dependence(
         is_elastic = (low_hz > 0) & (low_hz < highest_hz)
         if not is_elastic.any():
             continue
-        frequency_changes, damping_changes = (
-            high_hz[is_elastic] / low_hz[is_elastic] - 1,
-            high_ratios[is_elastic] / low_ratios[is_elastic] - 1,
-        )
+        frequency_changes = high_hz[is_elastic] / low_hz[is_elastic] - 1
+        damping_changes = high_ratios[is_elastic] / low_ratios[is_elastic] - 1
         change_sizes = np.hypot(frequency_changes / low_ratios[is_elastic], damping_changes)
         most_changed = int(np.argmax(change_sizes))
         dependence = LevelDependence(

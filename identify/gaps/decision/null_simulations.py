@@ -67,10 +67,8 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
                 np.clip(sensor.station.position_m + sensor_tolerances.position_m * next(next_normals), 0.0, length_m)
             )
             drawn_stations[sensor.station] = Station(sensor.station.body, position_m)
-        drawn_gain, delay_s = (
-            1 + sensor_tolerances.gain * next(next_normals),
-            sensor_tolerances.delay_s * next(next_normals),
-        )
+        drawn_gain = 1 + sensor_tolerances.gain * next(next_normals)
+        delay_s = sensor_tolerances.delay_s * next(next_normals)
         corner_hz = abs(sensor_tolerances.high_pass_hz * next(next_normals)) * sensor.measures.ac_coupled
         chain_values = {"gain": sensor.gain * drawn_gain, "delay_s": sensor.delay_s + delay_s}
         chain_values["high_pass_hz"] = sensor.high_pass_hz + corner_hz

@@ -215,10 +215,8 @@ def _look_alikes(
     for rival in (
         weighted.validated.hypothesis for weighted in weighted_hypotheses if weighted.probability > RIVAL_PROBABILITY
     ):
-        added_effects, removed_effects = (
-            Counter(rival.effect_names) - effect_counts,
-            effect_counts - Counter(rival.effect_names),
-        )
+        added_effects = Counter(rival.effect_names) - effect_counts
+        removed_effects = effect_counts - Counter(rival.effect_names)
         if removed_effects == Counter([candidate.name]) and added_effects.total() == 1:
             look_alike_names += added_effects
     return tuple(dict.fromkeys(look_alike_names))

@@ -188,6 +188,21 @@ def contact_jacobian(
     return jacobian
 
 
+def contact_columns(
+    linearization: Linearization, residual: Residual, contact_index: int, column_count: int
+) -> Float[np.ndarray, "rows columns"]:
+    """Columns of one contact's residual by the nuisance parameters and the tolerances of every contact; zero beyond."""
+    contact, nuisance_count = residual.contacts[contact_index], len(linearization.columns.parameters)
+    columns = np.zeros((contact.residual.size, column_count))
+    columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
+    first_tolerance = nuisance_count + sum(c.pulls.size for c in residual.contacts[:contact_index])
+    sample_count = contact.observation.weights.size
+    columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
+        :sample_count, contact.observation.tolerance_slice
+    ].toarray()
+    return columns
+
+
 def fit(
     linearization: Linearization,
     build_rig: Build,

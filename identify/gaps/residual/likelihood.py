@@ -218,9 +218,9 @@ def misfit(record: Record, nominal_variances: NominalVariances, residual: Residu
     input_cost = float(np.sum(residual.linear_residual[len(record.sensors) :] ** 2))
     line_cost = 0.0  # a free decay has lines as sharp as tones
     if record.has_force:
-        free_directions = len(record.sensors) - len(residual.contacts)
+        directions_beyond_contacts = len(record.sensors) - len(residual.contacts)
         line_cost = cost_of_lines(
-            residual.linear_residual[: len(record.sensors)], free_directions, record.repeats_per_sample
+            residual.linear_residual[: len(record.sensors)], directions_beyond_contacts, record.repeats_per_sample
         )
     return Misfit(
         nominal_variances=nominal_variances,

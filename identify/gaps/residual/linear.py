@@ -188,10 +188,8 @@ def linear_model(
     known_forces = _known_forces(record, rig, responses, sensor_stations, sensor_response)
     contact_count = len(rig.contacts)
     accelerance_by_input = accelerances(rig, responses, [station for station, _ in known_forces], sensor_stations)
-    acceleration_by_contact, acceleration_per_newton = (
-        accelerance_by_input[len(known_forces) :],
-        accelerance_by_input[: len(rig.forces)],
-    )
+    acceleration_by_contact = accelerance_by_input[len(known_forces) :]
+    acceleration_per_newton = accelerance_by_input[: len(rig.forces)]
     acceleration_by_known_force = [
         response_to_force(record, rig, response_per_newton, force_n)
         for response_per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)

@@ -75,11 +75,9 @@ def columns_of(record: Record, model: Linear) -> Columns:
     observed_motion = _observed_motion(record, model)
     tolerance_changes = (*changes_of(observed_motion), *crosstalk_of(observed_motion))
     changes = [*(_free_motion_change(record, model, change) for change in tolerance_changes), *initial_state_changes]
-    nuisance_count, contact_count, sample_count = (
-        len(changes),
-        len(model.rig.contacts),
-        record.counted_slice.stop - record.counted_slice.start,
-    )
+    nuisance_count = len(changes)
+    contact_count = len(model.rig.contacts)
+    sample_count = record.counted_slice.stop - record.counted_slice.start
     residual_columns = np.empty(
         (nuisance_count, len(model.residual), sample_count), np.float64 if record.measured_modes else np.float32
     )

@@ -347,4 +347,4 @@ def same_but_laws(rig: Rig, compared: Rig) -> bool:
     if rig is compared:
         return True
     pairs = zip(rig.contacts, compared.contacts, strict=True)
-    return replace(rig, contacts=tuple(replace(contact, law=other.law) for contact, other in pairs)) == compared
+    return replace(rig, contacts=tuple(replace(contact, law=target.law) for contact, target in pairs)) == compared

@@ -293,10 +293,8 @@ def _window_corrections(
             slope_spectrum, curvature_spectrum = rfft(
                 np.stack([window_slope, window_curvature]) * recording.values_of(sensor), transform.padded_length
             )[:, : omega.size]
-            velocity_correction[sensor_index], acceleration_correction[sensor_index] = (
-                -slope_spectrum,
-                curvature_spectrum - 2j * omega * slope_spectrum,
-            )
+            velocity_correction[sensor_index] = -slope_spectrum
+            acceleration_correction[sensor_index] = curvature_spectrum - 2j * omega * slope_spectrum
     return velocity_correction, acceleration_correction
 
 

@@ -123,16 +123,16 @@ def _example(
     signals_by_rig = [
         measured_and_predicted(motion, predict, window_start, samples) for motion in (nominal_run, corrected_run)
     ]
-    shown = slice(-min(samples, SHOWN_SAMPLES), None)
+    shown_samples = slice(-min(samples, SHOWN_SAMPLES), None)
     time_s = (window_start + np.arange(samples)) / nominal_run.sample_rate_hz
     measured, *predicted = (
-        signals[0, sensor_index, shown]
+        signals[0, sensor_index, shown_samples]
         for signals in (signals_by_rig[0][0], signals_by_rig[0][1], signals_by_rig[1][1])
     )
     return PredictionExample(
         sensor=nominal_run.sensor_names[sensor_index],
         unit=("m", "m/s")[min(nominal_run.derivative_orders[sensor_index], 1)],
-        time_s=tuple(time_s[shown].tolist()),
+        time_s=tuple(time_s[shown_samples].tolist()),
         measured=tuple(measured.tolist()),
         nominal=tuple(np.nan_to_num(predicted[0]).tolist()),
         corrected=tuple(np.nan_to_num(predicted[1]).tolist()),
@@ -223,8 +223,8 @@ def _means_by_block(
 def veto(ratios_by_block: BlockRatios) -> Code:
     """Code `worse` if the corrected rig predicts significantly worse by Student's test over blocks, or `not_vetoed`."""
     log_ratios = ratios_by_block.log_ratios
-    student_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    return "worse" if log_ratios.mean() > max(WORSE, student_quantile * standard_error(log_ratios)) else "not_vetoed"
+    t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
+    return "worse" if log_ratios.mean() > max(WORSE, t_quantile * standard_error(log_ratios)) else "not_vetoed"
 
 
 def falls_short(blocks: BlockRatios) -> bool:
@@ -233,9 +233,10 @@ def falls_short(blocks: BlockRatios) -> bool:
     This holds as well for two rigs within the tolerances that err alike: simulations decide (`confirm_by_simulations`).
     """
     log_ratios, shortfalls = (blocks.log_ratios, blocks.log_ratios - blocks.expected_log_ratios)
-    quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
-    differs = blocks.expected_log_ratios.mean() < -BETTER and shortfalls.mean() > quantile * standard_error(shortfalls)
-    return bool(differs and log_ratios.mean() > -quantile * standard_error(log_ratios))
+    t_quantile = float(student.ppf(1 - VETO_P_VALUE, log_ratios.size - 1))
+    falls_behind = shortfalls.mean() > t_quantile * standard_error(shortfalls)
+    differs = blocks.expected_log_ratios.mean() < -BETTER and falls_behind
+    return bool(differs and log_ratios.mean() > -t_quantile * standard_error(log_ratios))
 
 
 def log_ratio_of(
@@ -260,8 +261,8 @@ def confirm_by_simulations(rollout: Rollout, simulated_log_ratios: Sequence[floa
     if not rollout.falls_short or len(simulated_log_ratios) < 3 or rollout.log_ratio is None:
         return rollout
     mean_log_ratio, simulation_count = float(np.mean(simulated_log_ratios)), len(simulated_log_ratios)
-    quantile = float(student.ppf(1 - VETO_P_VALUE, simulation_count - 1))
-    margin = quantile * float(
+    t_quantile = float(student.ppf(1 - VETO_P_VALUE, simulation_count - 1))
+    margin = t_quantile * float(
         np.hypot(
             np.std(simulated_log_ratios, ddof=1) * np.sqrt(1 + 1 / simulation_count), rollout.log_ratio_error or 0.0
         )

@@ -69,10 +69,8 @@ def measured_motion(recording: Recording, rig: Rig, residual: Residual) -> Measu
     """Motion of a recording under a rig; `residual` is that of the fit, with slow motion and separated forces."""
     record = residual.model.record
     motion = kinematics(Recording(rig, recording.signals, recording.provenance), record.sensors[0].quantity)
-    station_modes, slow_motion = (
-        _station_modes_of(rig, residual, motion.stations),
-        _slow_relative_motion(residual, motion.samples),
-    )
+    station_modes = _station_modes_of(rig, residual, motion.stations)
+    slow_motion = _slow_relative_motion(residual, motion.samples)
     slow_shapes = station_modes.slow_motion_shapes()
     displacement_m = motion.displacement_m + slow_shapes @ slow_motion[0]
     velocity_m_per_s = motion.velocity_m_per_s + slow_shapes @ slow_motion[1]

@@ -70,10 +70,10 @@ def law_outcomes(recording: Recording, rig: Rig, tolerances: Tolerances) -> LawO
     if unmodelled_part := _unmodelled_part(rig):
         refusal = refused(RefusalCode.NOT_MODELLED, rig=rig.name, what=unmodelled_part).refusal
         return LawOutcomes((), dict.fromkeys((contact.name for contact in rig.contacts), refusal))
-    force_signal = recording.signals["force"]
+    force_channels = recording.signals["force"]
     corrected_signals = {
         **recording.signals,
-        "force": replace(force_signal, values=force_signal.values / rig.force_sensor.gain),
+        "force": replace(force_channels, values=force_channels.values / rig.force_sensor.gain),
     }
     sensors = tuple(s for s in rig.sensors if s.measures.translates)  # the diagnosis uses no strain gauges
     separated_rig = msgspec.structs.replace(

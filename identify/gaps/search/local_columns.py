@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.signal.windows import hann
 
-from identify.gaps.residual.fit import contact_jacobian
+from identify.gaps.residual.fit import contact_columns
 from identify.gaps.residual.likelihood import NominalVariances
 from identify.gaps.residual.residual import Column, Linearization, Residual
 from identify.gaps.residual.scales import BAND_HZ, SEGMENT_S, band_means
@@ -46,14 +46,7 @@ class LocalColumns:
 
     def contact_rows(self, contact_index: int) -> Float[np.ndarray, "rows columns"]:
         """Columns of one contact's residual, those of its own tolerances among them."""
-        contact = self.residual.contacts[contact_index]
-        nuisance_count, sample_count = len(self.linearization.columns.parameters), contact.observation.weights.size
-        rows = np.zeros((contact.residual.size, self.count))
-        rows[:, :nuisance_count] = contact_jacobian(self.linearization, self.residual, contact_index)
-        first_tolerance = nuisance_count + sum(c.pulls.size for c in self.residual.contacts[:contact_index])
-        rows[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
-            :sample_count, contact.observation.tolerance_slice
-        ].toarray()
+        rows = contact_columns(self.linearization, self.residual, contact_index, self.count)
         for index, decreases in enumerate(self.contacts, self.residual.pulls.size):
             rows[:, index] = decreases[contact_index]
         return rows

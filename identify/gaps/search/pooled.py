@@ -15,11 +15,11 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_jacobian
-from identify.gaps.residual.likelihood import NominalVariances, misfit, nominal_variances_of
+from identify.gaps.residual.fit import DERIVATIVE_STEP, Values, bounded_minimum, contact_columns
+from identify.gaps.residual.likelihood import NominalVariances, misfit
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.residual import Linearization, Residual, derivative, linearized
+from identify.gaps.residual.residual import Linearization, Residual, derivative
 from identify.gaps.search.hypothesis import Hypothesis, parameters_of, steps_of, with_effects
 from identify.gaps.search.nominal import fit_nuisance
 from identify.signals.refit import refit_until_settled
@@ -68,10 +68,8 @@ class LinearizedRecord:
             for (linear, contacts), signed_share in zip(decreases_by_step, signed_shares, strict=True)
         ]
         tolerance_information, sample_ratio = self.tolerance_information, self.linearization.record.sample_ratio
-        tolerance_count, nuisance_count = (
-            len(tolerance_information.tolerance_names),
-            len(self.linearization.columns.parameters),
-        )
+        tolerance_count = len(tolerance_information.tolerance_names)
+        nuisance_count = len(self.linearization.columns.parameters)
         unknown_count = tolerance_count + len(parameter_columns)
         normal_matrix, gradient = np.zeros((unknown_count, unknown_count)), np.zeros(unknown_count)
         if parameter_columns:
@@ -121,17 +119,11 @@ def linearized_record(record: Record, nominal_variances: NominalVariances, rig: 
     normal_matrix[:nuisance_count, :nuisance_count] = linearization.column_gram
     gradient[:nuisance_count] = linearization.columns.products(residual.linear_without_lines.ravel())
     columns_by_contact = []
-    for contact_index, contact in enumerate(residual.contacts):
-        contact_columns = np.zeros((contact.residual.size, len(tolerance_names)))
-        contact_columns[:, :nuisance_count] = contact_jacobian(linearization, residual, contact_index)
-        first_tolerance = nuisance_count + sum(c.pulls.size for c in residual.contacts[:contact_index])
-        sample_count = contact.observation.weights.size
-        contact_columns[:sample_count, first_tolerance : first_tolerance + contact.pulls.size] = contact.columns[
-            :sample_count, contact.observation.tolerance_slice
-        ].toarray()
-        contact_matrix, contact_gradient = without_drift(residual, contact_index, contact_columns)
+    for contact_index in range(len(residual.contacts)):
+        columns = contact_columns(linearization, residual, contact_index, len(tolerance_names))
+        contact_matrix, contact_gradient = without_drift(residual, contact_index, columns)
         normal_matrix, gradient = normal_matrix + contact_matrix, gradient + contact_gradient
-        columns_by_contact.append(contact_columns)
+        columns_by_contact.append(columns)
     cost = misfit(record, nominal_variances, residual).minus_two_log
     information = _information_at(
         tolerance_names, normal_matrix / sample_ratio, gradient / sample_ratio, residual.pulls, cost
@@ -175,7 +167,6 @@ def without_drift(
 class PooledEstimate:
     """Estimate from several records; parameters that differ by record follow each other in the order of the records."""
 
-    tolerance_pulls: dict[Hashable, float]
     values: Float[np.ndarray, " parameters"]
     covariance: Float[np.ndarray, "parameters parameters"]
     cost: float
@@ -195,11 +186,9 @@ def pooled(
     tolerance_names = list(
         dict.fromkeys(name for information in record_information for name in information.tolerance_names)
     )
-    tolerance_count, parameter_count, parameter_copies = (
-        len(tolerance_names),
-        len(steps),
-        len(record_information) if differs_by_record else 1,
-    )
+    tolerance_count = len(tolerance_names)
+    parameter_count = len(steps)
+    parameter_copies = len(record_information) if differs_by_record else 1
     bounds_in_steps = np.sort(np.stack(bounds) / steps, axis=0)
     prior_widths = np.tile(bounds_in_steps[1] - bounds_in_steps[0], parameter_copies)
     prior_means = np.concatenate([np.zeros(tolerance_count), np.tile(prior_centre / steps, parameter_copies)])
@@ -232,16 +221,7 @@ def pooled(
         np.tile(bounds[0], parameter_copies),
         np.tile(bounds[1], parameter_copies),
     )  # the bounds of `bounded_minimum` have slack
-    return PooledEstimate(
-        dict(zip(tolerance_names, pooled_unknowns[:tolerance_count].tolist(), strict=True)),
-        pooled_values,
-        covariance,
-        cost,
-    )
-
-
-def nominal_variances_by_record(records: Sequence[Record]) -> list[NominalVariances]:
-    return [nominal_variances_of(linearized(record, record.rig)) for record in records]
+    return PooledEstimate(pooled_values, covariance, cost)
 
 
 def fitted_together(

@@ -157,10 +157,8 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     if needs_every_line(linearization.rig):
         return []
     thinned_record = _thinned_record(linearization.record)
-    unmodelled_shares, response_cache = (
-        linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE],
-        ResponseCache(thinned_record.omega),
-    )
+    unmodelled_shares = linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE]
+    response_cache = ResponseCache(thinned_record.omega)
 
     def cost(rig: Rig) -> float:
         model = linear_model(thinned_record, rig, unmodelled_shares, response_cache)
@@ -202,10 +200,8 @@ def law_screening(
     contact is open. The gain is that for unknown variances, sum over contacts of n ln(mean square), as the error of the
     slow motion differs between contacts.
     """
-    contact_unknowns, nominal_scatter = (
-        tuple(contact.unknowns for contact in law_free_residual.contacts),
-        _log_scatter(law_free_residual),
-    )
+    contact_unknowns = tuple(contact.unknowns for contact in law_free_residual.contacts)
+    nominal_scatter = _log_scatter(law_free_residual)
     screened_candidates = []
     for candidate in candidates:
         start_values = candidate.start_values()[0]

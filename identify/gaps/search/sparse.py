@@ -99,7 +99,7 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
 def _refined_from(search: Search, start_set: FittedHypothesis) -> FittedHypothesis:
     """Set at which rounds of selection and refinement end."""
     return refit_until_settled(
-        start_set, lambda found: refined_set(search, found), lambda before, after: before is after, rounds=ROUNDS
+        start_set, lambda fitted: refined_set(search, fitted), lambda before, after: before is after, rounds=ROUNDS
     )
 
 
@@ -293,9 +293,9 @@ def _look_alike_fit(
 ) -> FittedHypothesis | None:
     """Set with the best look-alike in a member's place; None where its cost is far above the best."""
     linearization, residual, model = _local_model_of(search, reduced_fit)
-    without = model.minimum([])
-    terms = _promising_terms(model, [], reduced_fit.hypothesis, without)
-    trials = [(model.minimum([t], without.theta), t) for t in terms if t.candidate.name != member.name]
+    without_member = model.minimum([])
+    terms = _promising_terms(model, [], reduced_fit.hypothesis, without_member)
+    trials = [(model.minimum([t], without_member.theta), t) for t in terms if t.candidate.name != member.name]
     if not trials:
         return None
     solution, term = min(trials, key=lambda pair: pair[0].statistic)

@@ -106,16 +106,12 @@ def _periodogram(
     centred_change_m = np.zeros(is_pressed.size)
     centred_change_m[is_pressed] = clearance_change_m - clearance_change_m.mean()
     padded_samples = next_fast_len(3 * is_pressed.size, real=True)
-    mask_spectrum, change_spectrum = (
-        rfft(is_pressed.astype(float), padded_samples),
-        rfft(centred_change_m, padded_samples),
-    )
+    mask_spectrum = rfft(is_pressed.astype(float), padded_samples)
+    change_spectrum = rfft(centred_change_m, padded_samples)
     line_indices = np.arange(int(np.ceil(LOWEST_HZ * padded_samples / rate_hz)), padded_samples // 4)
-    pressed_count, mask_at_double, change_at_lines = (
-        float(mask_spectrum[0].real),
-        mask_spectrum[2 * line_indices],
-        change_spectrum[line_indices],
-    )
+    pressed_count = float(mask_spectrum[0].real)
+    mask_at_double = mask_spectrum[2 * line_indices]
+    change_at_lines = change_spectrum[line_indices]
     harmonic_squares = (
         2
         * (pressed_count * np.abs(change_at_lines) ** 2 - (mask_at_double * change_at_lines.conj() ** 2).real)

@@ -225,10 +225,8 @@ def _time_pattern(history: ForceHistory) -> _Timing:
 def _mean_force_over_motion(history: ForceHistory) -> MeanForce:
     """Mean of the force against the motion (N) in cells of displacement (m) and velocity (m/s), where ungated."""
     is_ungated = history.time_gate == 1
-    displacement_m, velocity_m_per_s = (
-        history.displacement_m[::OVERSAMPLING][is_ungated],
-        history.velocity_m_per_s[::OVERSAMPLING][is_ungated],
-    )
+    displacement_m = history.displacement_m[::OVERSAMPLING][is_ungated]
+    velocity_m_per_s = history.velocity_m_per_s[::OVERSAMPLING][is_ungated]
     force_sums, displacement_edges, velocity_edges = np.histogram2d(
         displacement_m, velocity_m_per_s, bins=CELLS, weights=-history.force_n[is_ungated]
     )

@@ -99,11 +99,9 @@ def evidence_with_force(
     `cleared_residual` is r - D theta at the theta of `start_evidence`, which then stays fixed: fast, for screening.
     `spectrum_shape` is a spectrum S up to a factor; without one S is free in every band.
     """
-    nuisance_held, reals_per_line, to_lines = (
-        cleared_residual is not None,
-        whitened.reals_per_line,
-        whitened.at_each_line,
-    )
+    nuisance_held = cleared_residual is not None
+    reals_per_line = whitened.reals_per_line
+    to_lines = whitened.at_each_line
     response_norm = np.linalg.norm(response, axis=1)
     direction = response.conj() / np.maximum(response_norm, 1e-300)[:, None]
     whole_projection = np.einsum(
@@ -140,10 +138,8 @@ def evidence_with_force(
         right_side -= reals_per_line * (lost_columns @ real_pairs(whole_projection))
         theta = _solve_positive_definite(normal_matrix, right_side)
     assert force_spectrum is not None
-    line_variance, projection_power = (
-        to_lines(noise_variance) + to_lines(force_spectrum) * response_squares,
-        np.abs(projection) ** 2,
-    )
+    line_variance = to_lines(noise_variance) + to_lines(force_spectrum) * response_squares
+    projection_power = np.abs(projection) ** 2
     unexplained_squares = np.maximum(residual_squares(whitened, theta) - _band_sums(whitened, projection_power), 0.0)
     criterion = reals_per_line * float(
         np.sum(

@@ -57,7 +57,7 @@ TONE = "tone"
 class ForceLaw:
     """Form with fitted values: the force on the body is minus the sum of coefficients times shapes.
 
-    coefficient_errors are standard errors. gain_share is the law's gain in -2 ln L over that of the free force.
+    coefficient_errors are standard errors. share_of_free_gain is the law's gain in -2 ln L over that of the free force.
     mean_displacement_m is the mean of the slow motion. A tone has the coefficients of cosine and sine, and its
     frequency as parameter_value.
     """
@@ -68,7 +68,7 @@ class ForceLaw:
     parameter_value: float
     parameter_error: float
     mean_displacement_m: float
-    gain_share: float
+    share_of_free_gain: float
 
     @property
     def formula(self) -> str:

@@ -35,26 +35,26 @@ def fit_laws(history: ForceHistory) -> tuple[ForceLaw, ...]:
     """
     fast_laws = [_fit_tone(history), *(fit_form(history, form) for form in LAW_FORMS if not form.needs_slow_motion)]
     slow_laws: list[ForceLaw] = []
-    if max(law.gain_share for law in fast_laws) < 1 - EQUIVALENT_SHARE:
+    if max(law.share_of_free_gain for law in fast_laws) < 1 - EQUIVALENT_SHARE:
         started_descents = sorted(
             (_start_descent(history, form) for form in LAW_FORMS if form.needs_slow_motion),
-            key=lambda started_descent: -started_descent[2].gain_share,
+            key=lambda started_descent: -started_descent[2].share_of_free_gain,
         )
         finished_laws = [
             _finish_descent(history, descent, iterate) for descent, iterate, _ in started_descents[:FULLY_FITTED]
         ]
         slow_laws = finished_laws + [
-            replace(law, gain_share=min(law.gain_share, finished_laws[-1].gain_share))
+            replace(law, share_of_free_gain=min(law.share_of_free_gain, finished_laws[-1].share_of_free_gain))
             for _, _, law in started_descents[FULLY_FITTED:]
         ]
-    return tuple(sorted(fast_laws + slow_laws, key=lambda law: -law.gain_share))
+    return tuple(sorted(fast_laws + slow_laws, key=lambda law: -law.share_of_free_gain))
 
 
 def shortest_law(laws: tuple[ForceLaw, ...], least_share: float) -> ForceLaw | None:
     """Law of the fewest values among those as good as the best (the first); None if its share is below the least."""
-    equivalent_laws = [law for law in laws if law.gain_share >= laws[0].gain_share - EQUIVALENT_SHARE]
-    best_law = min(equivalent_laws, key=lambda law: (law.form.value_count, -law.gain_share))
-    return best_law if best_law.gain_share >= least_share else None
+    equivalent_laws = [law for law in laws if law.share_of_free_gain >= laws[0].share_of_free_gain - EQUIVALENT_SHARE]
+    best_law = min(equivalent_laws, key=lambda law: (law.form.value_count, -law.share_of_free_gain))
+    return best_law if best_law.share_of_free_gain >= least_share else None
 
 
 def _fit_tone(history: ForceHistory) -> ForceLaw:
@@ -95,7 +95,7 @@ def fit_form(
         curvature = (2 * gains_around[1] - gains_around[0] - gains_around[2]) / parameter_step**2
         parameter_error = float(np.sqrt(2 / curvature)) if curvature > 0 else float("inf")
     coefficients, gain, coefficient_errors = solve_form(history, law_form, parameter)
-    gain_share = gain / max(history.free_gain, 1e-300)
+    share_of_free_gain = gain / max(history.free_gain, 1e-300)
     return ForceLaw(
         law_form,
         tuple((-coefficients).tolist()),
@@ -103,7 +103,7 @@ def fit_form(
         parameter,
         parameter_error,
         0.0,
-        gain_share,
+        share_of_free_gain,
     )
 
 
@@ -221,10 +221,8 @@ class Descent:
         """Best iterate from the values of `start_iterate`, and its law."""
         start_iterate = self._evaluate(start_iterate.coefficients, start_iterate.parameter, start_iterate.slow_knots_m)
         best_iterate, last_step = gauss_newton(start_iterate, self._step, _negligible_cost_change, STEPS)
-        coefficient_count, standard_errors = (
-            len(self.law_form.coefficient_units),
-            np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0)),
-        )
+        coefficient_count = len(self.law_form.coefficient_units)
+        standard_errors = np.sqrt(np.maximum(np.diag(last_step.covariance), 0.0))
         force_law = ForceLaw(
             self.law_form,
             tuple((-best_iterate.coefficients).tolist()),

@@ -33,10 +33,8 @@ def nuisance_columns(
 ) -> tuple[tuple[Nuisance, ...], Complex[np.ndarray, "columns lines rows"], Float[np.ndarray, " columns"]]:
     """Nuisance parameters, the columns D by one tolerance of each, and the trace term 2 Re tr(dD/dA) of each."""
     model = whitened.model
-    delivered_norm, body_names = (
-        float(np.linalg.norm(whitened.record.acceleration_signals)),
-        [response.body.name for response in model.responses],
-    )
+    delivered_norm = float(np.linalg.norm(whitened.record.acceleration_signals))
+    body_names = [response.body.name for response in model.responses]
     parameters: list[Nuisance] = []
     change_columns: list[Complex[np.ndarray, "lines rows"]] = []
     trace_terms: list[float] = []

@@ -125,10 +125,8 @@ class ForceHistory:
 def force_spectrum(located_force: LocatedForce) -> Complex[np.ndarray, " alllines"]:
     """Likeliest spectrum of the force, or of a sensor's own signal: S |g| t / (s + S |g|^2), a Wiener filter."""
     whitened, with_force = located_force.whitened_record, located_force.with_force
-    noise_variance, spectral_density = (
-        whitened.at_each_line(with_force.noise_variance),
-        whitened.at_each_line(with_force.force_spectrum),
-    )
+    noise_variance = whitened.at_each_line(with_force.noise_variance)
+    spectral_density = whitened.at_each_line(with_force.force_spectrum)
     likeliest_spectrum = np.zeros(whitened.record.omega.size, dtype=complex)
     likeliest_spectrum[whitened.line_slice] = (
         spectral_density
@@ -176,10 +174,8 @@ def force_history(located_force: LocatedForce) -> ForceHistory:
 def with_law_error(history: ForceHistory, law_error: float) -> ForceHistory:
     """History weighted for a law that may miss a share e of the force: n / (s + e^2 S |g|^2) at each line."""
     whitened, with_force = history.located_force.whitened_record, history.located_force.with_force
-    noise_variance, spectral_density = (
-        whitened.at_each_line(with_force.noise_variance),
-        whitened.at_each_line(with_force.force_spectrum),
-    )
+    noise_variance = whitened.at_each_line(with_force.noise_variance)
+    spectral_density = whitened.at_each_line(with_force.force_spectrum)
     line_weights = whitened.reals_per_line / (
         noise_variance + law_error**2 * spectral_density * with_force.response_norm**2
     )
@@ -196,10 +192,8 @@ def explained_share(located_force: LocatedForce) -> float:
     """Share that the force takes off the sum of squares of the linear residual, after the nuisance parameters."""
     whitened, with_force = located_force.whitened_record, located_force.with_force
     projection_power = np.abs(with_force.projection) ** 2
-    noise_variance, spectral_density = (
-        whitened.at_each_line(with_force.noise_variance),
-        whitened.at_each_line(with_force.force_spectrum),
-    )
+    noise_variance = whitened.at_each_line(with_force.noise_variance)
+    spectral_density = whitened.at_each_line(with_force.force_spectrum)
     explained_by_line = 1 - (noise_variance / (noise_variance + spectral_density * with_force.response_norm**2)) ** 2
     theta = np.zeros(len(whitened.nuisance_parameters))  # a drift has columns of its own
     theta[: located_force.without_force.theta.size] = located_force.without_force.theta

@@ -37,7 +37,6 @@ TIME_NAME_PATTERN = re.compile(
     r"^\W*(t|time|zeit|temps|tiempo|x_?value|x-?axis|x|second|sek|timestamp|elapsed|datetime|date)(?![a-z])|time|zeit",
     re.IGNORECASE,
 )
-_EXCEL_DELIMITER = re.compile(r"^sep=(?P<delimiter>.)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)

@@ -95,10 +95,8 @@ class BeamsRig(UniformBeams, frozen=True, kw_only=True):
     def rig_and_notes(self) -> tuple[Rig, tuple[str, ...]]:
         cradle = self._beam("cradle", "clamped-free")
         barrel = self._beam("barrel", "free-free")
-        overlap_start_m, overlap_end_m = (
-            self.overlap_start_m,
-            min(self.cradle_length_m, self.overlap_start_m + self.barrel_length_m),
-        )
+        overlap_start_m = self.overlap_start_m
+        overlap_end_m = min(self.cradle_length_m, self.overlap_start_m + self.barrel_length_m)
         if not 0 <= overlap_start_m < overlap_end_m:
             raise RigError(
                 f"overlap_start_m is {overlap_start_m}; give a place on the cradle, 0 to below {self.cradle_length_m} m"

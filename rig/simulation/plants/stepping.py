@@ -144,34 +144,37 @@ def _advance_modes(states, n, inputs, bends, propagate, state_by_input, state_by
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, gain, relief, laws, time_s, space):
+def _sweep(current, eta, rate, gain, relief, laws, time_s, annular):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     max_change, max_force = 0.0, 0.0
     for j in range(eta.size):
-        if space is not None and laws[j].kind == SECOND:
+        if annular is not None and laws[j].kind == SECOND:
             continue
         e, r = eta[j], rate[j]
         for k in range(eta.size):
             e += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
             r += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
-        if space is not None and laws[j].kind == SPATIAL:
-            i = j + 1
-            e2, r2 = eta[i], rate[i]
+        if annular is not None and laws[j].kind == SPATIAL:
+            second = j + 1
+            second_eta, second_rate = eta[second], rate[second]
             for k in range(eta.size):
-                e2 += gain[0, 0, i, k] * current[FORCE, k] + gain[1, 0, i, k] * current[BEND, k]
-                r2 += gain[0, 1, i, k] * current[FORCE, k] + gain[1, 1, i, k] * current[BEND, k]
-            force, force2 = vector_force_n(laws[j], (e, e2), (r, r2), time_s)
-            increment, increment2 = force - current[FORCE, j], force2 - current[FORCE, i]
+                second_eta += gain[0, 0, second, k] * current[FORCE, k] + gain[1, 0, second, k] * current[BEND, k]
+                second_rate += gain[0, 1, second, k] * current[FORCE, k] + gain[1, 1, second, k] * current[BEND, k]
+            force, force2 = vector_force_n(laws[j], (e, second_eta), (r, second_rate), time_s)
+            increment, increment2 = force - current[FORCE, j], force2 - current[FORCE, second]
             if force != 0.0 or force2 != 0.0:
-                increment, increment2 = _ring_increments(laws[j], j, gain, (e, e2), (r, r2), (increment, increment2))
+                increment, increment2 = _ring_increments(
+                    laws[j], j, gain, (e, second_eta), (r, second_rate), (increment, increment2)
+                )
             current[FORCE, j] += increment
-            current[FORCE, i] += increment2
+            current[FORCE, second] += increment2
             current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
-            current[ETA, i], current[RATE, i] = e2 + gain[0, 0, i, i] * increment2, r2 + gain[0, 1, i, i] * increment2
-            max_change, max_force = (
-                max(max_change, abs(increment), abs(increment2)),
-                max(max_force, abs(force), abs(force2)),
+            current[ETA, second], current[RATE, second] = (
+                second_eta + gain[0, 0, second, second] * increment2,
+                second_rate + gain[0, 1, second, second] * increment2,
             )
+            max_change = max(max_change, abs(increment), abs(increment2))
+            max_force = max(max_force, abs(force), abs(force2))
             continue
         force = force_n(laws[j], e, r, time_s)
         increment = force - current[FORCE, j]
@@ -185,17 +188,17 @@ def _sweep(current, eta, rate, gain, relief, laws, time_s, space):
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, space):
+def _solve(previous, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, annular):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_ITERATIONS):
-        max_change, max_force = _sweep(current, eta, rate, gain, relief, laws, time_s, space)
+        max_change, max_force = _sweep(current, eta, rate, gain, relief, laws, time_s, annular)
         if iteration > 0 and max_change <= TOLERANCE_N:
             break
-        if space is not None and iteration == MAX_ITERATIONS - 1 and max_change > 1e-6 * max_force:
+        if annular is not None and iteration == MAX_ITERATIONS - 1 and max_change > 1e-6 * max_force:
             current[FORCE, 0] = np.nan  # not solved: the run ends
         if iteration == 0 or max_change > BEND_REFRESH * max_force:
             for j in range(eta.size):
-                if space is not None and laws[j].kind < 0:
+                if annular is not None and laws[j].kind < 0:
                     if may_touch[j] and laws[j].kind == SPATIAL:
                         share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
@@ -220,7 +223,7 @@ def advance(
     relief,
     laws,
     gauss,
-    space,
+    annular,
     first_step,
     step_s,
 ):
@@ -231,7 +234,7 @@ def advance(
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
     at the end of a step, and of its bend; gain (2, 2, contacts, contacts) those of an end force and a bend to every
     eta and eta'. relief is the share of a change that its own gain leaves; laws is the table of `compiled_laws`.
-    space is None for rigs without annular contacts, for which the loop is compiled by itself.
+    annular is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
     mode_count, contact_count = eta_rows.shape[1], eta_rows.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
@@ -246,7 +249,7 @@ def advance(
                 e += eta_rows[j, i] * states[n + 1, i]
                 r += eta_rows[j, i] * states[n + 1, mode_count + i]
             eta[j], rate[j] = e, r
-            if space is not None and laws[j].kind < 0:
+            if annular is not None and laws[j].kind < 0:
                 may_touch[j] = laws[j].kind == SECOND and _may_touch_ring(
                     laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
                 )
@@ -256,7 +259,7 @@ def advance(
             any_may_touch |= may_touch[j]
             current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
         if any_may_touch:
-            _solve(contact_state, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, space)
+            _solve(contact_state, current, eta, rate, may_touch, gain, relief, laws, time_s, step_s, gauss, annular)
             for j in range(contact_count):
                 for i in range(2 * mode_count):
                     states[n + 1, i] += (

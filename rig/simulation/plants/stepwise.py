@@ -64,8 +64,8 @@ class Stepwise:
         end_inputs = self._input_values(force_n, self._steps + step_count)
         elapsed_share = np.linspace(0.0, 1.0, step_count + 1)
         inputs = start_inputs[:, None] + elapsed_share * (end_inputs - start_inputs)[:, None]
-        for k, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
-            inputs[k] = tone.force_n((self._steps + np.arange(step_count + 1)) * self.step_s)
+        for input_row, tone in enumerate(self.rig.tones, start=len(end_inputs) - len(self.rig.tones)):
+            inputs[input_row] = tone.force_n((self._steps + np.arange(step_count + 1)) * self.step_s)
         states = np.empty((step_count + 1, self._state.size))
         states[0] = self._state
         forces, contact_bends = np.empty((2, contact_count, step_count))

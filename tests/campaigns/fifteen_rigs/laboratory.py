@@ -14,8 +14,6 @@ from tests.campaigns.fifteen_rigs.piecewise_linear import OPEN_M, Pickup, Piecew
 GAIN, PLACE_M, DELAY_S, HIGH_PASS_HZ = 2e-3, 1e-3, 1e-5, 0.1
 FORCE_GAIN, MASS, FREQUENCY, DAMPING = 3e-3, 3e-3, 2e-3, 0.3
 """The default tolerances as identify/README.md states them, standard deviations."""
-LEAST_DAMPING = 0.2
-"""Smallest factor of a damping ratio that is drawn."""
 QUIET_S, RISE_S, TAIL_S = 1.0, 0.3, 0.1
 FORCE_NOISE = 2e-4
 """Of the force cell, N/sqrt(Hz)."""

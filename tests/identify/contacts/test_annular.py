@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 import identify
 from identify.contacts.annular_record import annular_record, open_force_n
-from identify.contacts.contact_record import ContactRecord
 from identify.contacts.pooled import pooled_report
 from identify.contacts.refusals import ContactRefusedError, RefusalCode, RemedyCode
 from identify.contacts.ring_shares import ring_shares
@@ -19,7 +18,6 @@ from identify.contacts.space_contacts import annular_records
 from identify.contacts.space_identification import COUPLED_RINGS
 from identify.linear.nuisance import SINGLE_FORCE_NAME, Nuisance, NuisanceKind
 from identify.pages.wording import COVERED
-from identify.signals.drift import spline
 from rig import BarrelCradleAnnular, record
 from rig.errors import RigError
 from rig.model.contact_laws.dead_zone import equal_sides
@@ -28,6 +26,7 @@ from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups, plane_recording
 from tests.campaigns.annular import RATE_HZ, believed_rig, errors_of
 from tests.campaigns.space_simulator import Accelerometer, Ring, SpaceMachine, Tube, simulated
+from tests.identify.contacts.contact_records import contact_record
 
 SECONDS = 12.0
 VALUES = np.array([2e-3, 5e5, 200.0, 0.1, np.log(0.01), 1e-4, -2e-4, 0.0, 0.0])
@@ -96,8 +95,8 @@ def test_the_centre_and_the_force_at_rest_are_known_under_weight_alone(found):
 
 def test_shares_are_those_of_the_true_motion(found):
     result, truth, _ = found
-    begins = result.found.contacts.separations[0].motion.excited_from
-    for k, (name, estimate) in enumerate(result.found.contacts.annular.items()):
+    begins = result.identification.contacts.separations[0].motion.excited_from
+    for k, (name, estimate) in enumerate(result.identification.contacts.annular.items()):
         true_m = np.hypot(*truth.eta_m[:, k, begins : estimate.eta_m.shape[1]])
         shares = result.report.contacts[k].ring
         assert result.report.contacts[k].name == name
@@ -161,31 +160,8 @@ def identified_once():
         eta_m=np.zeros((2, 1)),
         rate_m_per_s=np.zeros((2, 1)),
         force_n=np.zeros((2, 1)),
-        unexplained=0.0,
-        halves=(0.0, 0.0),
-    )
-
-
-def plane_record(force_n, parameters):
-    """A contact record with no more than a force and so many nuisance parameters."""
-    count = len(parameters)
-    return ContactRecord(
-        eta_m=np.zeros(force_n.size),
-        velocity_m_per_s=np.zeros(force_n.size),
-        sample_rate_hz=100.0,
-        force_n=force_n,
-        decimation=1,
-        quiet_deviation_n=0.0,
-        noise_n=0.0,
-        unmodelled_share=0.0,
-        drift=None,
-        drift_spline=spline(force_n.size, 100.0, None),
-        nuisance_n=np.zeros((count, force_n.size), np.float32),
-        force_noise_multiple=np.zeros(count),
-        shifts_eta=np.zeros(count, bool),
-        eta_noise_multiple=np.zeros(0),
-        nuisance_m=np.zeros((0, force_n.size), np.float32),
-        is_initial_state=np.zeros(count, bool),
+        unexplained_share=0.0,
+        half_differences=(0.0, 0.0),
     )
 
 
@@ -196,7 +172,7 @@ def test_what_a_body_has_in_common_is_one_parameter_of_both_directions():
         Nuisance(NuisanceKind.FREQUENCY, "barrel"),
         Nuisance(NuisanceKind.FREQUENCY, "barrel", 3),
     ]
-    plane = plane_record(np.zeros(10), parameters)
+    plane = contact_record(np.zeros(10), np.zeros((len(parameters), 10)))
     record = annular_record((plane, plane), (parameters, parameters), (("force_1",), ("force_2",)), 0)
     assert [p.name for p in record.parameters] == [
         "force gain of force_1",
@@ -213,7 +189,7 @@ def test_the_force_of_an_open_contact_is_where_forces_are_densest():
     rng = np.random.default_rng(0)
     is_open = rng.uniform(size=20000) < 0.2
     force = np.where(is_open, [[110.0], [-3.0]], rng.normal(0, 300, (2, 20000))) + rng.normal(0, 0.5, (2, 20000))
-    planes = tuple(plane_record(row, []) for row in force)
+    planes = tuple(contact_record(row, np.zeros((0, row.size))) for row in force)
     record = annular_record(planes, ([], []), (("force_1",), ("force_2",)), 0)
     assert np.abs(open_force_n(record) - [110.0, -3.0]).max() < 0.5
 

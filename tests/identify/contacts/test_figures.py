@@ -13,7 +13,7 @@ from scipy.io import loadmat
 
 from identify.contacts import figures as drawing
 from identify.contacts import identify_contact
-from identify.contacts.curves import curves
+from identify.contacts.drawn_results import curves
 from identify.pages.tables import WRITERS, save_tables
 from rig.model.contact_laws import penetration_m
 from rig.recording import read

@@ -4,10 +4,10 @@ motion began from the times at which it is open."""
 import numpy as np
 import pytest
 
-from identify.contacts.contact_record import ContactRecord
 from identify.contacts.initial_guess import initial_pulls, regressed_guess
 from identify.signals.drift import Drift, spline
 from rig.model.contact_laws import penetration_m
+from tests.identify.contacts.contact_records import contact_record
 
 
 @pytest.mark.parametrize("ringing", [0.0, 0.2])
@@ -21,38 +21,23 @@ def test_a_force_that_rings_while_the_contact_is_open_does_not_spoil_the_start(r
     force_n = np.where(rings & (force_n == 0), ringing * force_n.max() * np.sign(np.sin(2e3 * time_s)), force_n)
     bend = -((2 * np.pi * 0.2) ** 2) * slow_m
     curve = spline(time_s.size, rate_hz, Drift(bend, noise_density=5e-3, spring_n_per_m=0.0))
-    velocity = np.gradient(eta_m, 1 / rate_hz)
-    none, share, moving = np.zeros((0, time_s.size)), np.zeros(0), np.zeros(0, dtype=bool)
-    contact_record = ContactRecord(
-        eta_m, velocity, rate_hz, force_n, 1, 0.0, 0.0, 0.0, None, curve, none, share, moving, share, none, moving
+    record = contact_record(
+        force_n,
+        np.zeros((0, time_s.size)),
+        eta_m=eta_m,
+        velocity_m_per_s=np.gradient(eta_m, 1 / rate_hz),
+        sample_rate_hz=rate_hz,
+        drift_spline=curve,
     )
-    law, knots = regressed_guess(contact_record)
+    law, knots = regressed_guess(record)
     assert law[0] == pytest.approx(clearance_m, rel=0.1)
     assert law[2] == pytest.approx(stiffness, rel=0.7)
     assert np.std((curve.value @ knots - slow_m)[100:-100]) < 2e-4
 
 
-def record(nuisance_n, force_n) -> ContactRecord:
-    still = np.zeros(force_n.size)
-    none = np.zeros(len(nuisance_n))
-    return ContactRecord(
-        eta_m=still,
-        velocity_m_per_s=still,
-        sample_rate_hz=1000.0,
-        force_n=force_n,
-        decimation=1,
-        quiet_deviation_n=0.0,
-        noise_n=0.0,
-        unmodelled_share=0.0,
-        drift=None,
-        drift_spline=spline(force_n.size, 1000.0, None),
-        nuisance_n=nuisance_n.astype(np.float32),
-        force_noise_multiple=none,
-        shifts_eta=none > 0,
-        eta_noise_multiple=np.zeros(0),
-        nuisance_m=np.zeros((0, force_n.size)),
-        is_initial_state=np.array([True, True, False])[-len(nuisance_n) :],
-    )
+def ringing_record(nuisance_n, force_n):
+    """Record whose first two of three nuisance parameters are initial states."""
+    return contact_record(force_n, nuisance_n, is_initial_state=np.array([True, True, False])[-len(nuisance_n) :])
 
 
 @pytest.fixture
@@ -65,9 +50,9 @@ def ringing():
 
 def test_a_record_that_begins_in_motion_tells_its_start_beside_sparse_contact_forces(ringing):
     contact_n = np.where(np.arange(4000) % 50 < 12, 80.0, 0.0) * np.random.default_rng(1).uniform(0, 1, 4000)
-    pulls = initial_pulls(record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
+    pulls = initial_pulls(ringing_record(ringing, contact_n + np.array([1.3, -0.4, 0.0]) @ ringing))
     np.testing.assert_allclose(pulls, [1.3, -0.4, 0.0], atol=1e-3)
 
 
 def test_tolerances_are_left_to_the_fit(ringing):
-    assert not initial_pulls(record(ringing[2:], ringing[2])).any()
+    assert not initial_pulls(ringing_record(ringing[2:], ringing[2])).any()

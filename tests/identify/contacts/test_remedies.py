@@ -35,7 +35,7 @@ def test_every_remedy_has_a_case_or_a_reason_for_none():
 def test_the_record_is_refused_with_the_remedy(name, tmp_path):
     case = CASES[name]
     try:
-        refusals = list(identify.contact(case.refused(tmp_path)).found.outcomes.refusals.values())
+        refusals = list(identify.contact(case.refused(tmp_path)).identification.outcomes.refusals.values())
     except ContactRefusedError as error:
         refusals = [error.refusal]
     assert (case.code, case.remedy) in {(refusal.code, refusal.remedy) for refusal in refusals}

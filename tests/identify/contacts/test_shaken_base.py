@@ -149,7 +149,7 @@ def motions():
 def test_contacts_on_a_shaken_base_are_found_without_a_force(name, motions):
     rig, _, (lower_m, upper_m) = CASES[name]
     result = identify.contact(record(rig, motions[name][2]))
-    (estimate,) = result.found.report.contacts
+    (estimate,) = result.identification.report.contacts
     for found, true, share in (
         (estimate.clearance_m, (lower_m + upper_m) / 2, 0.01),
         (estimate.stiffness_n_per_m, STIFFNESS, 0.02),
@@ -157,12 +157,12 @@ def test_contacts_on_a_shaken_base_are_found_without_a_force(name, motions):
     ):
         assert abs(found.value - true) < 1.5 * COVERED * found.standard_error
         assert COVERED * found.standard_error < share * true
-    assert not result.found.report.findings
-    assert result.found.report.channels_used == tuple(s.name for s in rig.sensors)
+    assert not result.identification.report.findings
+    assert result.identification.report.channels_used == tuple(s.name for s in rig.sensors)
 
 
 def test_the_sides_of_a_sprung_mass_are_told_apart(motions):
-    (estimate,) = identify.contact(record(CASES["mass"][0], motions["mass"][2])).found.report.contacts
+    (estimate,) = identify.contact(record(CASES["mass"][0], motions["mass"][2])).identification.report.contacts
     for found, true in ((estimate.lower_clearance_m, 4e-4), (estimate.upper_clearance_m, 6e-4)):
         assert abs(found.value - true) < 1.5 * COVERED * found.standard_error < 0.02 * true
 

@@ -102,11 +102,9 @@ def cause(effects, words, probability, explained, interval, left, parameters, in
     )
 
 
-BEFORE, SMALL, REST = (
-    left(0.067, 0.109, 0.021, p_value=1e-9),
-    left(4e-4, 4e-3, 0.0, p_value=0.31),
-    left(0.0123, 0.041, 0.0, p_value=2e-7),
-)
+BEFORE = left(0.067, 0.109, 0.021, p_value=1e-9)
+SMALL = left(4e-4, 4e-3, 0.0, p_value=0.31)
+REST = left(0.0123, 0.041, 0.0, p_value=2e-7)
 MASS = cause(
     ("added_mass",),
     ("an added mass of 0.141 kg on the barrel at 0.99 m",),

@@ -21,10 +21,8 @@ from rig.model.tolerances import LABORATORY
 from rig.simulation.reference import BarrelCradle
 
 SETTINGS = BarrelCradle(sensors="acceleration", noise_density=1e-3, duration_s=16.0, seed=77)
-CLEARANCE, DAMPING = (
-    ContactClearance(factor=1.058, contact="contact_1"),
-    ContactDamping(damping_n_s_per_m=10.0, contact="contact_1"),
-)
+CLEARANCE = ContactClearance(factor=1.058, contact="contact_1")
+DAMPING = ContactDamping(damping_n_s_per_m=10.0, contact="contact_1")
 MASS = AddedMass(mass_kg=0.15, relative_position=0.7)
 
 

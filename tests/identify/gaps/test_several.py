@@ -11,11 +11,13 @@ from identify.commands.cli import app
 from identify.gaps.decision.answer import Simulator, diagnose
 from identify.gaps.decision.differences import differences
 from identify.gaps.decision.null_reference import null_reference_of
+from identify.gaps.residual.likelihood import nominal_variances_of
+from identify.gaps.residual.residual import linearized
 from identify.gaps.residual.spectra import record_of
 from identify.gaps.search.candidates import candidates, scale_of
 from identify.gaps.search.hypothesis import Search, fit_effects
 from identify.gaps.search.nominal import fit_nuisance
-from identify.gaps.search.pooled import fitted_together, nominal_variances_by_record
+from identify.gaps.search.pooled import fitted_together
 from rig.effects import effect_named
 from rig.errors import RigError
 from rig.model.tolerances import LABORATORY
@@ -60,10 +62,14 @@ def null_reference(tmp_path_factory, nominal):
     return path
 
 
+def nominal_variances(records):
+    return [nominal_variances_of(linearized(record, record.rig)) for record in records]
+
+
 def test_a_parameter_shared_by_two_records_is_tighter_and_right():
     mass_kg = 0.1
     records = [record_of(item) for item in recordings(*[with_effect(f"added_mass:mass_kg={mass_kg}")] * 3)[:2]]
-    variances, candidates = nominal_variances_by_record(records), library(records[0])
+    variances, candidates = nominal_variances(records), library(records[0])
     (candidate,) = [c for c in candidates if c.kind.name == "added_mass"]
     context = Search(variances[0], *fit_nuisance(records[0], RIG), tuple(candidates))
     first_record = fit_effects(context, (candidate,), np.array([0.5 * mass_kg]), context.residual).hypothesis
@@ -104,7 +110,7 @@ def test_what_all_records_have_is_a_cause_and_no_difference(null_reference):
 def test_nothing_differs_between_records_of_the_believed_rig(nominal):
     records = [record_of(recording) for recording in nominal]
     between = differences(
-        records, nominal_variances_by_record(records), None, library(records[0]), ("1", "2", "3"), (1.0, 1.0, 1.0)
+        records, nominal_variances(records), None, library(records[0]), ("1", "2", "3"), (1.0, 1.0, 1.0)
     )
     assert between.differing == between.cause == ()
     assert between.looked_at > 5

@@ -141,11 +141,9 @@ def ruling_out(*worse):
 
 
 def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
-    mass, spring, nominal = (
-        validated_hypothesis(1.5, "added_mass"),
-        validated_hypothesis(1.52, "linear_spring"),
-        validated_hypothesis(60.0),
-    )
+    mass = validated_hypothesis(1.5, "added_mass")
+    spring = validated_hypothesis(1.52, "linear_spring")
+    nominal = validated_hypothesis(60.0)
     ranked = [mass, spring, nominal]
     unvetoed = predicted_decision(ranked, decide, ruling_out())
     assert unvetoed.decision.named_hypothesis is mass
@@ -159,11 +157,9 @@ def test_a_likely_rival_takes_the_place_of_what_prediction_rules_out():
 
 @pytest.mark.parametrize("short_of_expected", ["mass", "both"])
 def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_falls_short(short_of_expected):
-    mass, spring, nominal = (
-        validated_hypothesis(1.5, "added_mass"),
-        validated_hypothesis(1.52, "linear_spring"),
-        validated_hypothesis(60.0),
-    )
+    mass = validated_hypothesis(1.5, "added_mass")
+    spring = validated_hypothesis(1.52, "linear_spring")
+    nominal = validated_hypothesis(60.0)
     short_sets = (mass,) if short_of_expected == "mass" else (mass, spring)
 
     def predict(named_set):
@@ -176,11 +172,9 @@ def test_a_likely_rival_that_predicts_as_expected_takes_the_place_of_one_that_fa
 
 
 def test_a_veto_stays_where_no_other_effect_was_likely():
-    mass, spring, nominal = (
-        validated_hypothesis(1.5, "added_mass"),
-        validated_hypothesis(1.52, "linear_spring"),
-        validated_hypothesis(60.0),
-    )
+    mass = validated_hypothesis(1.5, "added_mass")
+    spring = validated_hypothesis(1.52, "linear_spring")
+    nominal = validated_hypothesis(60.0)
     nothing_told = validated_hypothesis(1.52, "linear_spring", 0.1)
     for ranked, worse in (
         ([mass, spring, nominal], (mass, spring)),

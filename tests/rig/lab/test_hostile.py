@@ -23,6 +23,7 @@ from rig.model.description import to_json
 from rig.model.tolerances import tolerances_named
 from rig.recording import read
 from rig.simulation.reference import Sdof
+from tests.uff_histories import time_history
 
 RIG = Sdof(sensors="acceleration").rig()
 RATE_HZ = RIG.sample_rate_hz
@@ -457,24 +458,9 @@ def uff(folder, count=2):
 
     path = folder / "lab.uff"
     path.unlink(missing_ok=True)
-    histories = [
-        {
-            "type": 58,
-            "binary": 0,
-            "id1": name,
-            "func_type": 1,
-            "rsp_node": 1,
-            "rsp_dir": 3,
-            "ref_node": 0,
-            "ref_dir": 0,
-            "abscissa_spacing": 1,
-            "ordinate_axis_units_lab": "NONE",
-            "orddenom_spec_data_type": 0,
-            "x": np.arange(SAMPLES) / RATE_HZ,
-            "data": row,
-        }
-        for name, row in zip(("force", "acc", "more"), (FORCE, ACC, ACC), strict=True)
-    ]
+    time_s = np.arange(SAMPLES) / RATE_HZ
+    rows = zip(("force", "acc", "more"), (FORCE, ACC, ACC), strict=True)
+    histories = [time_history(name, time_s, row) for name, row in rows]
     pyuff.UFF(str(path)).write_sets(histories[:count], "add")
     return path
 

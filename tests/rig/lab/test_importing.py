@@ -18,6 +18,7 @@ from rig.model.description import to_json
 from rig.recording import read
 from rig.simulation.reference import Sdof
 from tests.running import exit_status
+from tests.uff_histories import time_history
 
 RIG = Sdof().rig()
 RATE_HZ = RIG.sample_rate_hz
@@ -143,21 +144,7 @@ def test_csv_without_names(folder):
 @pytest.mark.parametrize("spacing", [0, 1])
 def test_uff(folder, binary, spacing):
     datasets = [
-        {
-            "type": 58,
-            "binary": binary,
-            "id1": name,
-            "func_type": 1,
-            "rsp_node": 1,
-            "rsp_dir": 3,
-            "ref_node": 0,
-            "ref_dir": 0,
-            "abscissa_spacing": spacing,
-            "ordinate_axis_units_lab": unit,
-            "orddenom_spec_data_type": 0,
-            "x": TIME_S,
-            "data": VALUES[name],
-        }
+        time_history(name, TIME_S, VALUES[name], binary=binary, abscissa_spacing=spacing, ordinate_axis_units_lab=unit)
         for name, unit in UNITS.items()
     ]
     pyuff.UFF(str(folder / "lab.uff")).write_sets(datasets, "add")

@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mcap.exceptions import McapError
-from mcap.reader import NonSeekingReader
 
 from rig.errors import RigError
 from rig.recording import channel_groups, read, read_truth, truth_path, writing
-from rig.recording.messages import decode_block
 from rig.recording.recovery import recover
 from rig.simulation.reference import Sdof
+from tests.campaigns.killed_recordings import stored_samples
 from tests.running import exit_status
 
 RIG = Sdof().rig()
@@ -80,21 +78,6 @@ def complete(recorder, tmp_path_factory):
     return path.stat().st_size, read(path), read_truth(truth_path(path))
 
 
-def stored_samples(path):
-    """Samples by topic that another reader finds in the complete chunks."""
-    counts = {}
-    with path.open("rb") as content:
-        try:
-            for _, channel, message in NonSeekingReader(content, validate_crcs=True).iter_messages(
-                log_time_order=False
-            ):
-                if channel.topic.endswith("/block"):
-                    counts[channel.topic] = counts.get(channel.topic, 0) + decode_block(message.data).values.shape[1]
-        except (McapError, struct.error):
-            pass
-    return counts
-
-
 def check_prefix(recovered, complete):
     """Every group of the one is the beginning of the other."""
     assert recovered.rig == complete.rig
@@ -123,9 +106,9 @@ def test_a_killed_recording_keeps_every_complete_chunk(recorder, complete, tmp_p
     losses = recover(part_path, saved)
     stored, recovered = stored_samples(part_path), read(saved)
     check_prefix(recovered, undisturbed)
-    assert recovered.samples == min(stored.values()) > 0
+    assert recovered.samples == min(values.shape[1] for values in stored.values()) > 0
     for loss in losses:
-        assert loss.found == stored[f"/rig/{loss.group}/block"]
+        assert loss.found == stored[loss.group].shape[1]
         assert loss.kept == recovered.samples
         assert loss.asked == DURATION_S * RIG.sample_rate_hz
     if seed == 0:

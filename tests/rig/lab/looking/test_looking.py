@@ -21,6 +21,7 @@ from rig.recording import read
 from rig.simulation.reference import BarrelCradle, Sdof
 from tests.rig.lab.looking.loggers import ACCELERATION, FORCE_N, LOGGERS, RATE_HZ, SAMPLES, TABLE, TIME_S, rows
 from tests.running import exit_status
+from tests.uff_histories import time_history
 
 RIG = Sdof().rig()
 FORCE_LINE = 'force = {{ column = {}, unit = "N"{} }}'
@@ -215,10 +216,9 @@ def written(folder, form):
             for name, unit, values in (("t", "s", TIME_S), ("F", "N", FORCE_N), ("a", "m/s^2", ACCELERATION)):
                 file.create_dataset(name, data=values).attrs["unit"] = unit
     else:
-        common = {"type": 58, "binary": 1, "func_type": 1, "rsp_node": 1, "rsp_dir": 3, "ref_node": 0, "ref_dir": 0}
-        common |= {"abscissa_spacing": 1, "orddenom_spec_data_type": 0, "x": TIME_S, "id3": "01-Mar-24 14:05:06"}
+        fields = {"binary": 1, "id3": "01-Mar-24 14:05:06"}
         datasets = [
-            common | {"id1": name, "ordinate_axis_units_lab": unit, "data": values}
+            time_history(name, TIME_S, values, ordinate_axis_units_lab=unit, **fields)
             for name, unit, values in (("F", "N", FORCE_N), ("a", "m/s^2", ACCELERATION))
         ]
         pyuff.UFF(str(path)).write_sets(datasets, "add")
