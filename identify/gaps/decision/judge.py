@@ -123,13 +123,13 @@ def with_lasting_error(validated: ValidatedHypothesis, null_reference: NullRefer
     max(1, median of s_b / s_0b, weighted by the power of the bands) where p < `USUAL_P_VALUE`, after Birge (Phys. Rev.
     40, 1932). The median keeps a tone that nothing names from widening all else.
     """
-    misfit = validated.misfit
-    if p_value(null_reference, misfit) >= USUAL_P_VALUE:
+    remaining_misfit = validated.misfit
+    if p_value(null_reference, remaining_misfit) >= USUAL_P_VALUE:
         return validated
-    shares_and_limits = zip(misfit.share_by_band, null_reference.usual_shares(), strict=False)
+    shares_and_limits = zip(remaining_misfit.share_by_band, null_reference.usual_shares(), strict=False)
     growth_by_band = np.array([share / limit if limit else 1.0 for share, limit in shares_and_limits])
     order = np.argsort(growth_by_band)
-    power_below = np.cumsum(misfit.power_by_band[order])
+    power_below = np.cumsum(remaining_misfit.power_by_band[order])
     growth = max(1.0, growth_by_band[order][np.searchsorted(power_below, power_below[-1] / 2)])
     hypothesis = replace(validated.hypothesis, covariance=growth**2 * validated.hypothesis.covariance)
     return replace(validated, hypothesis=hypothesis)
