@@ -190,9 +190,9 @@ def values(report: ContactReport, laws: Laws, laws_name: str) -> str:
     )
 
 
-def _is_surer(estimate: Estimate, other: Estimate) -> bool:
-    """True if its error is less than half that of the other."""
-    return 2 * estimate.standard_error < other.standard_error
+def _is_surer(estimate: Estimate, reference: Estimate) -> bool:
+    """True if its standard error is less than half that of the reference."""
+    return 2 * estimate.standard_error < reference.standard_error
 
 
 def _rows(contact: ContactEstimate, law: ContactLaw) -> Iterator[tuple[str, ...]]:

@@ -179,8 +179,8 @@ def unexplained_words(unexplained: UnexplainedShares) -> str:
 
 def stays_unexplained_words(unexplained: UnexplainedShares) -> str:
     """Clause "2.5 % of the motion stays unexplained"."""
-    several = sum(share > 0 for share in (unexplained.share, *unexplained.contact_shares.values())) > 1
-    return f"{unexplained_words(unexplained)} {'stay' if several else 'stays'} unexplained"
+    is_plural = sum(share > 0 for share in (unexplained.share, *unexplained.contact_shares.values())) > 1
+    return f"{unexplained_words(unexplained)} {'stay' if is_plural else 'stays'} unexplained"
 
 
 def joined(words: Sequence[str], conjunction: str = "and") -> str:

@@ -89,7 +89,7 @@ def mark_text(x_px: float, words: str, text_spans: TextSpans, marks_px: Sequence
 
 
 def _even_lines(words: str, line_count: int) -> list[str]:
-    """At most so many lines, as short as they can be."""
+    """Words wrapped to at most `line_count` lines, whose longest is as short as it can be."""
     return next(lines for letters in range(1, len(words) + 1) if len(lines := wrap(words, letters)) <= line_count)
 
 

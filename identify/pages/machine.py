@@ -65,7 +65,7 @@ class _Layout:
         upper_body = self.upper_body(contact)
         if not upper_body.is_mass:
             return self.x_px(contact.at)
-        same_body_contacts = [other for other in self.rig.contacts if self.upper_body(other) == upper_body]
+        same_body_contacts = [neighbour for neighbour in self.rig.contacts if self.upper_body(neighbour) == upper_body]
         return self.x_px(Station(upper_body.name)) + 0.5 * MASS_SIZE[0] * same_body_contacts.index(contact)
 
     def corner_x_px(self, station: Station, width_share: float) -> float:
@@ -109,9 +109,9 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
         text_lines = [contact.name, *contact_lines.get(contact.name, ())]
         upper_body = layout.upper_body(contact)
         posts_px = [
-            layout.contact_x_px(other) + STOP_HALF_WIDTH
-            for other in rig.contacts
-            if other != contact and layout.upper_body(other) == upper_body
+            layout.contact_x_px(neighbour) + STOP_HALF_WIDTH
+            for neighbour in rig.contacts
+            if neighbour != contact and layout.upper_body(neighbour) == upper_body
         ]
         text_spans = spans_below[upper_body.name]
         contact_texts.append((contact, contact_text(layout.contact_x_px(contact), text_lines, text_spans, posts_px)))
@@ -124,7 +124,7 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     for mark in sorted(marks, key=lambda mark: layout.x_px(mark.station)):
         body = rig.body(mark.station.body)
         text_spans = (spans_below if layout.is_marked_below(body) else spans_above)[body.name]
-        marks_px = [layout.x_px(other.station) for other in marks if other.station.body == body.name]
+        marks_px = [layout.x_px(neighbour.station) for neighbour in marks if neighbour.station.body == body.name]
         mark_texts.append((mark, mark_text(layout.x_px(mark.station), mark.words, text_spans, marks_px)))
     ringed = {(mark.station.body, round(layout.x_px(mark.station))): (mark, text) for mark, text in mark_texts[::-1]}
     y_px = 0.0

@@ -36,8 +36,8 @@ CONTACT_TOLERANCES = ("clearance", "stiffness", "contact_damping_s")
 """Tolerance fields of a contact."""
 LOUDER_ADVICE = "excite the rig more strongly, or use sensors of less noise"
 LAW_FAR_OFF = (
-    "its law in rig.json is further from it than no force at all would be",
-    "identify the contact with identify contact, and give that rig.json with --rig",
+    "rig.json's law of it fits worse than no force at all",
+    "run identify contact, and give the rig.json that it writes with --rig",
 )
 """Reason why a share above the whole bounds nothing, and the remedy."""
 TOO_SHORT = "the record held back leaves less than two seconds", "record longer"
