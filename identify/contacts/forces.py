@@ -44,10 +44,9 @@ from identify.linear.model import (
     ResponseCache,
     accelerances,
     responses_of,
-    slow_damping,
-    slow_stiffness,
 )
 from identify.linear.nuisance import Nuisance, NuisanceKind, ObservedSignals, changes_of
+from identify.linear.slow_stiffness import slow_damping, slow_stiffness
 from identify.signals.kinematics import TAPER_S, Kinematics
 from identify.signals.spectra import decimated
 from rig.errors import RigError

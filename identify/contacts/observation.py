@@ -20,9 +20,10 @@ from identify.contacts.station_spectra import (
     observed_body_motion,
     sensed_accelerations,
 )
-from identify.linear.model import Response, has_high_passed_springs
+from identify.linear.model import Response
 from identify.linear.nuisance import ObservedSignals
 from identify.linear.observed_motion import ObservedBase, ObservedTransverse
+from identify.linear.slow_stiffness import has_high_passed_springs
 from identify.signals.kinematics import Kinematics
 from identify.signals.measured_base import count_on_bodies
 from rig.model.description import Rig

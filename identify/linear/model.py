@@ -8,20 +8,23 @@ With modes of natural frequency omega_m, damping ratio zeta_m and mass-normalise
 Where the base shakes, a is relative to it, and the inertial force F = -a_base on each kilogram is one more input, with
 the participation integral of mu phi_m dx in place of phi_m(x_k).
 
-It also covers slow motion, which accelerations do not show: where springs then act, and how stiffly they hold contacts.
+It also says on which modes springs act where accelerations do not show slow motion (`slow_stiffness` says how stiffly
+they hold contacts then).
 """
 
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from jaxtyping import Complex, Float
 
 from identify.linear.modal import receptance
+from identify.linear.point_dampers import DamperFeedback, damper_feedback
 from identify.signals.kinematics import CORNER_HZ, integrated
 from identify.signals.recent_values import RecentValues
 from rig.errors import RigError
-from rig.model.description import Body, Rig, Sensor, Station
+from rig.model.description import Body, PointDamper, Rig, Sensor, Station
 from rig.model.modes import Modes, modes_of, participation
 
 SLOPE_STEP = 1e-4
@@ -100,6 +103,7 @@ class Response:
     dynamics: Dynamics
     cache: ResponseCache = field(repr=False)
     shape_cache: dict[Hashable, Float[np.ndarray, "places _"]] = field(default_factory=dict, repr=False, compare=False)
+    dampers: DamperFeedback | None = None
 
     @property
     def accelerance(self) -> Complex[np.ndarray, "modes lines"]:
@@ -172,7 +176,31 @@ class Response:
         self, outputs: Float[np.ndarray, "outputs modes"], inputs: Float[np.ndarray, "inputs modes"]
     ) -> Complex[np.ndarray, "inputs outputs lines"]:
         """Accelerations along some shapes per force along others."""
-        return self.cache.transfer(self.dynamics, outputs, inputs)
+        undamped = partial(self.cache.transfer, self.dynamics)
+        return self.dampers.transfer(undamped, outputs, inputs) if self.dampers else undamped(outputs, inputs)
+
+    def modal_accelerations(
+        self, modal_forces: Complex[np.ndarray, "modes lines"]
+    ) -> Complex[np.ndarray, "modes lines"]:
+        """Accelerations of the modes by modal forces."""
+        return self.with_damper_feedback(self.accelerance * modal_forces)
+
+    def with_damper_feedback(
+        self, accelerations: Complex[np.ndarray, "modes lines"]
+    ) -> Complex[np.ndarray, "modes lines"]:
+        """Accelerations of the modes with the dampers, from those that the same cause has without them."""
+        if self.dampers is None:
+            return accelerations
+        return accelerations - self.accelerance * self.dampers.modal_reactions(accelerations)
+
+    def damped_by(self, dampers: Sequence[PointDamper]) -> "Response":
+        """Response with those of some dampers that stand on the body; the modes stay as they are."""
+        on_body = [d for d in dampers if d.station.body == self.body.name and d.damping_n_s_per_m]
+        if not on_body:
+            return self
+        undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in on_body])
+        damping = [d.damping_n_s_per_m for d in on_body]
+        return replace(self, dampers=damper_feedback(shapes, damping, undamped, self.cache.omega))
 
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
         """Response with factors on the frequency and on the damping ratio of each mode."""
@@ -272,7 +300,7 @@ def responses_of(rig: Rig, cache: ResponseCache, zero_known: bool) -> tuple[Resp
     Raises RigError if no number of modes identifies every contact force.
     """
     responses = tuple(response_of(rig, body, cache) for body in rig.bodies)
-    eta_shapes, _ = _eta_modes(rig, responses)
+    eta_shapes, _ = eta_modes(rig, responses)
     if _force_rank(eta_shapes, range(eta_shapes.shape[1])) < len(rig.contacts):
         raise RigError(
             f"the {len(rig.contacts)} contacts of rig {rig.name!r} move by fewer independent modes; describe more "
@@ -309,40 +337,7 @@ def _force_rank(eta_shapes: Float[np.ndarray, "contacts modes"], modes: Sequence
     return int(np.linalg.matrix_rank(eta_shapes[:, list(modes)], least_value))
 
 
-def slow_damping(
-    rig: Rig, responses: Sequence[Response], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
-) -> Float[np.ndarray, "contacts contacts"]:
-    """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
-    eta_shapes, omega = _eta_modes(rig, responses)
-    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
-    held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
-    return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
-
-
-def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray, "contacts contacts"]:
-    """Contact forces (N) per slow relative displacement (m), where springs act on the high-passed displacements.
-
-    K = N (N' C N)^-1 N', with C the sum of phi phi' / omega^2 over the held modes, and N the combinations of contacts
-    that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
-    """
-    eta_shapes, omega = _eta_modes(rig, responses)
-    combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
-    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
-    held_combinations = combinations[:, np.count_nonzero(singular_values > least_value) :]
-    if not (held_combinations.size and has_high_passed_springs(responses)):
-        return np.zeros((len(eta_shapes), len(eta_shapes)))
-    held_shapes = eta_shapes[:, omega > 0]
-    compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
-    inverse = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
-    return np.asarray(held_combinations @ inverse @ held_combinations.T)
-
-
-def has_high_passed_springs(responses: Sequence[Response]) -> bool:
-    """True if the spring of some mode acts on the high-passed displacement alone."""
-    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
-
-
-def _eta_modes(
+def eta_modes(
     rig: Rig, responses: Sequence[Response]
 ) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
     """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""

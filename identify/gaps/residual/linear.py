@@ -2,11 +2,12 @@
 
 The accelerations of all sensors at every line are
 
-    A = G_F F + G_T T - G_K (k3 w^3 + c v + F_c tanh(v / v0)) - G_C f + G_B a_base + error
+    A = G_F F + G_T T - G_K (k3 w^3 + F_c tanh(v / v0)) - G_C f + G_B a_base + error
 
-with the accelerances G of measured forces F, tones T, cubic springs and dampers to the ground (by the measured w and
-v there), contact forces f and an unmeasured base motion; static loads cause none. f is a least-squares estimate, and
-so is a_base under the prior of its spectrum. The rest, in standard deviations of the error, is the linear residual.
+with the accelerances G of measured forces F, tones T, cubic springs and friction to the ground (by the measured w and v
+there), contact forces f and an unmeasured base motion. G holds the viscous dampers to the ground (those of free motion
+follow the measured v, too). f is a least-squares estimate, and so is a_base under the prior of its spectrum. The rest,
+in standard deviations of the error, is the linear residual.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,11 +21,15 @@ from identify.gaps.residual.initial_state import free_motion_of
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
+    following_motion,
     ground_force_derivative,
     ground_forces,
     has_ground_forces,
+    linear_dampers,
+    loads_from_rest,
     modal_response,
     response_to_force,
+    static_response,
 )
 from identify.linear.free_motion import FreeMode
 from identify.linear.joined import group_rig_of
@@ -36,10 +41,10 @@ from identify.linear.model import (
     real_product,
     relative_shapes,
     responses_of,
-    slow_stiffness,
 )
 from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
-from rig.model.description import Rig, Station, contact_stations
+from identify.linear.slow_stiffness import slow_stiffness
+from rig.model.description import Rig, Station
 from rig.model.modes import participation
 
 ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
@@ -82,6 +87,7 @@ class Linear:
         stations = [station for station, _ in self.known_forces]
         accelerations = tuple(
             modal_response(self.record, self.rig, r, real_product(input_shapes(self.rig, r, stations).T, forces_n))
+            + static_response(self.record, self.rig, r)
             for r in self.responses
         )
         for free_mode in self.free_modes:
@@ -158,7 +164,8 @@ class Linear:
         """Changes of the forces of ground springs and dampers with those of the sensors' displacements."""
         displacements = self.record.displacement_signals / self.sensor_response
         sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
-        return ground_force_derivative(self.record, self.rig, self.responses, sensor_stations, displacements)
+        rig = following_motion(self.record, self.rig)
+        return ground_force_derivative(self.record, rig, self.responses, sensor_stations, displacements)
 
     def contact_force_error_n(self, record: Record) -> Float[np.ndarray, " contacts"]:
         """Standard deviation over time of each contact force by the errors of the accelerations, N."""
@@ -184,6 +191,7 @@ def linear_model(
     responses = responses_of(rig, cache or ResponseCache(record.omega), record.zero_known)
     if mode_factors:
         responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
+    responses = tuple(r.damped_by(linear_dampers(record, rig)) for r in responses)
     sensor_stations = sensor_stations_of(record, rig)
     known_forces = _known_forces(record, rig, responses, sensor_stations, sensor_response)
     contact_count = len(rig.contacts)
@@ -196,6 +204,10 @@ def linear_model(
     ]
     acceleration_by_force = np.stack(acceleration_by_known_force[: len(rig.forces)])
     known_accelerations = sum(acceleration_by_known_force[1:], acceleration_by_known_force[0])
+    if rig.loads:
+        known_accelerations = known_accelerations + sum(
+            real_product(r.shapes(sensor_stations), static_response(record, rig, r)) for r in responses
+        )
     error_deviation = np.sqrt(record.noise_variance + model_error**2 * record.smoothed_power)
     error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
     scaled_response = sensor_response / error_deviation
@@ -266,27 +278,16 @@ def _known_forces(
         record.force_spectra * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
-    ground_reactions = []
-    if has_ground_forces(rig):
-        ground_reactions = ground_forces(
-            record, rig, responses, sensor_stations, record.displacement_signals / sensor_response
-        )
+    ground_reactions, following = [], following_motion(record, rig)
+    if has_ground_forces(following):
+        displacements = record.displacement_signals / sensor_response
+        ground_reactions = ground_forces(record, following, responses, sensor_stations, displacements)
     return (
         *zip(rig.forces, measured_forces_n, strict=True),
         *tone_forces,
-        *_static_loads(record, rig),
+        *loads_from_rest(record, rig),
         *ground_reactions,
     )
-
-
-def _static_loads(record: Record, rig: Rig) -> list[tuple[Station, Complex[np.ndarray, " lines"]]]:
-    """Constant forces on bodies without contacts, where the zero of displacements is known."""
-    bodies_in_contact = {s.body for c in rig.contacts for s in contact_stations(c)}
-    acting_loads = [load for load in rig.loads if record.zero_known and load.station.body not in bodies_in_contact]
-    unit_spectrum = (
-        record.spectrum(np.ones(record.sample_count)) if acting_loads else np.zeros(record.omega.size, dtype=complex)
-    )
-    return [(load.station, load.force_n * unit_spectrum) for load in acting_loads]
 
 
 def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

@@ -1,6 +1,7 @@
 """Columns of nuisance parameters: changes of the residual by gains, delays, positions, modes and masses that a
 laboratory never knows exactly, per standard deviation of their priors; and rigs with fitted values applied."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,7 +10,7 @@ from msgspec.structs import replace
 
 from identify.gaps.residual.linear import Linear, ground_spring_correction
 from identify.gaps.residual.record import Record
-from identify.gaps.residual.windowed import has_ground_forces
+from identify.gaps.residual.windowed import following_motion, has_ground_forces
 from identify.linear.free_motion import state_changes, tuning_derivative
 from identify.linear.model import Response, real_product
 from identify.linear.nuisance import (
@@ -34,6 +35,8 @@ variable exceeds it once in 5e8."""
 MODE_REACH = 1.3
 """Multiple of the highest frequency up to which modes have parameters of their own. Set by hand: higher modes act
 nearly as static compliance."""
+MODAL_KINDS = (NuisanceKind.MASS, NuisanceKind.FREQUENCY, NuisanceKind.DAMPING)
+"""Parameters whose change moves the modes, and so is opposed by dampers to the ground."""
 
 
 @dataclass(frozen=True)
@@ -132,11 +135,27 @@ def _projected_change(
     record: Record, model: Linear, projection: Projection, change: Change
 ) -> tuple[Complex[np.ndarray, "rows lines"], Complex[np.ndarray, "contacts lines"]]:
     """Projected change, with that of the ground springs whose displacement differs from the measured one."""
-    if change.displacements is None or not has_ground_forces(model.rig):
+    change = _with_damper_feedback(record, model, change)
+    if change.displacements is None or not has_ground_forces(following_motion(record, model.rig)):
         return projection.applied_to(change.signals, change.sensors)
     displacement_change, signal_change = np.zeros_like(model.sensor_response), np.zeros_like(model.sensor_response)
     displacement_change[change.sensors], signal_change[change.sensors] = change.displacements, change.signals
     return projection.applied_to(signal_change + ground_spring_correction(record, model, displacement_change))
+
+
+def _with_damper_feedback(record: Record, model: Linear, change: Change) -> Change:
+    """Change of a body's modes with what its dampers do against it; any other change as it is."""
+    response = next((r for r in model.responses if r.body.name == change.parameter.owner), None)
+    if change.parameter.kind not in MODAL_KINDS or response is None or response.dampers is None:
+        return change
+    shapes = response.shapes([record.sensors[i].station for i in change.sensors])
+    observed_count = min(shapes.shape)
+    modal_accelerations = np.zeros((response.mode_count, record.omega.size), dtype=complex)
+    modal_accelerations[:observed_count] = np.linalg.pinv(shapes[:, :observed_count]) @ (
+        change.signals / model.sensor_response[change.sensors]
+    )
+    feedback = shapes @ (response.with_damper_feedback(modal_accelerations) - modal_accelerations)
+    return dataclasses.replace(change, signals=change.signals + model.sensor_response[change.sensors] * feedback)
 
 
 def _observed_motion(record: Record, model: Linear) -> ObservedSignals:

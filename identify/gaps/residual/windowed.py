@@ -2,14 +2,16 @@
 
 With the window w(t), the force F(t) and the impulse response h(t), a held body rings on where w falls, so that
 h * (w F) differs from w (h * F), and weights by frequency spread the difference over seconds before the end of the
-record. For a rig without contacts the response is therefore windowed, w (h * F), not the force. Forces of springs and
-dampers to the ground are laws of the measured motion itself: they are evaluated on w x / w and windowed afterwards.
+record. For a rig without contacts the response is therefore windowed, w (h * F), not the force. Forces of cubic springs
+and of friction to the ground are laws of the measured motion itself, as are those of dampers that no linear model
+holds: they are evaluated on w x / w and windowed afterwards.
 """
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Complex, Float
+from msgspec.structs import replace
 from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.extent import is_free
@@ -17,7 +19,7 @@ from identify.gaps.residual.record import Record
 from identify.linear.model import Response, real_product
 from identify.signals.kinematics import integrated
 from identify.signals.law_evaluation import oversampling
-from rig.model.description import PointDamper, PointMass, PointSpring, Rig, Station
+from rig.model.description import PointDamper, PointMass, PointSpring, Rig, StaticLoad, Station, contact_stations
 
 LEAST_WINDOW = 1e-2
 """Window below which signals are not restored from windowed ones."""
@@ -54,10 +56,37 @@ def modal_response(
 ) -> Complex[np.ndarray, "modes lines"]:
     """Modal accelerations of a body by windowed forces, consistent with `response_to_force` at its sensors."""
     if not _rings_on(record, rig, response.body.name):
-        return response.accelerance * modal_force
+        return response.modal_accelerations(modal_force)
     derivative_order = next((s.measures.order for s in record.sensors if s.station.body == response.body.name), 2)
-    unwindowed_accelerations = response.accelerance * _unwindowed_force(record, modal_force)
+    unwindowed_accelerations = response.modal_accelerations(_unwindowed_force(record, modal_force))
     return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
+
+
+def loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
+    """Windowed static loads that move free bodies from the record's start on, each with its station."""
+    unit_spectrum = record.spectrum(np.ones(record.sample_count)) if rig.loads else np.zeros(0)
+    return [
+        (load.station, load.force_n * unit_spectrum)
+        for load in _loads_without_contacts(record, rig)
+        if is_free(rig, load.station.body)
+    ]
+
+
+def static_response(record: Record, rig: Rig, response: Response) -> Complex[np.ndarray, "modes lines"]:
+    """Modal accelerations of a held body that rests under static loads: second derivatives of its windowed static
+    displacements phi F / omega^2 in each mode."""
+    loads = [x for x in _loads_without_contacts(record, rig) if x.station.body == response.body.name]
+    if not loads or is_free(rig, response.body.name):
+        return np.zeros((response.mode_count, record.omega.size), dtype=complex)
+    modal_load = np.array([load.force_n for load in loads]) @ response.shapes([load.station for load in loads])
+    displacements = modal_load / (2 * np.pi * response.dynamics.natural_hz) ** 2
+    return np.outer(displacements, -(record.omega**2) * record.spectrum(np.ones(record.sample_count)))
+
+
+def _loads_without_contacts(record: Record, rig: Rig) -> list[StaticLoad]:
+    """Static loads on bodies without contacts, where the zero of displacements is known."""
+    in_contact = {station.body for contact in rig.contacts for station in contact_stations(contact)}
+    return [load for load in rig.loads if record.zero_known and load.station.body not in in_contact]
 
 
 def _rings_on(record: Record, rig: Rig, body_name: str) -> bool:
@@ -165,6 +194,22 @@ def ground_force_derivative(
         return changes
 
     return force_changes
+
+
+def following_motion(record: Record, rig: Rig) -> Rig:
+    """Rig whose dampers are those of which the linear model holds none: friction, and dampers of free motion, which is
+    fitted, or whose windowed acceleration is measured."""
+    return replace(rig, dampers=tuple(d for d in rig.dampers if not _is_linear(record, rig, d)))
+
+
+def linear_dampers(record: Record, rig: Rig) -> list[PointDamper]:
+    """Dampers that the linear model holds; see `following_motion`."""
+    return [d for d in rig.dampers if _is_linear(record, rig, d)]
+
+
+def _is_linear(record: Record, rig: Rig, damper: PointDamper) -> bool:
+    moves_freely = record.counts_from_blow or (record.zero_known and is_free(rig, damper.station.body))
+    return not (damper.friction_n or moves_freely)
 
 
 def has_ground_forces(rig: Rig) -> bool:

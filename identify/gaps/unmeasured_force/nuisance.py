@@ -120,14 +120,15 @@ def drift_accelerations(whitened: WhitenedRecord, body_name: str) -> Complex[np.
         if response.body.name == body_name and not response.body.is_mass:
             natural_omega = 2 * np.pi * response.modes.frequencies_hz(response.mode_count)
             is_in_band = natural_omega < MODE_REACH * record.omega[-1]
-            modal_forces = -np.fft.rfft(
+            modal_forces = np.zeros_like(modal_acceleration)
+            modal_forces[is_in_band] = -np.fft.rfft(
                 record_time
                 * np.fft.irfft(
                     natural_omega[is_in_band, None] ** 2 * double_integration * modal_acceleration[is_in_band],
                     padded_samples,
                 )
             )
-            accelerations += response.shapes([s.station for s in record.sensors])[:, is_in_band] @ (
-                response.accelerance[is_in_band] * modal_forces
+            accelerations += response.shapes([s.station for s in record.sensors]) @ response.modal_accelerations(
+                modal_forces
             )
     return accelerations

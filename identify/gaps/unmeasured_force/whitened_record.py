@@ -142,8 +142,7 @@ class WhitenedRecord:
         sensor_stations: list[Station | None] = [s.station for s in self.record.sensors]
         for response in self.model.responses:
             if response.body.name == station.body:
-                shape_products = response.shapes(sensor_stations) * response.shapes([station])[0]
-                accelerances += (shape_products @ np.ascontiguousarray(response.accelerance).view(float)).view(complex)
+                accelerances += response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0]
         return accelerances
 
     def acceleration_at(self, station: Station) -> Complex[np.ndarray, " alllines"]:

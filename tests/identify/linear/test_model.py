@@ -7,7 +7,7 @@ import pytest
 
 from identify.linear.model import ResponseCache, accelerances, response_of
 from identify.signals.recent_values import RecentValues
-from rig.model.description import Station
+from rig.model.description import PointDamper, Station
 from rig.simulation.reference import BarrelCradle, Sdof
 
 OMEGA = 2 * np.pi * np.linspace(1.0, 60.0, 40)
@@ -36,6 +36,28 @@ def test_forces_and_places_change_places():
     made = accelerances(rig, responses, places, places)
     np.testing.assert_allclose(made[0, 1], made[1, 0], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(made[2], made[1] - made[0], rtol=1e-12, atol=1e-15)
+
+
+def test_dampers_to_the_ground_enter_as_the_equations_of_all_modes_together_say():
+    """(diag(omega_m^2 - omega^2 + 2 i zeta_m omega_m omega) + i omega sum_d c_d phi_d phi_d') q = phi_F F."""
+    rig = BarrelCradle().rig()
+    body = next(b for b in rig.beams if b.clamped)
+    undamped = response_of(rig, body, ResponseCache(OMEGA))
+    dampers = [PointDamper(station=Station(body.name, x), damping_n_s_per_m=c) for x, c in ((0.9, 70.0), (0.5, 8.0))]
+    damped = undamped.damped_by([*dampers, PointDamper(station=Station("barrel", 0.2), damping_n_s_per_m=5.0)])
+    shapes, (force_shape,) = undamped.shapes([d.station for d in dampers]), undamped.shapes([Station(body.name, 0.7)])
+    natural, zeta = 2 * np.pi * undamped.dynamics.natural_hz, undamped.dynamics.damping_ratios
+    coupling = np.einsum("d,dm,dn->mn", [d.damping_n_s_per_m for d in dampers], shapes, shapes)
+    accelerations = np.empty((natural.size, OMEGA.size), dtype=complex)
+    for line, omega in enumerate(OMEGA):
+        stiffness = np.diag(natural**2 - omega**2 + 2j * zeta * natural * omega) + 1j * omega * coupling
+        accelerations[:, line] = -(omega**2) * np.linalg.solve(stiffness, force_shape)
+    modal_force = np.tile(force_shape[:, None], OMEGA.size).astype(complex)
+    scale = np.abs(accelerations).max()
+    np.testing.assert_allclose(damped.modal_accelerations(modal_force), accelerations, atol=1e-12 * scale)
+    (transfer,) = damped.transfer(shapes, force_shape[None])
+    np.testing.assert_allclose(transfer, shapes @ accelerations, atol=1e-12 * scale)
+    assert np.abs(undamped.modal_accelerations(modal_force) - accelerations).max() > 0.1 * scale
 
 
 @pytest.mark.parametrize("size", [0, 4])

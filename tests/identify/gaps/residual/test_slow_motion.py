@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.io import loadmat
+from scipy.signal import lsim
 
 from identify.gaps.residual.extent import OMITTED_FADES, OMITTED_S
 from identify.gaps.residual.likelihood import nominal_variances_of
@@ -83,6 +84,23 @@ def test_without_friction_none_is_found_and_nothing_is_left():
     values, errors, (before, _) = fitted_effects(record_of(simulated(0.0, 0.0)), "ground_friction", "preload")
     assert np.all(np.abs(values) < np.maximum(2 * errors, 1e-3))
     assert before < 1e-3
+
+
+def test_a_held_carriage_rests_where_a_constant_force_holds_it():
+    """It does not start to move under that force with the record. The motion is scipy's."""
+    rig, load_n = carriage(14.0, 15.0, 512.0, 0.45), -1.2
+    spring_n_per_m = 14.0 * (2 * np.pi * 0.45) ** 2
+    time_s = np.arange(30 * 512) / 512.0
+    hz = np.fft.rfftfreq(time_s.size, 1 / 512.0)
+    noise = np.random.default_rng(402).standard_normal(time_s.size) * (time_s > 1)
+    force_n = 70.0 * np.fft.irfft(np.fft.rfft(noise) * np.exp(-((hz / 2) ** 2)), time_s.size) * (time_s > 1)
+    motion = lsim(
+        ([[0, 1], [-spring_n_per_m / 14.0, -15.0 / 14.0]], [[0], [1 / 14.0]], [[1, 0]], [[0]]), force_n, time_s
+    )
+    record = record_of(recording_of(rig, force_n, motion[1] + load_n / spring_n_per_m))
+    values, _, (before, after) = fitted_effects(record, "preload")
+    assert values == pytest.approx([load_n], abs=0.02)
+    assert after < 0.05 * before
 
 
 def test_the_measured_motion_counts_up_to_the_fade():

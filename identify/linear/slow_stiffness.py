@@ -1,0 +1,46 @@
+"""Stiffness and damping of the bodies against slow relative displacements of the contacts.
+
+Accelerations do not show slow motion; where they are all that is measured, the springs of some modes act on the
+high-passed displacement alone, and the slow rest meets these matrices.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from identify.linear.model import RANK_TOLERANCE, Response, eta_modes
+from rig.model.description import Rig
+
+
+def slow_damping(
+    rig: Rig, responses: Sequence[Response], slow_n_per_m: Float[np.ndarray, "contacts contacts"]
+) -> Float[np.ndarray, "contacts contacts"]:
+    """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
+    eta_shapes, omega = eta_modes(rig, responses)
+    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
+    held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
+    return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
+
+
+def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray, "contacts contacts"]:
+    """Contact forces (N) per slow relative displacement (m), where springs act on the high-passed displacements.
+
+    K = N (N' C N)^-1 N', with C the sum of phi phi' / omega^2 over the held modes, and N the combinations of contacts
+    that no free mode moves. Zero if no mode's spring acts on the high-passed displacement.
+    """
+    eta_shapes, omega = eta_modes(rig, responses)
+    combinations, singular_values, _ = np.linalg.svd(eta_shapes[:, omega == 0])
+    least_value = RANK_TOLERANCE * np.max(np.abs(eta_shapes), initial=0.0)
+    held_combinations = combinations[:, np.count_nonzero(singular_values > least_value) :]
+    if not (held_combinations.size and has_high_passed_springs(responses)):
+        return np.zeros((len(eta_shapes), len(eta_shapes)))
+    held_shapes = eta_shapes[:, omega > 0]
+    compliance = held_combinations.T @ (held_shapes / omega[omega > 0] ** 2) @ held_shapes.T @ held_combinations
+    inverse = np.linalg.pinv(compliance, rcond=1e-12, hermitian=True)
+    return np.asarray(held_combinations @ inverse @ held_combinations.T)
+
+
+def has_high_passed_springs(responses: Sequence[Response]) -> bool:
+    """True if the spring of some mode acts on the high-passed displacement alone."""
+    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
