@@ -1,7 +1,8 @@
 """Nuisance parameters of single modes, applied to the linear model of a rig without contacts or of a held beam's decay.
 
 The residual is nonlinear in a resonance that is off by a fraction of its width, so that fitted values enter the model
-about which the next fit is linearised. For a free decay they start from the measured modes, within their limits.
+about which the next fit is linearised. For a free decay they start from the measured modes, within their limits, unless
+dampers, friction or cubic springs to the ground change the ringing: the modes of the linear model are without them.
 """
 
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from identify.gaps.residual.linear import ModeFactors
 from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.ringing import MeasuredMode
+from identify.gaps.residual.windowed import has_ground_forces
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from rig.model.description import Rig
 from rig.model.modes import modes_of
@@ -90,7 +92,8 @@ def tuned_modes(
         }
     else:
         pulls = {}
-        for matched_mode in matched_modes(record.measured_modes, rig):
+        ringing_modes = () if has_ground_forces(rig) else record.measured_modes
+        for matched_mode in matched_modes(ringing_modes, rig):
             for kind, relative_increase in zip(TUNED_KINDS, np.expm1(matched_mode.log_ratios), strict=True):
                 relative_tolerance = _mode_tolerance(record, matched_mode.body_name, matched_mode.mode_number, kind)
                 if relative_tolerance and not rig.body(matched_mode.body_name).is_mass:

@@ -8,6 +8,7 @@ holds: they are evaluated on w x / w and windowed afterwards.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -26,8 +27,41 @@ LEAST_WINDOW = 1e-2
 
 Spectrum = Complex[np.ndarray, " lines"]
 Motions = Complex[np.ndarray, "sensors lines"]
+
+
+@dataclass(frozen=True, eq=False)
+class SensedMotion:
+    """Windowed displacements, m, and velocities, m/s, at the sensors."""
+
+    displacements: Motions
+    velocities: Motions
+
+
 GroundForceChanges = Callable[[Motions], list[tuple[Station, Spectrum]]]
 """Stations and changes of forces to the ground, N, as a function of the change of the sensors' displacements, m."""
+
+
+def known_forces_of(
+    record: Record,
+    rig: Rig,
+    responses: tuple[Response, ...],
+    sensor_stations: list[Station | None],
+    motion: SensedMotion,
+) -> tuple[tuple[Station, Spectrum], ...]:
+    """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion."""
+    measured_forces_n = (
+        record.force_spectra * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+    )
+    tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
+    ground_reactions, following = [], following_motion(record, rig)
+    if has_ground_forces(following):
+        ground_reactions = ground_forces(record, following, responses, sensor_stations, motion)
+    return (
+        *zip(rig.forces, measured_forces_n, strict=True),
+        *tone_forces,
+        *_loads_from_rest(record, rig),
+        *ground_reactions,
+    )
 
 
 def response_to_force(
@@ -62,7 +96,7 @@ def modal_response(
     return _windowed_accelerations(record, unwindowed_accelerations, [derivative_order] * len(unwindowed_accelerations))
 
 
-def loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
+def _loads_from_rest(record: Record, rig: Rig) -> list[tuple[Station, Spectrum]]:
     """Windowed static loads that move free bodies from the record's start on, each with its station."""
     unit_spectrum = record.spectrum(np.ones(record.sample_count)) if rig.loads else np.zeros(0)
     return [
@@ -133,12 +167,12 @@ def ground_forces(
     rig: Rig,
     responses: tuple[Response, ...],
     sensor_stations: list[Station | None],
-    displacements: Motions,
+    motion: SensedMotion,
 ) -> list[tuple[Station, Spectrum]]:
     """Windowed forces of ground springs and dampers, -k3 x^3 and -c v - F tanh(v / v0), each with its station."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displaced_at(responses, sensor_stations, springs, displacements)
-    damper_velocities = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
+    spring_displacements = displaced_at(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displaced_at(responses, sensor_stations, dampers, motion.velocities)
     ground_reactions = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_motion, window = _oversampled(record, 3, displacement)
@@ -160,12 +194,12 @@ def ground_force_derivative(
     rig: Rig,
     responses: tuple[Response, ...],
     sensor_stations: list[Station | None],
-    displacements: Motions,
+    motion: SensedMotion,
 ) -> GroundForceChanges:
     """Directional derivative of each of the `ground_forces`, as a function of the displacements' change."""
     springs, dampers = _cubic_springs(rig), rig.dampers
-    spring_displacements = displaced_at(responses, sensor_stations, springs, displacements)
-    damper_velocities = displaced_at(responses, sensor_stations, dampers, _velocities(record, displacements))
+    spring_displacements = displaced_at(responses, sensor_stations, springs, motion.displacements)
+    damper_velocities = displaced_at(responses, sensor_stations, dampers, motion.velocities)
     slopes: list[Float[np.ndarray, " fine"]] = []
     for spring, displacement in zip(springs, spring_displacements, strict=True):
         fine_motion, window = _oversampled(record, 3, displacement)
@@ -243,11 +277,6 @@ def displaced_at(
 def _oversampling_factor(record: Record) -> int:
     """Multiple of the record's rate that resolves a friction force."""
     return max(3, oversampling(record.rate_hz))
-
-
-def _velocities(record: Record, displacements: Motions) -> Motions:
-    """Windowed velocities at the sensors: derivatives of windowed displacements, corrected by `velocity_correction`."""
-    return 1j * record.omega * displacements + record.velocity_correction
 
 
 def _oversampled(

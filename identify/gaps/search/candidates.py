@@ -255,7 +255,7 @@ def _attached_forces(
     """Station and force spectrum (N) of each attachment."""
     sensor_stations = sensor_stations_of(record, model.rig)
     displacements, accelerations = model.displacements, model.accelerations
-    attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, displacements)
+    attached_forces = ground_forces(record, attachments, model.responses, sensor_stations, model.motion)
     linear_springs = [s for s in attachments.springs if s.stiffness_n_per_m]
     for spring, displacement in zip(
         linear_springs, displaced_at(model.responses, sensor_stations, linear_springs, displacements), strict=True

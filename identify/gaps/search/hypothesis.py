@@ -33,6 +33,9 @@ MAX_EXCESS_COST = 200.0
 record: odds of e^(200 / (2 * 6)) = 2e7 on a single record."""
 LIMIT_SHARE = 0.99
 """Share of `LIMIT` from which a tolerance stands at its limit."""
+STRAINED_PULL = 1.0
+"""Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
+that rubs was explained by a damping 2.9 of them off, and the friction came out elsewhere."""
 CHANCE_PULL = 3.0
 """Stated standard deviations beyond which a tolerance is not off by chance: an effect may pull it. Derived: a normal
 variable exceeds it once in 370."""
@@ -305,7 +308,7 @@ def reset_mode_nuisance(residual: Residual) -> Residual:
     only part of the resonance's width per step.
     """
     is_mode_parameter = np.array([parameter.kind in TUNED_KINDS for parameter in residual.parameters], dtype=bool)
-    if np.max(np.abs(residual.nuisance_pulls[is_mode_parameter]), initial=0.0) < CHANCE_PULL:
+    if np.max(np.abs(residual.nuisance_pulls[is_mode_parameter]), initial=0.0) < STRAINED_PULL:
         return residual
     return replace(residual, nuisance_pulls=np.where(is_mode_parameter, 0.0, residual.nuisance_pulls))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from scipy.linalg import eigh
-from scipy.signal import lsim
+from scipy.signal import decimate, lsim
 
 import identify
 from identify.gaps.decision.recordings import check_decay
@@ -16,6 +16,7 @@ from identify.gaps.search.nominal import fit_nuisance
 from identify.gaps.search.screening import mode_screening
 from rig.errors import RigError
 from rig.model.beam import Beam
+from rig.model.contact_laws.dead_zone import FRICTION_SPEED_M_PER_S
 from rig.model.description import Rig, Sensor, Station
 from rig.recording import Recording, Signals, channel_groups
 
@@ -163,6 +164,35 @@ def test_a_mass_at_the_tip_is_found_from_a_decay_of_3_s(quantity):
     assert np.all(errors < [0.01, 0.02])
     assert before.misfit.motion_share > 0.3
     assert not found.is_incomplete
+
+
+def rubbed_decay(friction_n, position_m, duration_s):
+    """Accelerations of the beam, released as in `decay`, that rubs at a place."""
+    omega, vectors, tip = modes(0.4 * RATE_HZ)
+    place, steps = shape_row(position_m) @ vectors, 32
+
+    def accelerations(q, v):
+        rubs_n = friction_n * np.tanh(place @ v / FRICTION_SPEED_M_PER_S)
+        return -(omega**2) * q - 2 * BEAM.damping_ratio * omega * v - place * rubs_n
+
+    h, q, v, modal = 1 / (steps * RATE_HZ), 20.0 * (tip @ vectors) / omega**2, np.zeros(omega.size), []
+    for _ in range(round((0.1 + duration_s) * RATE_HZ) * steps):
+        modal.append(accelerations(q, v))
+        half_q, half_v = q + h / 2 * v, v + h / 2 * modal[-1]
+        q, v = q + h * half_v, v + h * accelerations(half_q, half_v)
+    sampled = decimate(np.array(modal).T, steps, ftype="fir")[:, round(0.05 * RATE_HZ) :]
+    rows = vectors @ sampled[:, : round(duration_s * RATE_HZ)]
+    return recording("acceleration", np.zeros(rows.shape[1]), rows, 1)
+
+
+def test_friction_is_found_from_a_decay_by_accelerometers_that_miss_its_first_velocity():
+    record = record_of(rubbed_decay(0.6, 0.8, 4.0))
+    context = Search(nominal_variances_of(linearized(record, record.rig)), *fit_nuisance(record, record.rig), ())
+    known = candidates(scale_of(record, record.rig), (), record.zero_known, has_force=False)
+    friction = next(one for one in known if one.kind.name == "ground_friction")
+    estimate = fit_effects(context, (friction,), friction.typical_values, context.residual).hypothesis
+    assert estimate.values == pytest.approx([0.6, 0.8], rel=0.02)
+    assert estimate.misfit.motion_share < 0.2 * context.nominal_fit().hypothesis.misfit.motion_share
 
 
 def test_a_first_frequency_26_per_cent_off_leaves_most_of_the_motion_and_is_found():
