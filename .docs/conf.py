@@ -42,10 +42,12 @@ html_theme = "furo"
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 html_show_sphinx = html_show_copyright = html_copy_source = False
+highlight_language = "text"  # of blocks that name none: commands, diagrams
 myst_heading_anchors = 4
 nb_execution_mode = "off"
 add_module_names = False
 autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
 
 
 def with_contents(_app: Sphinx, page: str, source: list[str]) -> None:

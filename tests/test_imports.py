@@ -30,6 +30,7 @@ DRAWS = (
     "gap_view",
     "model_view",
     "orbit",
+    "phase_view",
     "prediction_view",
     "spectra",
     "viewing",

@@ -28,6 +28,7 @@ from rig.commands.command_line import (
     console_table,
     help_filled_by,
     literal_console,
+    print_sentence,
     progress_bar,
     refuse_existing,
     run,
@@ -58,7 +59,7 @@ def _callback(version: Version = False) -> None:
 
 @app.command(cls=CommandOfOptions)
 def check(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")],
     use: UseOption = "auto",
     tolerances: TolerancesOption = None,
     as_json: Json = False,
@@ -76,7 +77,9 @@ def check(
     if as_json:
         print_json(result.to_dict())
     else:
-        print(f"{file}: {'nothing wrong was found' if result.sound else f'{len(result.findings)} findings'}")
+        finding_count = len(result.findings)
+        count_words = f"{finding_count} finding{'s' * (finding_count > 1)}"
+        say(f"{file}: {count_words if finding_count else 'nothing wrong was found'}")
         for finding in result.findings:
             say(f"  {finding.sentence}")
         for note in result.notes:
@@ -87,7 +90,7 @@ def check(
 
 @app.command(cls=CommandOfOptions)
 def law(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")],
     contact: Annotated[str | None, typer.Option(help="The contact's name; otherwise all of them.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for law.html, a page, law.json and the figures.")] = None,
     use: UseOption = "auto",
@@ -138,20 +141,21 @@ def print_laws(report: LawReport, console: Console) -> None:
 
     print_findings(report.findings, console)
     for law_estimate in report.laws:
-        console.print(Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."), soft_wrap=True)
-        console.print(f"  formula found: {law_estimate.formula}", soft_wrap=True)
+        console.print(
+            Text.assemble((law_estimate.contact, "bold"), f": {law_estimate.verdict}."),
+            soft_wrap=not console.is_terminal,
+        )
+        print_sentence(f"  formula found: {law_estimate.formula}", console)
         rows = ((candidate.law, f"{candidate.held_out_error_n:.3g}") for candidate in law_estimate.candidates)
         console.print(console_table("", ("law", "rms left of held-out data, N"), rows=rows))
-        console.print(
+        print_sentence(
             f"  of a force of {law_estimate.force_rms_n:.3g} N rms; damping in the closed contact explains "
             f"{100 * law_estimate.hysteresis_share:.2g} % of the scatter's variance"
             + ("" if law_estimate.repeatable else "; time ended the search, so the seed will not repeat it exactly"),
-            soft_wrap=True,
+            console,
         )
     for unanswered_contact in report.unanswered:
-        console.print(
-            f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", soft_wrap=True
-        )
+        print_sentence(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", console)
 
 
 def main() -> None:

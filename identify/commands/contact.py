@@ -14,7 +14,7 @@ DRAWING_START_SHARE = 0.8
 
 
 def contact(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file, or a folder of them.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file, or a folder of them.")],
     out: Annotated[
         Path | None,
         typer.Option(help="Folder for contact.json, the identified rig.json, the figures and contact.html, a page."),

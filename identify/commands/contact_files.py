@@ -19,7 +19,7 @@ from identify.pages.wording import interval, number
 from identify.results import ContactResult
 from identify.signals.kinematics import Use
 from identify.signals.spectra import Averaging
-from rig.commands.command_line import console_table
+from rig.commands.command_line import console_table, print_sentence
 from rig.files import make_folder, write_bytes, write_json
 from rig.model.description import to_json
 from rig.model.tolerances import Tolerances
@@ -104,14 +104,13 @@ def print_findings(findings: Sequence[Finding], console: Console) -> None:
     if findings:
         console.print("Not to be relied on:", style="bold red")
     for finding in findings:
-        console.print(f"  {finding.sentence}", soft_wrap=True)
+        print_sentence(f"  {finding.sentence}", console)
 
 
 def print_report(report: ContactReport, console: Console, details: bool = False) -> None:
     """Print the findings and the table of the contacts; with details, also NIFO by modal equation and the modes."""
     print_findings(report.findings, console)
-    rubs = any(estimate.friction_coefficient for estimate in report.contacts)
-    headings = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m", *(["friction"] if rubs else []))
+    headings = ("contact", "clearance, mm", "stiffness, N/m", "damping, N s/m")
     contact_table = console_table(f"Contacts of {report.rig}, ± 95 %", headings)
     for estimate in report.contacts:
         contact_table.add_row(
@@ -119,15 +118,14 @@ def print_report(report: ContactReport, console: Console, details: bool = False)
             "" if estimate.is_spring else _interval(estimate.clearance_m, 1e3),
             _interval(estimate.stiffness_n_per_m),
             _interval(estimate.damping_n_s_per_m),
-            *([_interval(estimate.friction_coefficient)] if estimate.friction_coefficient else []),
         )
     console.print(contact_table)
     for sentence in filter(None, (estimate.law_sentence for estimate in report.contacts)):
-        console.print(f"{sentence}.", soft_wrap=True)
+        print_sentence(f"{sentence}.", console)
     for unanswered_contact in report.unanswered:
-        console.print(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}")
+        print_sentence(f"{unanswered_contact.name}: not told by this record: {unanswered_contact.reason}", console)
     for note in report.notes:
-        console.print(f"note: {note}", soft_wrap=True)
+        print_sentence(f"note: {note}", console)
     if details and report.nifo:
         console.print(_nifo_table(report))
     for mode in report.modes if details else ():

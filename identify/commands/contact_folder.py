@@ -9,7 +9,7 @@ from identify.commands.contact_files import RESULTS, ContactSettings, identify_f
 from identify.commands.many import RecordingTask, TableRows, answer_all, finish, refused_row, tasks_of
 from identify.contacts.results import ContactEstimate, ContactReport, Estimate
 from identify.pages.wording import interval
-from rig.commands.command_line import literal_console
+from rig.commands.command_line import literal_console, print_sentence
 from rig.errors import RigError
 
 TABLE = "contacts"
@@ -111,7 +111,7 @@ def _print_contacts(answers: list[TableRows]) -> None:
     console = literal_console()
     console.print(table)
     for reason in reasons:
-        console.print(reason, soft_wrap=True)
+        print_sentence(reason, console)
 
 
 def _interval(row: dict[str, str | float | None], quantity_name: str, unit: str, unit_factor: float) -> str:

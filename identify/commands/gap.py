@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from identify.commands.options import ExportOption, TolerancesOption, check_export, print_json
-from rig.commands.command_line import Force, Json, literal_console, progress_bar, refuse_existing
+from rig.commands.command_line import Force, Json, literal_console, print_sentence, progress_bar, refuse_existing
 from rig.commands.tasks import Dask
 from rig.errors import RigError
 
@@ -15,8 +15,9 @@ def gap(
     real: Annotated[
         list[Path],
         typer.Argument(
+            metavar="REAL",
             help="Recordings of reality, one or more of one rig, or a folder of recordings; their rig.json is believed "
-            "unless --rig is given."
+            "unless --rig is given.",
         ),
     ],
     validate: Annotated[
@@ -60,11 +61,11 @@ def gap(
 ) -> None:
     """Diagnose where your rig.json differs from reality, which effects cause it, and how far the mismatch shrinks.
 
-    Examples: identify gap monday.mcap --validate tuesday.mcap --out results
+    Example: identify gap monday.mcap --validate tuesday.mcap --out results
 
-    identify gap january.mcap april.mcap july.mcap --out results
+    Example: identify gap january.mcap april.mcap july.mcap --out results
 
-    identify gap recordings --out results
+    Example: identify gap recordings --out results
 
     Each recording of a folder is diagnosed by itself: fitted to its first part, judged on its last. The results go to
     DIR/NAME, one table to DIR/gaps.csv and .parquet; the same command goes on after an interruption. Exit status 1 if
@@ -133,4 +134,4 @@ def gap(
         if gap_result.findings:
             console.print("the check of the recordings says:", style="bold")
         for finding in gap_result.findings:
-            console.print(f"  {finding.sentence}", soft_wrap=True)
+            print_sentence(f"  {finding.sentence}", console)

@@ -14,7 +14,7 @@ from identify.gaps.results import Gap, Matters
 from identify.pages.tables import save_tables
 from identify.pages.wording import COVERED, percent
 from identify.results import GapResult
-from rig.commands.command_line import literal_console, working
+from rig.commands.command_line import literal_console, print_sentence, working
 from rig.errors import RigError
 from rig.files import make_folder
 from rig.model.description import from_json, to_json
@@ -175,4 +175,4 @@ def _print_diagnoses(answers: list[TableRows]) -> None:
     console = literal_console()
     console.print(table)
     for sentence in sentences:
-        console.print(sentence, soft_wrap=True)
+        print_sentence(sentence, console)

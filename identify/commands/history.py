@@ -13,7 +13,10 @@ Out = Annotated[Path | None, typer.Option(help="Folder for history.html, history
 
 def compare(
     recordings: Annotated[
-        list[Path], typer.Argument(help="Recordings of one machine in their order, or folders with a contact.json.")
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING", help="Recordings of one machine in their order, or folders with a contact.json."
+        ),
     ],
     out: Out = None,
     use: UseOption = "auto",
@@ -30,7 +33,10 @@ def compare(
 
 def history(
     folder: Annotated[
-        Path, typer.Argument(help="Folder with the recordings of one machine, or with folders of contact.json.")
+        Path,
+        typer.Argument(
+            metavar="FOLDER", help="Folder with the recordings of one machine, or with folders of contact.json."
+        ),
     ],
     out: Out = None,
     use: UseOption = "auto",

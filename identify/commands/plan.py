@@ -92,9 +92,11 @@ def plan(
     if report.changes:
         change_rows = list(page.change_rows(report.changes))[:SHOWN_CHANGES]
         title = "What would help, ranked by the widest interval"
-        console.print(console_table(title, page.CHANGE_HEAD, rows=change_rows))
+        change_table = console_table(title, page.CHANGE_HEAD, rows=change_rows)
+        change_table.columns[-1].justify = "left"
+        console.print(change_table)
     if report.effects:
-        title = "Effects that identify gap would name, over all their places"
-        console.print(console_table(title, page.KIND_HEAD, rows=page.kind_rows(report.effects)))
+        title = "Smallest effects that identify gap would name"
+        console.print(console_table(title, page.KIND_HEAD, 2, rows=page.kind_rows(report.effects)))
     for sentence in filter(None, (page.idle_sentence(report), *(f"note: {note}" for note in report.notes))):
         say(sentence)

@@ -122,7 +122,7 @@ def idle_sentence(plan: PlanReport) -> str:
     if not plan.idle_sensors:
         return ""
     return (
-        f"Without any one of these sensors no clearance or stiffness is told worse by more than "
+        f"Any one of these sensors can be left out, and no interval of a clearance or stiffness grows by more than "
         f"{100 * (ADDS_NOTHING_FACTOR - 1):.0f} %: {', '.join(plan.idle_sensors)}; plan again before leaving out two."
     )
 

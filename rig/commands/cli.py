@@ -46,7 +46,7 @@ else:
 
 app = typer.Typer(no_args_is_help=True, pretty_exceptions_enable=False)
 
-File = Annotated[Path, typer.Argument(help="The recording, an .mcap file.")]
+File = Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")]
 
 
 @app.callback()
@@ -162,12 +162,12 @@ def record(
         force_text = f"{forces_phrase} {force_n.rms_n:g} N rms, {force_n.low_hz:g} to {force_n.high_hz:g} Hz"
         if rig.is_on_ground(rig.forces[0]):
             force_text = "no force, the base shakes"
-        print(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
+        say(f"{out}: {machine.duration_s:g} s of {scenario} recorded by the plant {plant}, {force_text}")
         if isinstance(machine, OwnRig):
             say(f"the force: {machine.level.rms_n:g} N rms, {machine.level.reason}")
             for warning in machine.warnings:
                 say(f"warning: {warning}")
-        print(f"{truth_path(out)}: what only a simulator knows")
+        say(f"{truth_path(out)}: what only a simulator knows")
 
 
 def _level_json(machine: Reference | OwnRig) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import msgspec
 import typer
 
 from rig.commands.command_line import Force, Json, check_ending, progress_bar, refuse_existing, say, working
+from rig.errors import one_line
 from rig.files import check_source, write_bytes
 
 if TYPE_CHECKING:
@@ -87,7 +88,7 @@ def import_(
     if as_json:
         print(json.dumps({"recording": str(out), "history": history_steps}))
         return
-    print(f"{out}: imported from {source}; next: identify check {out}")
+    say(f"{out}: imported from {source}; next: identify check {out}")
     for history_step in history_steps:
         say(f"  {history_step}")
 
@@ -118,7 +119,7 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
     next_command = f"{fill_phrase}rig import {source} --map {map_name} --out {source.with_suffix('.mcap')}"
     if write_map is None:
         print(proposal.text, end="")
-        say(f"# next: save this as {map_name}, {next_command}")
+        print(one_line(f"# next: save this as {map_name}, {next_command}"))
         return
     for observation in proposal.facts:
         say(observation)
@@ -126,7 +127,7 @@ def _propose(source: Path, write_map: Path | None, rig_path: Path | None, force:
 
 
 def export_(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")],
     format_: Annotated[str, typer.Option("--format", help="One of: {formats}.")],
     out: Annotated[Path, typer.Option(help="The file to write.")],
     map_: Annotated[
@@ -165,7 +166,7 @@ def _rig_in(file: Path) -> Rig:
 
 
 def draw(
-    file: Annotated[Path, typer.Argument(help="A rig.json, or a recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A rig.json, or a recording.")],
     out: Annotated[Path | None, typer.Option(help="The .svg to write; otherwise beside the file.")] = None,
     force: Force = False,
 ) -> None:
@@ -184,7 +185,7 @@ def draw(
 
 
 def fmu(
-    file: Annotated[Path, typer.Argument(help="A rig.json, identified or corrected, or a recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A rig.json, identified or corrected, or a recording.")],
     out: Annotated[Path, typer.Option(help="The .fmu to write.")],
     step: Annotated[float, typer.Option(help="Of the plant, s; communication steps are multiples of it.")] = 2.0**-14,
     force: Force = False,

@@ -13,7 +13,7 @@ import typer
 from typer.core import TyperGroup
 from typer.main import get_group
 
-from rig.commands.command_line import Force, Json, refuse_existing, working
+from rig.commands.command_line import Force, Json, refuse_existing, say, working
 from rig.model.decoding import explained
 
 if TYPE_CHECKING:
@@ -89,8 +89,8 @@ def _command(kind_name: str, kind: Kind) -> Callable[..., None]:
             print(json.dumps({"rig": str(written_paths[0]), "map": str(written_paths[1]), "notes": rig_notes}))
             return
         for note in rig_notes:
-            print(note)
-        print(
+            say(note)
+        say(
             f"{', '.join(map(str, written_paths))}: written; next: rig draw {written_paths[0]}; name your file's "
             f"columns in {written_paths[1].name}, then rig import FILE --map {written_paths[1]} --out FILE.mcap"
         )

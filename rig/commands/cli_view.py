@@ -13,7 +13,7 @@ from rig.files import check_source
 
 
 def view(
-    file: Annotated[Path, typer.Argument(help="The recording, an .mcap file.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The recording, an .mcap file.")],
     out: Annotated[Path | None, typer.Option(help="The .rrd to write; otherwise beside the recording.")] = None,
     truth: Annotated[Path | None, typer.Option(help="The truth file; otherwise the one beside the recording.")] = None,
     contact: Annotated[

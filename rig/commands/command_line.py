@@ -1,15 +1,19 @@
 """Conventions of every command: how it fails, shows progress, and protects existing files."""
 
 import os
+import re
 import signal
 import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from importlib.metadata import version
+from inspect import cleandoc
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Annotated, Any
+from shutil import get_terminal_size
+from textwrap import TextWrapper
+from typing import Annotated, Any, TextIO
 
 import typer
 from rich.console import Console
@@ -42,11 +46,16 @@ Force = Annotated[bool, typer.Option("--force", help="Overwrite what is there.")
 
 
 def help_filled_by(texts: Callable[[], Mapping[str, str]]) -> type[TyperCommand]:
-    """Command class whose help has placeholders, {name}; `texts`, slow to import, fills them when the help is shown."""
+    """Command class whose help has placeholders, {name}; `texts`, slow to import, fills them when the help is shown.
+
+    A paragraph of the help fills the width of the terminal, wherever the lines of the docstring end.
+    """
 
     class FilledHelpCommand(TyperCommand):
         def format_help(self, ctx: Any, formatter: Any) -> None:
             text_by_name = texts()
+            paragraphs = cleandoc(self.help or "").split("\n\n")
+            self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
             self.epilog = (self.epilog or "").format_map(text_by_name)
             for parameter in self.params:
                 if help_text := getattr(parameter, "help", None):
@@ -91,7 +100,7 @@ def run(app: typer.Typer, command_name: str) -> None:
         exit_status = 1
         sentence = one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
-    print(f"{command_name}: {sentence}", file=sys.stderr)
+    _print_fitted(f"{command_name}: {sentence}", sys.stderr)
     sys.exit(exit_status)
 
 
@@ -122,8 +131,31 @@ def _interrupt(*_: object) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line on standard output, with control characters escaped."""
-    print(text if is_plain(text) else one_line(text))
+    """Print a line on standard output, with control characters escaped; a terminal breaks it between words."""
+    _print_fitted(text if is_plain(text) else one_line(text), sys.stdout)
+
+
+def print_sentence(sentence: str, console: Console) -> None:
+    """Print a sentence on a console, as `say` does."""
+    console.print(fitted(sentence, console.width) if console.is_terminal else sentence, soft_wrap=True)
+
+
+def fitted(text: str, width: int) -> str:
+    """Text in lines of at most `width` columns, broken between words and indented as it begins.
+
+    Longer words, such as paths, stay whole, and so does a value with its interval and its percent sign.
+    """
+    indent = text[: len(text) - len(text.lstrip())]
+    bound_text = re.sub(r"(?<=\d) (?=[±%])|(?<=±) ", "\u2060", text.lstrip())
+    wrapper = TextWrapper(
+        width, initial_indent=indent, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
+    return wrapper.fill(bound_text).replace("\u2060", " ")
+
+
+def _print_fitted(line: str, stream: TextIO) -> None:
+    """Print a line, fitted to a terminal; where it is piped it stays one line, for programs that read lines."""
+    print(fitted(line, get_terminal_size().columns) if stream.isatty() else line, file=stream)
 
 
 def literal_console() -> Console:

@@ -8,6 +8,7 @@ Notes for maintainers
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -17,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
-from shlex import join
+from shlex import quote
 from shutil import get_terminal_size
 from textwrap import wrap
 from typing import Annotated, Any
@@ -85,7 +86,13 @@ def demo(
     )
     console = Console(stderr=True)
     progress_columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*progress_columns, console=console, disable=not console.is_terminal, transient=True) as progress:
+    with Progress(
+        *progress_columns,
+        console=console,
+        disable=not console.is_terminal,
+        transient=True,
+        redirect_stdout=sys.stdout.isatty(),  # what goes to a file stays out of standard error
+    ) as progress:
 
         def task_description(task: Any) -> ShowText:
             return lambda text: progress.update(task, description=text)
@@ -118,9 +125,15 @@ def _run_all(commands: tuple[tuple[object, ...], ...], show_text: ShowText) -> N
 
 
 def _print_commands(commands: tuple[tuple[object, ...], ...]) -> None:
+    """Print commands as they are typed, those that are wider than the terminal in lines that a shell joins."""
     print()
     for command in commands:
-        say(f"$ {join(map(str, command))}")
+        words = ["$", *(quote(str(argument)).replace(" ", "\0") for argument in command)]
+        bound_text = re.sub(r"(--\S+) (?!-)", "\\1\0", " ".join(words))  # an option and its value
+        columns = get_terminal_size().columns - len(" \\")
+        lines = wrap(bound_text, columns, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False)
+        for line_number, line in enumerate(lines, start=1):
+            say(line.replace("\0", " ") + " \\" * (line_number < len(lines)))
 
 
 def _print_contacts(commands: tuple[tuple[object, ...], ...], folder: Path) -> None:

@@ -78,7 +78,8 @@ def tick_values(low: float, high: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
     power_of_ten = 10.0 ** np.floor(np.log10((high - low) / MAX_TICKS))
     tick_step = power_of_ten * next(m for m in (1, 2, 5, 10, 20) if m * power_of_ten * (MAX_TICKS - 1) >= high - low)
-    return tick_step * np.arange(np.ceil(low / tick_step - 1e-9), np.floor(high / tick_step + 1e-9) + 1)
+    first_step = np.ceil(low / tick_step - 1e-9) + 0.0  # not -0
+    return tick_step * np.arange(first_step, np.floor(high / tick_step + 1e-9) + 1)
 
 
 def decades(low: float, high: float) -> Float[np.ndarray, " figures"]:

@@ -26,6 +26,8 @@ from rig.viewer.spectra import ShownSpectra
 
 WINDOW_S = 0.5
 """Time that plots show before and after the cursor, s."""
+DISPLACEMENT, DISTANCE = "relative displacement", "distance from the centre"
+"""Motion of a contact in words: of an annular one, which is an orbit, how far it is from the centre of its ring."""
 PREDICTED_RIGS = "model/prediction"
 """Entities of the predicted rigs."""
 MAX_SIDE_BY_SIDE = 2
@@ -172,9 +174,10 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
         _plot_view(
             layout,
             entity("relative_displacement", contact.name),
-            f"{contact.name}: {source_words}relative displacement, mm{_caveat(layout, of_contact=True)}",
+            f"{contact.name}: {source_words}{DISTANCE if contact.law.spatial else DISPLACEMENT}, mm"
+            f"{_caveat(layout, of_contact=True)}",
             thinning_note,
-            axis_reach(layout.reach_mm[contact.name]),
+            _displacement_range(contact, layout.reach_mm[contact.name]),
         )
         for contact in layout.rig.contacts
     ]
@@ -195,7 +198,7 @@ def _plot_views(layout: Layout) -> list[rrb.View | rrb.Container]:
     body_column = rrb.encodings.TextLogColumn("Body")
     events_view = rrb.TextLogView(
         origin="/events",
-        name="Contacts that close and open",
+        name="Closings and openings",
         columns=rrb.TextLogColumns(timeline_columns=[time_column], text_log_columns=[body_column]),
     )
     force_view = _plot_view(layout, "exciting_force", "Exciting force, N")
@@ -219,14 +222,14 @@ def _diagnosis_views() -> list[rrb.View]:
 
 
 def _plot_view(
-    layout: Layout, origin: str, plot_name: str, thinning_note: str = "", half_range: float | None = None
+    layout: Layout, origin: str, plot_name: str, thinning_note: str = "", value_range: tuple[float, float] | None = None
 ) -> rrb.Horizontal:
     """View of a time series with its legend beside it."""
     plot = rrb.TimeSeriesView(
         origin=origin,
         name=plot_name + (f" (1 of {layout.stride} samples{thinning_note})" if layout.stride > 1 else ""),
         plot_legend=rrb.PlotLegend(visible=False),
-        axis_y=None if half_range is None else rrb.ScalarAxis(range=(-half_range, half_range)),
+        axis_y=None if value_range is None else rrb.ScalarAxis(range=value_range),
         axis_x=rrb.TimeAxis(
             view_range=rr.TimeRange(
                 start=rr.TimeRangeBoundary.cursor_relative(seconds=-WINDOW_S),
@@ -237,6 +240,10 @@ def _plot_view(
     bounds = rrb.VisualBounds2D(x_range=[-2.4, 2.4], y_range=[0, LEGEND_ROWS])
     legend = rrb.Spatial2DView(origin=legend_of(origin), name="Lines", visual_bounds=bounds)
     return rrb.Horizontal(plot, legend, column_shares=[5, 1], name=plot_name)
+
+
+def _displacement_range(contact: Contact, reach_mm: float) -> tuple[float, float]:
+    return (0.0, reach_mm) if contact.law.spatial else (-axis_reach(reach_mm), axis_reach(reach_mm))
 
 
 def axis_reach(half_range: float) -> float:

@@ -1,9 +1,8 @@
-"""A contact in the viewer: close up, over time, its events, force over displacement, and the histogram."""
+"""A contact in the viewer: close up, over time, and its events."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -13,11 +12,20 @@ from scipy.ndimage import maximum_filter1d
 
 from rig.model.contact_laws import ContactLaw, walls_m
 from rig.model.description import Contact
-from rig.viewer.axes import Axes
 from rig.viewer.blueprint import TRAIL_S
-from rig.viewer.drawing import TIMELINE, entity, pixels, send, send_labels, send_legend, send_lines, send_static
+from rig.viewer.drawing import (
+    LAYER_WIDTHS_PX,
+    TIMELINE,
+    entity,
+    pixels,
+    send,
+    send_labels,
+    send_legend,
+    send_lines,
+    send_static,
+)
 from rig.viewer.orbit import Orbit, send_rings
-from rig.viewer.palette import CLOSED, FAINT, FORCE, FOUND, MACHINE, SOURCES, STEEL, Colour
+from rig.viewer.palette import CLOSED, FAINT, FOUND, MACHINE, SOURCES, STEEL, Colour
 
 TRAIL_POINTS = 60
 HATCH_COUNT = 16
@@ -79,6 +87,15 @@ class ContactMotion:
         wall_distances_m = sorted(abs(wall_m) for wall_m, _ in walls_m(law))
         reached_m = [wall_m for wall_m in wall_distances_m if wall_m <= FAR_RATIO * max(wall_distances_m[0], largest_m)]
         return 1.2e3 * max([largest_m, *reached_m]) or 1.0
+
+    @property
+    def range_mm(self) -> tuple[float, float]:
+        """Range of the axes of the relative displacement, mm; a distance from the centre begins at zero."""
+        return (-self.reach_mm if self.orbit is None else 0.0, self.reach_mm)
+
+    def in_mm(self, eta_m: float, precision: str) -> str:
+        """Relative displacement in mm as text; a distance has no sign."""
+        return f"{1e3 * eta_m:{'' if self.orbit else '+'}{precision}}"
 
     @cached_property
     def depth_m(self) -> Float[np.ndarray, " samples"]:
@@ -216,15 +233,15 @@ def _send_wall_labels(
 
 def _reading_texts(motion: ContactMotion) -> list[str]:
     """Relative displacement, penetration and force of every frame, in words."""
-    reading_texts = []
+    reading_texts, sign = [], "+" if motion.orbit is None else ""
     for frame_sample in motion.frame_samples:
-        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:+.1f} N"
+        force_text = "" if motion.force_n is None else f", {motion.force_n[frame_sample]:{sign}.1f} N"
         depth_text = (
             f"{1e3 * abs(motion.depth_m[frame_sample]):.2f} mm deep{force_text}, closed"
             if motion.is_closed[frame_sample]
             else "free"
         )
-        reading_texts.append(f"{1e3 * motion.eta_m[frame_sample]:+.2f} mm, {depth_text}")
+        reading_texts.append(f"{motion.in_mm(motion.eta_m[frame_sample], '.2f')} mm, {depth_text}")
     return reading_texts
 
 
@@ -232,12 +249,23 @@ def send_over_time(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     """Send the relative displacement over time with all walls, and marks where the contact closes and opens."""
     entity_path, end_times_s = (entity("relative_displacement", motion.contact.name), motion.time_s[[0, -1]])
     legend = [(motion.contact.name, motion.colour)]
-    for label, law in (("walls", motion.contact.law), *motion.overlaid_laws.items()):
-        colour = SOURCES[motion.wall_source if label == "walls" else label]
-        walls_mm = 1e3 * np.array([wall_m for wall_m, _ in walls_m(law)])
-        wall_names = [f"{motion.wall_source if label == 'walls' else label} {wall_mm:+.4g} mm" for wall_mm in walls_mm]
-        send_lines(stream, f"{entity_path}/{label}", end_times_s, np.tile(walls_mm[:, None], 2), wall_names, (colour,))
-        legend += [(label, colour) for label in wall_names]
+    law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
+    for layer, (law_source, law) in enumerate(law_by_source.items()):  # the viewer draws in the order of the paths
+        wall_positions_m = [wall_m for wall_m, _ in walls_m(law)]
+        wall_texts = [motion.in_mm(wall_m, ".4g") for wall_m in wall_positions_m]
+        send_lines(
+            stream,
+            f"{entity_path}/{layer}_{law_source}",
+            end_times_s,
+            np.tile(1e3 * np.array(wall_positions_m)[:, None], 2),
+            [f"{law_source} {wall_text} mm" for wall_text in wall_texts],
+            (SOURCES[law_source],),
+            LAYER_WIDTHS_PX[min(layer, 1)],
+        )
+        magnitudes = {wall_text.lstrip("+-") for wall_text in wall_texts}
+        if len(magnitudes) < len(wall_texts):
+            wall_texts = [f"\u00b1{magnitudes.pop()}"]
+        legend += [(f"{law_source} {wall_text}", SOURCES[law_source]) for wall_text in wall_texts]
     displacement_mm = 1e3 * motion.eta_m[None, motion.plotted_samples]
     send_lines(
         stream,
@@ -298,47 +326,3 @@ def _change_samples(motion: ContactMotion) -> tuple[Int[np.ndarray, " closings"]
     """First samples at which the contact is closed, and at which it is free again."""
     closed_steps = np.diff(motion.is_closed.astype(int))
     return np.flatnonzero(closed_steps == 1) + 1, np.flatnonzero(closed_steps == -1) + 1
-
-
-BIN_COUNT = 120
-REST_SHARE = 0.01
-"""Share of its range by which a contact has to leave its first position to count as moving."""
-
-
-def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
-    """Send the contact force (upwards) over relative displacement, frame by frame, over the laws.
-
-    A frame's line goes from its sample to the next frame's, so that the view, which shows all until the moment, grows.
-    """
-    if motion.force_n is None:
-        return
-    entity_path, reach_mm = entity("phase", motion.contact.name), motion.reach_mm
-    largest_n = 1.1 * float(np.abs(motion.force_n).max()) or 1.0
-    axes = Axes((-reach_mm, reach_mm), (-largest_n, largest_n), "relative displacement, mm", "force, N")
-    law_by_source = {motion.wall_source: motion.contact.law, **motion.overlaid_laws}
-    axes.send(
-        stream,
-        entity_path,
-        {"force": FORCE} | {f"{law_source} law": SOURCES[law_source] for law_source in law_by_source},
-    )
-    eta_m = np.linspace(motion.eta_m.min(), motion.eta_m.max(), 401)
-    for layer, (law_source, law) in enumerate(law_by_source.items()):
-        law_line = axes.points(1e3 * eta_m, law.force_n(eta_m, np.zeros(eta_m.size)))
-        law_style = {"colors": [SOURCES[law_source]], "radii": pixels(1.0), "draw_order": 10.0 + layer}
-        send_static(stream, f"{entity_path}/{law_source}", rr.LineStrips2D([law_line], **law_style))
-    line_style = rr.LineStrips2D.from_fields(colors=[FORCE], radii=[pixels(1.25)], draw_order=50.0)
-    send_static(stream, f"{entity_path}/seen", line_style)
-    force_points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
-    frame_positions = np.searchsorted(motion.plotted_samples, motion.frame_samples)
-    force_strips = [force_points[a : b + 1] for a, b in pairwise(frame_positions)]
-    send(stream, f"{entity_path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=force_strips)
-
-
-def send_histogram(stream: rr.RecordingStream, motion: ContactMotion) -> None:
-    """Send the histogram of each relative displacement once it moves: % of time over mm, a bar as wide as its bin."""
-    moved_m = np.abs(motion.eta_m - motion.eta_m[0])
-    moving_m = motion.eta_m[int(np.argmax(moved_m > REST_SHARE * np.ptp(motion.eta_m))) :]
-    bin_counts, bin_edges_mm = np.histogram(1e3 * moving_m, BIN_COUNT, range=(-motion.reach_mm, motion.reach_mm))
-    time_percent = 100 * bin_counts / moving_m.size
-    bar_chart = rr.BarChart(time_percent, abscissa=bin_edges_mm[:-1], widths=np.diff(bin_edges_mm), color=motion.colour)
-    send_static(stream, entity("histogram", motion.contact.name), bar_chart)

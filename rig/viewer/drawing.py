@@ -13,6 +13,8 @@ TIMELINE = "sim_time"
 DIAGNOSIS, GAP_OVER_TIME, KEY, PREDICTION = "diagnosis", "gap_over_time", "key", "prediction"
 ROWS_PER_BATCH = 8192
 
+LAYER_WIDTHS_PX = (3.5, 1.5)
+"""Widths of a line over time and of those that are drawn over it and may coincide with it."""
 LEGEND_ROWS = 9
 """Largest number of names per column of a legend."""
 
@@ -50,12 +52,13 @@ def send_lines(
     values: Float[np.ndarray, "channels samples"],
     line_names: Sequence[str],
     colours: Sequence[Colour],
+    width_px: float = 1.5,
 ) -> None:
     """Send the lines of a time series; zoomed out, a pixel shows the extreme values, not their mean."""
     layout = rr.SeriesLines(
         names=line_names,
         colors=[colours[i % len(colours)] for i in range(len(line_names))],
-        widths=[1.5] * len(line_names),
+        widths=[width_px] * len(line_names),
         aggregation_policy=rr.components.AggregationPolicy.MinMax,
     )
     send_static(stream, path, layout)

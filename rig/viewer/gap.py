@@ -185,6 +185,10 @@ def _markdown_text(report: _Gap) -> str:
             f"**{report.verdict.replace('_', ' ').capitalize()}**",
             report.sentence,
             *([report.unknown.sentence] if report.unknown else []),
-            *([f"Of the gap: {states_text}."] if states_text and report.verdict not in UNLOCATED_VERDICTS else []),
+            *(
+                [f"Share of the gap by the state of the contacts: {states_text}."]
+                if states_text and report.verdict not in UNLOCATED_VERDICTS
+                else []
+            ),
         ]
     )

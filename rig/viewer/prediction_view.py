@@ -7,10 +7,24 @@ import rerun as rr
 from jaxtyping import Float
 
 from rig.viewer.blueprint import PREDICTED_RIGS
-from rig.viewer.drawing import PREDICTION, TIMELINE, entity, pixels, send, send_legend, send_lines, send_static
+from rig.viewer.drawing import (
+    LAYER_WIDTHS_PX,
+    PREDICTION,
+    TIMELINE,
+    entity,
+    pixels,
+    send,
+    send_legend,
+    send_lines,
+    send_static,
+)
 from rig.viewer.palette import BELIEVED, FOUND, MACHINE, Colour
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.stage import Stage
+
+GHOST_STYLES = {BELIEVED: (2.25, 0.0015), FOUND: (1.0, 0.003)}
+"""Half widths of the outlines in pixels and their distances before the measured bodies as shares of the extent: where
+they coincide, each shows within the one behind it."""
 
 
 def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, scene: Stage, stride: int) -> None:
@@ -29,7 +43,7 @@ def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, sce
     plotted_samples = np.arange(0, prediction.measured_m.shape[1], stride)
     time_s = (prediction.first_sample + plotted_samples) / rate_hz
     window_begins = np.flatnonzero(np.diff(plotted_samples // prediction.window_samples)) + 1
-    for source_name, (displacement_m, colour) in displacement_by_source.items():
+    for layer, (source_name, (displacement_m, colour)) in enumerate(displacement_by_source.items()):
         break_positions = window_begins if source_name != "measured" else window_begins[:0]
         for origin, values_m in (
             ("displacement", displacement_m[prediction.shown_row]),
@@ -40,7 +54,13 @@ def send_prediction(stream: rr.RecordingStream, prediction: PredictedMotion, sce
             values_mm = np.insert(1e3 * values_m[plotted_samples], break_positions, np.nan)
             times_s = np.insert(time_s, break_positions, time_s[break_positions] - 1e-7)
             send_lines(
-                stream, f"{PREDICTION}/{origin}/{source_name}", times_s, values_mm[None], [source_name], (colour,)
+                stream,
+                f"{PREDICTION}/{origin}/{layer}_{source_name}",
+                times_s,
+                values_mm[None],
+                [source_name],
+                (colour,),
+                LAYER_WIDTHS_PX[min(layer, 1)],
             )
     legend = [(source_name, colour) for source_name, (_, colour) in displacement_by_source.items()]
     send_legend(stream, f"{PREDICTION}/displacement", legend)
@@ -73,6 +93,7 @@ def _send_ghosts(
     scene: Stage,
 ) -> None:
     """Send the outlines of all bodies as one rig moves; there are none outside the predicted time."""
+    radius_px, depth_share = GHOST_STYLES[colour]
     record_displacement_m = scene.deflection.displacement_m.copy()
     record_displacement_m[:, prediction.samples] = displacement_m
     is_predicted = (scene.frame_samples >= prediction.samples.start) & (scene.frame_samples < prediction.samples.stop)
@@ -84,8 +105,9 @@ def _send_ghosts(
     )
     for body in scene.rig.bodies:
         entity_path = f"{path}/{entity(body.name)}"
-        send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(1.5)]))
-        send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_stage.strips(body))
+        send_static(stream, entity_path, rr.LineStrips3D.from_fields(colors=[colour], radii=[pixels(radius_px)]))
+        ghost_strips = ghost_stage.strips(body) - [0.0, depth_share * scene.extent_m, 0.0]
+        send(stream, entity_path, ghost_stage.time_s, rr.LineStrips3D, strips=ghost_strips)
     if predicted_frames.size and predicted_frames.size < scene.frame_samples.size:
         stream.set_time(TIMELINE, duration=float(prediction.samples.stop / scene.sample_rate_hz))
         for body in scene.rig.bodies:

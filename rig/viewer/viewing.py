@@ -24,9 +24,7 @@ from rig.viewer.contact_view import (
     LawSource,
     send_close_up,
     send_events,
-    send_histogram,
     send_over_time,
-    send_phase,
 )
 from rig.viewer.deflection import Deflection, deflection
 from rig.viewer.drawing import entity, send_legend, send_lines
@@ -36,6 +34,7 @@ from rig.viewer.identified import NOTHING_IDENTIFIED, IdentifiedContacts
 from rig.viewer.model_view import send_key, send_model
 from rig.viewer.orbit import Orbit
 from rig.viewer.palette import FORCE, SENSOR, Colour, shades
+from rig.viewer.phase_view import send_histogram, send_phase
 from rig.viewer.prediction import PredictedMotion
 from rig.viewer.prediction_view import send_prediction
 from rig.viewer.spectra import send_spectra, spectra_of

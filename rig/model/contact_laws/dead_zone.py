@@ -107,7 +107,9 @@ def _secant(law: Any, depth: Any) -> Any:
 
 
 def equal_sides(clearance_m: float, stiffness_n_per_m: float, damping_n_s_per_m: float = 0.0) -> DeadZone:
-    """The paper's contact: the same clearance to both sides."""
+    """The paper's contact: the same clearance to both sides; RigError if it is below zero."""
+    if not clearance_m >= 0:
+        raise RigError(f"contact law: clearance_m is {clearance_m}; give a value in metres, zero or above")
     return DeadZone(
         lower_clearance_m=clearance_m,
         upper_clearance_m=clearance_m,

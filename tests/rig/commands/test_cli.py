@@ -208,7 +208,7 @@ def test_wrong_words_exit_with_2(rig, in_folder, words, said):
         (("--duration", "nan"), "duration is nan s"),
         (("--duration", "inf"), "duration is inf s"),
         (("--seed", "-1"), "seed is -1"),
-        (("--set", "clearance_m=-1"), "lower_clearance_m is -1"),
+        (("--set", "clearance_m=-1"), "contact law: clearance_m is -1"),
         (("--set", "excitation=whisper"), "whisper"),
         (("--set", "stiffness_n_per_m=1e12"), "too stiff"),
         (("--set", "sample_rate_hz=1000"), "sample_rate_hz is 1000"),

@@ -1,9 +1,11 @@
 """Conventions of all commands: failure and progress."""
 
+import sys
+
 import pytest
 import typer
 
-from rig.commands.command_line import StoppedError, progress_bar, run, working
+from rig.commands.command_line import StoppedError, fitted, help_filled_by, progress_bar, run, say, working
 from rig.errors import RigError
 from tests.running import environment, exit_status
 
@@ -54,3 +56,49 @@ def test_a_sign_of_life_is_shown_on_a_terminal(capsys):
     with environment(FORCE_COLOR="1"), working("weighing"):
         pass
     assert "weighing" in capsys.readouterr().err
+
+
+SENTENCE = "  results/a_path_that_is_longer_than_any_line: 10.06 ± 0.34 mm of it, or 52.0 % of the time; record longer"
+
+
+@pytest.mark.parametrize("width", [18, 30, 31, 32, 33, 34, 35, 80])
+def test_lines_are_broken_between_words_and_keep_their_indent(width):
+    lines = fitted(SENTENCE, width).split("\n")
+    assert " ".join(line.strip() for line in lines) == SENTENCE.strip()
+    for line in lines:
+        assert line.startswith("  ")
+        assert len(line) <= width or " " not in line.strip()
+        assert not line.strip().startswith(("±", "%", "0.34"))
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_sentences_are_broken_on_a_terminal_and_whole_in_a_pipe(capsys, monkeypatch, terminal):
+    app = typer.Typer(pretty_exceptions_enable=False)
+
+    @app.command()
+    def fail():
+        say(SENTENCE)
+        raise RigError(SENTENCE.strip())
+
+    for stream in (sys.stdout, sys.stderr):
+        monkeypatch.setattr(stream, "isatty", lambda: terminal)
+    exit_status("rig", columns=50, main=lambda: run(app, "rig"))
+    for text in capsys.readouterr():
+        lines = text.splitlines()
+        assert (len(lines) > 1) == terminal
+        assert max(map(len, lines)) <= 50 or not terminal
+
+
+def test_a_paragraph_of_the_help_fills_its_lines(capsys):
+    app = typer.Typer(pretty_exceptions_enable=False)
+
+    @app.command(cls=help_filled_by(dict))
+    def weigh():
+        """Weigh a thing.
+
+        The first line ends here
+        but not in the help.
+        """
+
+    assert exit_status("rig", "--help", columns=80, main=lambda: app(prog_name="rig")) == 0
+    assert "The first line ends here but not in the help." in capsys.readouterr().out

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 
 import pytest
 
@@ -20,6 +21,35 @@ def test_every_answer_stands_beside_the_truth(tmp_path, capsys):
     assert gap["verdict"] == "explained"
     assert gap["causes"][0]["effects"] == ["added_mass"]
     assert "explained: An added mass of 0.15" in printed
+
+
+def test_commands_and_answers_go_to_a_file_while_progress_is_shown(tmp_path, capsys, monkeypatch):
+    estimate = {"value": 5.25e-3, "standard_error": 1e-5}
+    contacts = [{"name": name, "clearance_m": estimate, "stiffness_n_per_m": estimate} for name in ("one", "two")]
+    answers = {
+        "contact/contact.json": {"contacts": contacts},
+        "gap/gap.json": {"verdict": "explained", "sentence": "A mass explains the difference."},
+    }
+
+    def write_answers(*_):
+        for name, answer in answers.items():
+            (tmp_path / "a b" / name).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / "a b" / name).write_text(json.dumps(answer))
+
+    monkeypatch.setattr("rig.commands.demo._run_all", write_answers)
+    words = ("rig", "demo", "--out", tmp_path / "a b", "--no-open")
+    assert exit_status(*words, columns=80, FORCE_COLOR="1") == 0
+    printed = capsys.readouterr().out
+    assert "clearance of one: 5.250 " in printed
+    assert "explained: A mass explains the difference." in printed
+    commands = [shlex.split(command) for command in re.findall(r"^\$ ((?:.*\\\n)*.*)$", printed, re.MULTILINE)]
+    assert [command[:2] for command in commands] == [
+        ["rig", "record"],
+        ["identify", "contact"],
+        ["rig", "record"],
+        ["identify", "gap"],
+    ]
+    assert str(tmp_path / "a b" / "gap") in commands[-1]
 
 
 def test_a_page_that_is_there_is_not_written_over(tmp_path, capsys):

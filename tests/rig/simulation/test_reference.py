@@ -87,7 +87,7 @@ def test_settings_that_do_not_fit_are_refused(scenario, settings, sentence):
     ("kind", "settings", "sentence"),
     [
         (Sdof, {"mass_kg": 0.0}, "mass_kg is 0.0"),
-        (BarrelCradle, {"clearance_1_m": -1.0}, "lower_clearance_m is -1.0"),
+        (BarrelCradle, {"clearance_1_m": -1.0}, "contact law: clearance_m is -1.0; give"),
         (BarrelCradle, {"overlap_start_m": 1.5}, "off"),
         (Sdof, {"sensors": "strain"}, "measures strain of 'mass', a mass; put it on a beam"),
         (

@@ -13,6 +13,7 @@ from rig.viewer.blueprint import axis_reach
 def test_figures_are_few_round_and_within(low, high):
     values = tick_values(low, high)
     step = np.diff(values)
+    assert not np.signbit(values[values == 0]).any()  # printed as -0
     assert 3 <= values.size <= MAX_TICKS
     np.testing.assert_allclose(step, step[0])
     assert round(step[0] / 10 ** np.floor(np.log10(step[0]) + 1e-9), 6) in {1, 2, 5}

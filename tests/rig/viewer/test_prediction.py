@@ -74,16 +74,16 @@ def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(change
     predicted = predicted_motion(recording, deflection(recording, truth), true, modal_predictor)
     write_rrd(recording, truth, tmp_path / "r.rrd", prediction=predicted)
     for name, values_m, colour in (
-        ("measured", predicted.measured_m, MACHINE),
-        ("believed", predicted.believed_m, BELIEVED),
-        ("corrected", predicted.corrected_m, FOUND),
+        ("0_measured", predicted.measured_m, MACHINE),
+        ("1_believed", predicted.believed_m, BELIEVED),
+        ("2_corrected", predicted.corrected_m, FOUND),
     ):
         place = f"/prediction/displacement/{name}"
         times, values = series(tmp_path / "r.rrd", place)
         breaks = np.isnan(values[0])
         np.testing.assert_array_equal(values[0, ~breaks], 1e3 * values_m[0])
         windows = values_m.shape[1] // predicted.window_samples
-        assert np.count_nonzero(breaks) == (0 if name == "measured" else windows - 1)
+        assert np.count_nonzero(breaks) == (0 if name == "0_measured" else windows - 1)
         (drawn,) = static(tmp_path / "r.rrd", place, "SeriesLines:colors")
         assert (drawn >> 24, drawn >> 16 & 255, drawn >> 8 & 255) == colour
     times, strips = column(tmp_path / "r.rrd", "/model/prediction/believed/mass", "LineStrips3D:strips")
@@ -91,7 +91,9 @@ def test_the_file_holds_the_three_motions_in_the_colours_of_their_meaning(change
     _, centres = column(tmp_path / "r.rrd", "/model/mass", "Boxes3D:centers")
     _, at_start = (np.array(rows[0]) for rows in (strips, centres))
     middle = np.mean(strips[0][0][:4], axis=0)
-    np.testing.assert_allclose(middle, at_start[0], atol=1e-6)  # the first window begins where the mass is
+    np.testing.assert_allclose(middle[[0, 2]], at_start[0][[0, 2]], atol=1e-6)  # the first window begins at the mass
+    _, corrected_strips = column(tmp_path / "r.rrd", "/model/prediction/corrected/mass", "LineStrips3D:strips")
+    assert corrected_strips[0][0][0][1] < middle[1] < at_start[0][1]  # nearer to the eye, so that all three show
 
 
 def test_a_corrected_rig_is_read_beside_gap_json_if_it_is_of_this_rig(changed, tmp_path):

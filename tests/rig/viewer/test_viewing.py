@@ -20,7 +20,7 @@ from rig.simulation.record import record
 from rig.simulation.reference import BarrelCradle, BarrelCradleAnnular, Sdof
 from rig.viewer.axes import WIDTH
 from rig.viewer.deflection import deflection
-from rig.viewer.drawing import entity
+from rig.viewer.drawing import entity, legend_of
 from rig.viewer.identified import IdentifiedContacts, identified_laws, read_identified
 from rig.viewer.stage import stage
 from rig.viewer.viewing import write_rrd
@@ -84,7 +84,7 @@ def test_the_series_are_those_of_the_recording_and_its_truth(fixture, request, t
         times, values = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "value"))
         np.testing.assert_allclose(times, time_s, atol=1e-9)
         np.testing.assert_array_equal(values[0], 1e3 * truth.signals["relative_displacement"].values[row])
-        _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "walls"))
+        _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", contact.name, "0_true"))
         assert walls[0] == pytest.approx(1e3 * contact.law.upper_clearance_m)
         assert walls[1] == pytest.approx(-1e3 * contact.law.lower_clearance_m)
         _, force = series(tmp_path / "r.rrd", entity("contact_force", contact.name))
@@ -110,6 +110,12 @@ def test_a_rig_in_space_moves_in_both_directions_and_its_contacts_as_orbits_in_r
     np.testing.assert_allclose(distance[0], 1e3 * np.hypot(*about_m))
     _, force_n = series(tmp_path / "r.rrd", entity("contact_force", "contact_2"))
     np.testing.assert_allclose(force_n[0], np.hypot(*true_n[2:]))
+    legend_path = legend_of(entity("relative_displacement", "contact_2"))
+    assert static(tmp_path / "r.rrd", f"{legend_path}/1", "Points2D:labels") == ["true 2"]  # a distance has no sign
+    histogram_edges_mm = static(tmp_path / "r.rrd", entity("histogram", "contact_2"), "BarChart:abscissa")
+    assert min(histogram_edges_mm[0]["buffer"]) == 0
+    _, readings = column(tmp_path / "r.rrd", entity("close_up", "contact_2", "reading"), "Points2D:labels")
+    assert not any("+" in reading[0] for reading in readings)
     times, points = column(tmp_path / "r.rrd", entity("close_up", "contact_2", "point"), "Points2D:positions")
     frames = np.round(times * recording.rig.sample_rate_hz).astype(int)
     np.testing.assert_allclose([p[0] for p in points], 1e3 * (about_m[::-1] * [[1], [-1]])[:, frames].T, rtol=1e-5)
@@ -288,8 +294,16 @@ def test_identified_walls_stand_where_contact_json_says(mass, tmp_path):
     contact = {"name": "stop", "clearance_m": value, "stiffness_n_per_m": value, "damping_n_s_per_m": {"value": -1.0}}
     file.write_text(json.dumps({"rig": "sdof", "contacts": [contact]}))
     write_rrd(recording, truth, tmp_path / "r.rrd", identified_contacts=read_identified(file, recording.rig, 8.0))
-    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "identified"))
+    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "1_identified"))
     np.testing.assert_allclose(walls[:, 0], [1.2, -1.2])
+    widths = [
+        static(tmp_path / "r.rrd", entity("relative_displacement", "stop", name), "SeriesLines:widths")[0]
+        for name in ("0_true", "1_identified")
+    ]
+    assert widths[0] > widths[1]  # drawn first, it shows beside what is drawn over it
+    legend_path = legend_of(entity("relative_displacement", "stop"))
+    words = [static(tmp_path / "r.rrd", f"{legend_path}/{row}", "Points2D:labels") for row in range(1, 3)]
+    assert words == [["true \u00b11"], ["identified \u00b11.2"]]
 
 
 def with_clearances(machine, factor):
@@ -430,7 +444,7 @@ def test_walls_are_the_true_ones_and_what_was_believed_is_drawn_too(mass, tmp_pa
     law = replace_struct(contact.law, upper_clearance_m=2 * contact.law.upper_clearance_m)
     wider = replace_struct(recording.rig, contacts=(replace_struct(contact, law=law),))
     write_rrd(replace(recording, rig=wider), truth, tmp_path / "r.rrd")
-    for name, expected in (("walls", contact.law), ("believed", law)):
+    for name, expected in (("0_true", contact.law), ("1_believed", law)):
         _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", name))
         np.testing.assert_allclose(walls[:, 0], [1e3 * expected.upper_clearance_m, -1e3 * expected.lower_clearance_m])
 
@@ -461,7 +475,7 @@ def test_a_stop_that_is_not_there_has_no_wall(mass, tmp_path):
         rigs.append(replace_struct(machine, contacts=(replace_struct(contact, law=law),)))
     recording, truth = (replace(x, rig=machine) for x, machine in zip((recording, truth), rigs, strict=True))
     write_rrd(recording, truth, tmp_path / "r.rrd")
-    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "walls"))
+    _, walls = series(tmp_path / "r.rrd", entity("relative_displacement", "stop", "0_true"))
     assert len(walls) == 1
     assert walls[0] == pytest.approx(1e3 * truth.rig.contacts[0].law.upper_clearance_m)
     _, jaws = column(tmp_path / "r.rrd", entity("model", "stop"), "LineStrips3D:strips")
