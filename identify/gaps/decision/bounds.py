@@ -70,7 +70,10 @@ class ContactDistances:
 
 def share_bounds(misfit: Misfit, contact_names: Sequence[str], matters: Matters) -> tuple[Bounded, ...]:
     """Bounded unexplained shares: that of the motion, then that of each contact force."""
-    bounded_shares = [_bounded_share("motion", misfit.motion_share, misfit.squared_share_by_second, matters.motion)]
+    squared_shares = misfit.squared_share_by_second
+    # noise that is estimated too high puts them below zero, which bounds nothing
+    squared_shares = squared_shares + max(misfit.motion_share**2 - squared_shares.mean(), 0.0)
+    bounded_shares = [_bounded_share("motion", misfit.motion_share, squared_shares, matters.motion)]
     for contact_index, contact_name in enumerate(contact_names):
         weights = misfit.nominal_variances.observations[contact_index].weights
         noise_n2 = float(np.sum(weights[weights > 0] ** -2.0)) / weights.size

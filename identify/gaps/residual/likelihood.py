@@ -29,6 +29,9 @@ from identify.gaps.residual.scales import band_means, band_of_lines, measured_le
 NOISE_LIMIT = 0.5
 """Share of noise in the power above which a band is not used to measure shares of the motion. Set by hand:
 displacements differentiated twice show noise alone above some hundred Hz."""
+SIGNIFICANT_EXCESS = 3.0
+"""Excess of a mean over n lines beyond noise, in its standard errors (mean / sqrt(n)), from which it is not due to
+chance. Derived: noise exceeds it in less than 1 % of the bands."""
 
 
 @dataclass(frozen=True)
@@ -164,10 +167,22 @@ class Misfit:
 
     @property
     def motion_share(self) -> float:
-        """Unexplained share of the acceleration's root mean square over all bands, beyond noise."""
-        excess_power = self.variance_beyond_noise.sum(axis=1)
+        """Unexplained share of the acceleration's root mean square over all bands, beyond noise.
+
+        Bands and sensors that exceed the noise by chance alone count together with those that fall below it: their
+        positive parts add up to per cents where many bands are noisy. Those that exceed it by more count alone, so that
+        noise that is estimated too high hides no misfit.
+        """
+        measured_variance = self.variance_by_second.mean(axis=0) * self.variance_correction
+        line_counts = self.nominal_variances.line_counts[:, None]
+        excess_variance = (
+            measured_variance - self.nominal_variances.noise_variance
+        ) * self.nominal_variances.has_signal
+        is_significant = excess_variance > SIGNIFICANT_EXCESS * measured_variance / np.sqrt(line_counts)
+        significant_power = float(np.sum(line_counts * excess_variance * is_significant))
+        other_power = float(np.sum(line_counts * excess_variance * ~is_significant))
         motion_power = max(self.power_by_band.sum(), 1e-300)
-        return float(np.sqrt(self.nominal_variances.line_counts @ excess_power / motion_power))
+        return float(np.sqrt((significant_power + max(other_power, 0.0)) / motion_power))
 
     @property
     def power_by_band(self) -> Float[np.ndarray, " bands"]:

@@ -71,6 +71,33 @@ def test_shares_are_beyond_noise_and_relative_to_the_motion():
     np.testing.assert_allclose(misfit_of_level(1.0, contact_n=0.5).contact_shares, 0.05)
 
 
+def with_noise_of(level: float, seed: int) -> Misfit:
+    """Noise in 400 bands, each of the mean square of 50 lines, beside five times its power."""
+    bands = np.ones((400, SENSORS))
+    noisy = NominalVariances(bands, bands, 5 * bands, np.full(400, 50.0), ())
+    draws = np.random.default_rng(seed).gamma(50.0, level / 50.0, bands.shape)
+    return replace(
+        misfit_of_level(1.0),
+        nominal_variances=noisy,
+        variance_by_second=np.broadcast_to(draws, (SECONDS, *bands.shape)).copy(),
+        variance_correction=bands,
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_alone_leaves_no_share_of_the_motion_in_many_noisy_bands(seed):
+    """Positive parts of all bands would add up to 11 %."""
+    noise = with_noise_of(1.0, seed)
+    assert np.sqrt(np.mean(noise.share_by_band**2)) > 0.1
+    assert noise.motion_share < 0.04
+
+
+def test_noise_that_is_estimated_too_high_hides_no_misfit_of_one_band():
+    noise = with_noise_of(0.8, 1)
+    noise.variance_by_second[:, 7] += 100.0  # of a power of 5 in each of 400 bands
+    assert noise.motion_share == pytest.approx(np.sqrt(100.0 / (5 * 400)), rel=0.01)
+
+
 def test_the_size_of_a_gap_counts_in_what_matters():
     matters = Matters(motion=0.01, contact=0.05)
     assert mismatch_size(misfit_of_level(1.5), matters) == pytest.approx(1.0)
