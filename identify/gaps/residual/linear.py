@@ -97,22 +97,20 @@ class Linear:
         return accelerations
 
     @cached_property
+    def missed_accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
+        """Accelerations of a free motion that the sensors miss."""
+        return sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(self.sensor_response))
+
+    @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
-        """Accelerations at the sensors: measured ones, and those of a free motion that the sensors miss."""
-        measured_accelerations = self.record.acceleration_signals / self.sensor_response
-        return np.asarray(
-            measured_accelerations
-            + sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(measured_accelerations))
-        )
+        """Accelerations at the sensors: measured and missed ones."""
+        return np.asarray(self.record.acceleration_signals / self.sensor_response + self.missed_accelerations)
 
     @cached_property
     def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
-        """Displacements at the sensors: measured ones, and those of a free motion that the sensors miss."""
-        measured_displacements = self.record.displacement_signals / self.sensor_response
-        unobserved_accelerations = sum(
-            (m.missed_acceleration for m in self.free_modes), np.zeros_like(measured_displacements)
-        )
-        return np.asarray(measured_displacements + unobserved_accelerations * self.record.twice_integrated)
+        """Displacements at the sensors: measured ones, and those by missed accelerations."""
+        missed_displacements = self.missed_accelerations * self.record.twice_integrated
+        return np.asarray(self.record.displacement_signals / self.sensor_response + missed_displacements)
 
     @cached_property
     def motion(self) -> SensedMotion:
