@@ -22,7 +22,7 @@ from identify.planning.plan_result import PlanResult
 from identify.planning.planned_test import planned_test
 from identify.planning.ranking import MAX_CHANGES, ranked_plan
 from identify.results import CheckResult, ContactResult, GapResult, HistoryResult, LawResult
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.files import check_target
@@ -36,7 +36,9 @@ MAX_NAME = 100
 Progress = Callable[[float], None]
 
 
-def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str | None = None) -> CheckResult:
+def check(
+    recording: Source, *, use: MotionQuantity = "auto", tolerances: Tolerances | str | None = None
+) -> CheckResult:
     """Check whether the channels fit each other, the force and rig.json (as `identify.checks.check_recording`).
 
     Raises RigError if the recording cannot be read.
@@ -54,7 +56,7 @@ def check(recording: Source, *, use: Use = "auto", tolerances: Tolerances | str 
 def contact(
     recording: Source,
     *,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
     tolerances: Tolerances | str | None = None,
@@ -82,7 +84,7 @@ def law(
     recording: Source,
     *,
     contact: str | None = None,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     seconds: float = 60.0,
     seed: int = 0,
     tolerances: Tolerances | str | None = None,
@@ -180,7 +182,7 @@ def _remaining_findings(
 def compare(
     sources: Sequence[str | Path],
     *,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     tolerances: Tolerances | str | None = None,
     progress: Progress = lambda _: None,
 ) -> HistoryResult:
@@ -241,8 +243,8 @@ def _with_rig(source: Source, rig: Rig | None, rig_source: Rig | str | Path | No
     if rig is None:
         return recording
     groups = channel_groups(rig)
-    channels = {quantity: (c.names, c.sample_rate_hz) for quantity, c in groups.items()}
-    if channels != {
+    expected_names_and_rates = {quantity: (c.names, c.sample_rate_hz) for quantity, c in groups.items()}
+    if expected_names_and_rates != {
         quantity: (s.channels.names, s.channels.sample_rate_hz) for quantity, s in recording.signals.items()
     }:
         rig_name = rig_source if isinstance(rig_source, str | Path) else f"rig {rig.name!r}"

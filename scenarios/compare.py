@@ -11,7 +11,7 @@ from identify.contacts import Identification, identify_contact
 from identify.contacts.report import write_results
 from identify.contacts.results import ContactEstimate
 from identify.pages.wording import COVERED
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from rig.commands.command_line import console_table, progress_bar
 from rig.model.contact_laws import ContactLaw
 from rig.recording import read, read_truth, truth_path
@@ -93,7 +93,7 @@ def record_reference_rig(settings: Sdof | BarrelCradle | BarrelCradleAnnular, pl
     return path
 
 
-def identify_against_truth(path: Path, *, use: Use, out: Path, equation: str | None = None) -> Comparison:
+def identify_against_truth(path: Path, *, use: MotionQuantity, out: Path, equation: str | None = None) -> Comparison:
     """Identify a recording, take the true laws from its truth file, and write contact.json, page and figures."""
     with progress_bar(f"identifying {path.name} ({use})") as progress:
         identification = identify_contact(read(path), use=use, equation=equation, progress=progress)

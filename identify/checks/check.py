@@ -25,7 +25,7 @@ from identify.checks.rigs import Trial
 from identify.checks.spectra import Spectra, quiet_samples, spectra_of
 from identify.checks.waveforms import Row, Rows
 from identify.linear.joined import contact_groups, group_rig_of
-from identify.signals.kinematics import Use, kinematics
+from identify.signals.kinematics import MotionQuantity, kinematics
 from identify.signals.measured_base import count_on_bodies, excitation_names, excitations
 from rig.errors import RigError
 from rig.model.description import Direction, Rig, Sensor, contact_stations
@@ -56,7 +56,7 @@ MOVING_CHANNELS_SHARE = 0.5
 
 
 def check_recording(
-    recording: Recording, use: Use = "auto", tolerances: Tolerances | None = None
+    recording: Recording, use: MotionQuantity = "auto", tolerances: Tolerances | None = None
 ) -> tuple[Finding, ...]:
     """Findings on the channels, the clock and rig.json; empty for a sound recording.
 
@@ -95,7 +95,7 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
     return [f for f in findings if f.cause not in ("noise", "drift", "offset", "force") or not is_explained(f)]
 
 
-def _out_of_range_findings(recording: Recording, use: Use) -> list[Finding]:
+def _out_of_range_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """Findings on channels that exceed anything on a test rig."""
     range_findings = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
     return [f for f in range_findings if f is not None]
@@ -119,7 +119,11 @@ def _channels_at_fault(finding: Finding, force_names: Sequence[str]) -> tuple[st
 
 
 def _model_findings(
-    of_all: Recording, direction: Direction, use: Use, tolerances: Tolerances, waveform_findings: list[Finding]
+    of_all: Recording,
+    direction: Direction,
+    use: MotionQuantity,
+    tolerances: Tolerances,
+    waveform_findings: list[Finding],
 ) -> list[Finding]:
     """Findings by the linear model of one direction, after those by the waveforms."""
     force_names, recording = of_all.rig.force_names_in(direction), plane_recording(of_all, direction)
@@ -211,7 +215,7 @@ class _Channel:
         return self.group == "force"
 
 
-def _waveform_findings(recording: Recording, use: Use) -> list[Finding]:
+def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
     first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
@@ -230,7 +234,7 @@ def _channel_names(findings: Iterable[Finding]) -> set[str]:
     return {name for f in findings for name in f.channels}
 
 
-def _channels(recording: Recording, use: Use) -> Iterator[_Channel]:
+def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     """The forces on bodies, and the sensors of the quantity in use."""
     rig = recording.rig
     used_names = {

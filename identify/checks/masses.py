@@ -94,8 +94,9 @@ def mass_pull(rig: Rig, motion: Kinematics, tolerances: Tolerances) -> float:
     if fit is None or fit.explained < UNRELATED_SHARE:
         return 0.0
     order = motion.sensors[row].measures.order
-    errors, spreads, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
-    clock_pull = abs(clock_effect / spreads @ (errors / spreads)) / float(np.linalg.norm(clock_effect / spreads))
+    errors, spreads, log_change_per_clock_error = _mass_and_frequency_errors(body, order, fit, tolerances)
+    norm = float(np.linalg.norm(log_change_per_clock_error / spreads))
+    clock_pull = abs(log_change_per_clock_error / spreads @ (errors / spreads)) / norm
     return float(max(clock_pull, *np.abs(errors / spreads)))
 
 
@@ -271,10 +272,10 @@ def _clock_finding(body: Body, order: int, fit: MassFit, tolerances: Tolerances)
     mass, _, stiffness = fit.coefficients
     if order > 1 or not _identifiable_hz(body) or mass <= 0 or stiffness <= 0:
         return None
-    errors, spreads, clock_effect = _mass_and_frequency_errors(body, order, fit, tolerances)
-    norm = float(np.linalg.norm(clock_effect / spreads))
-    clock_error = (clock_effect / spreads @ (errors / spreads)) / norm**2
-    remainders = np.abs(errors - clock_error * clock_effect) / spreads
+    errors, spreads, log_change_per_clock_error = _mass_and_frequency_errors(body, order, fit, tolerances)
+    norm = float(np.linalg.norm(log_change_per_clock_error / spreads))
+    clock_error = (log_change_per_clock_error / spreads @ (errors / spreads)) / norm**2
+    remainders = np.abs(errors - clock_error * log_change_per_clock_error) / spreads
     is_plausible = CLOCK_PULL / norm < abs(clock_error) < MAX_CLOCK_ERROR and remainders.max() <= CLOCK_REMAINDER
     if fit.delay_s or not is_plausible:
         return None
@@ -294,7 +295,7 @@ def _identifiable_hz(body: Body) -> float:
 def _mass_and_frequency_errors(
     body: Body, order: int, fit: MassFit, tolerances: Tolerances
 ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-    """Errors of mass and frequency as logarithms; their standard spreads; their changes by a clock.
+    """Errors of mass and frequency as logarithms; their standard spreads; their changes per unit clock error.
 
     An error is zero if it cannot be identified: of a mass without a spring, or where a sign is wrong.
     """

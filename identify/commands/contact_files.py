@@ -17,7 +17,7 @@ from identify.contacts.results import ContactReport, Estimate, Segment, Segments
 from identify.pages.tables import save_tables
 from identify.pages.wording import interval, number
 from identify.results import ContactResult
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
 from rig.commands.command_line import console_table, print_sentence
 from rig.files import make_folder, write_bytes, write_json
@@ -32,7 +32,7 @@ RESULTS = ("contact.json", "contact.html", "rig.json")
 class ContactSettings(msgspec.Struct, frozen=True, kw_only=True):
     """Settings of `identify contact`, as its options have them."""
 
-    use: Use = "auto"
+    use: MotionQuantity = "auto"
     averaging: Averaging = Averaging()
     equation: str | None = None
     tolerances: Tolerances | None = None

@@ -8,9 +8,9 @@ import msgspec
 import typer
 
 if TYPE_CHECKING:
-    from identify.signals.kinematics import Use
+    from identify.signals.kinematics import MotionQuantity
 else:
-    Use = str  # what a command needs of the other rooms is imported when it runs: the help is shown at once
+    MotionQuantity = str  # what a command needs of the other rooms is imported when it runs: the help is shown at once
 
 UseOption = Annotated[str, typer.Option(help="Which sensors: {use}.")]
 TolerancesOption = Annotated[
@@ -25,23 +25,23 @@ ExportOption = Annotated[
 def option_words() -> dict[str, str]:
     """Words for the help of the options: sensors, windows, formats of tables."""
     from identify.pages.tables import WRITERS
-    from identify.signals.kinematics import Use
+    from identify.signals.kinematics import MotionQuantity
     from identify.signals.spectra import WINDOW_POWERS
 
     return {
-        "use": ", ".join(get_args(Use)),
+        "use": ", ".join(get_args(MotionQuantity)),
         "windows": ", ".join(WINDOW_POWERS),
         "table_formats": ", ".join(WRITERS),
     }
 
 
-def checked_use(use: str) -> Use:
+def checked_use(use: str) -> MotionQuantity:
     """Sensors to use; raises typer.BadParameter for an unknown name."""
-    from identify.signals.kinematics import Use as Uses
+    from identify.signals.kinematics import MotionQuantity
 
-    if use not in get_args(Uses):
-        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(Uses))}", param_hint="--use")
-    return msgspec.convert(use, Uses)
+    if use not in get_args(MotionQuantity):
+        raise typer.BadParameter(f"{use!r} is none of {', '.join(get_args(MotionQuantity))}", param_hint="--use")
+    return msgspec.convert(use, MotionQuantity)
 
 
 def check_export(export: str | None, out: Path | None) -> None:

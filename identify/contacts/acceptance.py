@@ -23,7 +23,7 @@ from identify.linear.modal import NEARLY_INVISIBLE_SHARE
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.pages.wording import interval, number
 from identify.paper.nifo import Nifo
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 
@@ -69,7 +69,7 @@ class Contacts:
 
 
 def checked_contacts(
-    recording: Recording, use: Use, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
+    recording: Recording, use: MotionQuantity, tolerances: Tolerances | None, forms: Sequence[FormName] = ()
 ) -> Contacts:
     """`find_contacts` after a check of the recording, with the findings of both.
 
@@ -84,7 +84,9 @@ def checked_contacts(
     return replace(contacts, findings=findings + contacts.findings)
 
 
-def find_contacts(recording: Recording, use: Use, tolerances: Tolerances, forms: Sequence[FormName] = ()) -> Contacts:
+def find_contacts(
+    recording: Recording, use: MotionQuantity, tolerances: Tolerances, forms: Sequence[FormName] = ()
+) -> Contacts:
     """Clearance, stiffness and damping of every contact, or why the record does not determine it. Its law is a dead
     zone, or the one of `forms` that the record supports.
 

@@ -92,25 +92,27 @@ def estimate_annular(record: AnnularRecord, sliding_speed_m_per_s: float) -> Ann
     derivatives, equations = fit.linearized()
     pull_count, to_law = state.pulls.size, fit.to_law
     eta, rate = fit.motion(state.knots, state.pulls)
-    of_knots = np.zeros((curve.knots, len(RING)))
-    of_dense = np.zeros((pull_count + to_law.shape[1], len(RING)))
-    of_dense[pull_count:] = to_law.T
-    of_dense[pull_count - 1, LOG_SPEED] = 1.0
+    ring_by_knots = np.zeros((curve.knots, len(RING)))
+    ring_by_dense = np.zeros((pull_count + to_law.shape[1], len(RING)))
+    ring_by_dense[pull_count:] = to_law.T
+    ring_by_dense[pull_count - 1, LOG_SPEED] = 1.0
     values, by_rest = state.values.copy(), not record.zero_known and record.quiet_samples > 0
     values[LOG_SPEED] = fit.log_speed + state.pulls[-1]
     if by_rest:
         values[CENTER], by_values = _center_by_rest(values)
-        of_dense[pull_count:, CENTER] = (by_values @ to_law).T
-    by_knots, by_dense = equations.solved(of_knots, of_dense)
-    in_law = np.concatenate([by_dense[:pull_count], to_law @ by_dense[pull_count:]])
-    influence = derivatives.columns(by_knots, in_law) * fit.weights[:, None] ** 2
+        ring_by_dense[pull_count:, CENTER] = (by_values @ to_law).T
+    knots_per_gradient, dense_per_gradient = equations.solved(ring_by_knots, ring_by_dense)
+    pulls_and_laws_per_gradient = np.concatenate(
+        [dense_per_gradient[:pull_count], to_law @ dense_per_gradient[pull_count:]]
+    )
+    influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
     planes, residuals = influence.reshape(DIRECTIONS, -1, len(RING)), state.residual_n.reshape(DIRECTIONS, -1)
     starts = informative_parts(np.hypot(*planes[:, :, STIFFNESS]))
     by_parts = np.sum([part_scores(*rows, starts) for rows in zip(planes, residuals, strict=True)], axis=0)
     rows = (
         small_sample_factor(to_law.shape[1]) * by_parts,
-        record.samples_per_error * by_dense[:pull_count],
-        curve.curvature @ by_knots,
+        record.samples_per_error * dense_per_gradient[:pull_count],
+        curve.curvature @ knots_per_gradient,
     )
     covariances = {source: x.T @ x for source, x in zip(("scatter", "tolerances", "drift"), rows, strict=True)}
     covariances["law"] = _misfit_covariance(fit, derivatives, starts)
@@ -177,9 +179,9 @@ def _misfit_covariance(fit: AnnularFit, derivatives: Jacobian, starts: Int[np.nd
     for halves in ((closed & deep, closed & ~deep), (closed & grows, closed & ~grows)):
         if min(half.sum() for half in halves) < LEAST_HALF_SAMPLES:
             continue
-        difference, excess = misfit_excess(scores(halves[0]) - scores(halves[1]))
+        parameter_difference, excess = misfit_excess(scores(halves[0]) - scores(halves[1]))
         error = np.zeros(len(RING))
-        error[free] = difference / scale / 2
+        error[free] = parameter_difference / scale / 2
         covariance += excess * np.outer(error, error)
     return covariance
 

@@ -196,16 +196,16 @@ class AnnularFit:
         def step_from(current: AnnularState) -> Step[AnnularState]:
             fit = replace(self, state=current)
             _, equations = fit.linearized()
-            knots, dense = equations.solved(equations.knot_gradient, equations.dense_gradient)
-            cost_decrease = np.sum(equations.knot_gradient * knots) + np.sum(equations.dense_gradient * dense)
+            knot_step, dense_step = equations.solved(equations.knot_gradient, equations.dense_gradient)
+            cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.dense_gradient * dense_step)
             to_law, pull_count = fit.to_law, current.pulls.size
 
             def state_after(share: float) -> AnnularState | None:
-                values = current.values + share * to_law @ dense[pull_count:, 0]
+                values = current.values + share * to_law @ dense_step[pull_count:, 0]
                 if not (values[CLEARANCE] > 0 and values[STIFFNESS] > 0):
                     return None
                 return self.state_at(
-                    values, current.knots + share * knots[:, 0], current.pulls + share * dense[:pull_count, 0]
+                    values, current.knots + share * knot_step[:, 0], current.pulls + share * dense_step[:pull_count, 0]
                 )
 
             return Step(state_after, float(cost_decrease))

@@ -24,7 +24,7 @@ from identify.contacts.station_spectra import SpectralLines
 from identify.linear.model import Response, input_shapes, real_product
 from identify.linear.nuisance import CONVERGED_SHARE, Change, Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
-from identify.signals.kinematics import TAPER_S, Kinematics, Use, taper
+from identify.signals.kinematics import TAPER_S, Kinematics, MotionQuantity, taper
 from identify.signals.noise import spectrogram_noise_density
 from rig.model.description import Rig, Sensor
 from rig.recording import Recording
@@ -114,7 +114,7 @@ class GaugeErrors:
         return (*zero_changes, *truncation_changes)
 
 
-def gauges_of(recording: Recording, use: Use, motion: Kinematics) -> tuple[Gauges, Kinematics]:
+def gauges_of(recording: Recording, use: MotionQuantity, motion: Kinematics) -> tuple[Gauges, Kinematics]:
     """Gauges that the separation uses, and the motion with their channels and their start of the excitation.
 
     None are used beside sensors of one quantity alone (`use`), on a base whose motion is measured, or in a record that

@@ -27,7 +27,7 @@ from identify.linear.modal import NEARLY_INVISIBLE_SHARE, Transformation
 from identify.pages.wording import COVERED
 from identify.paper.nifo import Nifo, fit_mode
 from identify.paper.surface import Stops, Surface
-from identify.signals.kinematics import Kinematics, Use
+from identify.signals.kinematics import Kinematics, MotionQuantity
 from identify.signals.measured_base import count_on_bodies
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
@@ -93,7 +93,7 @@ class Identification:
 def identify_contact(
     recording: Recording,
     *,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
     tolerances: Tolerances | None = None,

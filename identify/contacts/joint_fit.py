@@ -184,17 +184,20 @@ def fit_joint(
     state = fit.state
     scaled_to_laws, (derivatives, equations) = fit.scaled_to_laws, fit.linearized
     pull_count, free_count = state.pulls.size, scaled_to_laws.shape[1]
-    knots_by_free, dense_by_free = equations.solved(
+    knots_per_gradient, dense_per_gradient = equations.solved(
         np.zeros((curve.knots, free_count)), np.eye(pull_count + free_count, free_count, -pull_count)
     )
-    dense_in_laws = np.concatenate([dense_by_free[:pull_count], scaled_to_laws @ dense_by_free[pull_count:]])
-    influence = derivatives.columns(knots_by_free, dense_in_laws) * fit.weights[:, None] ** 2  # by residuals
+    pulls_and_laws_per_gradient = np.concatenate(
+        [dense_per_gradient[:pull_count], scaled_to_laws @ dense_per_gradient[pull_count:]]
+    )
+    # by residuals
+    influence = derivatives.columns(knots_per_gradient, pulls_and_laws_per_gradient) * fit.weights[:, None] ** 2
     part_starts = informative_parts(influence @ scaled_to_laws[LAW.names.index("stiffness_n_per_m")])
     by_parts = part_scores(influence, state.residual_n, part_starts)
     rows_by_source = {
         "scatter": small_sample_factor(free_count) * by_parts,
-        "tolerances": record.samples_per_error * dense_by_free[:pull_count],
-        "drift": curve.curvature @ knots_by_free,
+        "tolerances": record.samples_per_error * dense_per_gradient[:pull_count],
+        "drift": curve.curvature @ knots_per_gradient,
     }
     covariances = {source: scaled_to_laws @ (x.T @ x) @ scaled_to_laws.T for source, x in rows_by_source.items()}
     law_misfit = misfit_covariance(fit, derivatives, part_starts) if forms else 0 * covariances["scatter"]

@@ -84,15 +84,17 @@ class LawFit:
     def _step_from(self, state: State) -> Step[State]:
         fit = replace(self, state=state)
         scaled_to_laws, (_, equations) = fit.scaled_to_laws, fit.linearized
-        knots, dense = equations.solved(equations.knot_gradient, equations.dense_gradient)
-        cost_decrease = np.sum(equations.knot_gradient * knots) + np.sum(equations.dense_gradient * dense)
+        knot_step, dense_step = equations.solved(equations.knot_gradient, equations.dense_gradient)
+        cost_decrease = np.sum(equations.knot_gradient * knot_step) + np.sum(equations.dense_gradient * dense_step)
 
         def state_after(share: float) -> State | None:
-            law = state.law_parameters + share * scaled_to_laws @ dense[state.pulls.size :, 0]
-            if not state.form.is_within_bounds(law):
+            law_parameters = state.law_parameters + share * scaled_to_laws @ dense_step[state.pulls.size :, 0]
+            if not state.form.is_within_bounds(law_parameters):
                 return None
-            pulls = state.pulls + share * dense[: state.pulls.size, 0]
-            return self._with_cost(state_at(self.record, state.form, law, state.knots + share * knots[:, 0], pulls))
+            pulls = state.pulls + share * dense_step[: state.pulls.size, 0]
+            return self._with_cost(
+                state_at(self.record, state.form, law_parameters, state.knots + share * knot_step[:, 0], pulls)
+            )
 
         return Step(state_after, float(cost_decrease))
 
@@ -266,22 +268,24 @@ def misfit_covariance(
         first, second = (_half_scores(fit, by_free, is_in_half, part_starts) for is_in_half in halves)
         if first is None or second is None:
             continue
-        difference, excess = misfit_excess(first - second)
-        law_error = fit.scaled_to_laws @ difference / 2
+        parameter_difference, excess = misfit_excess(first - second)
+        law_error = fit.scaled_to_laws @ parameter_difference / 2
         covariance += excess * np.outer(law_error, law_error)
     return covariance
 
 
-def misfit_excess(scores: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
-    """Sum D of the parts' scores of a split, and the excess max(0, 1 - T0^2 / T^2)."""
-    parts, free = scores.shape
-    difference = scores.sum(axis=0)
-    scale = np.maximum(np.sqrt(np.sum(scores**2, axis=0)), 1e-300)
-    scatter = (scores - scores.mean(axis=0)) / scale
+def misfit_excess(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
+    """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
+    parts, free = score_differences.shape
+    parameter_difference = score_differences.sum(axis=0)
+    scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
+    scatter = (score_differences - score_differences.mean(axis=0)) / scale
     covariance = parts / (parts - 1) * scatter.T @ scatter
-    t_square = float((difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (difference / scale))
+    t_square = float(
+        (parameter_difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (parameter_difference / scale)
+    )
     t_square_limit = free * (parts - 1) / (parts - free) * float(f.ppf(MISFIT_CONFIDENCE, free, parts - free))
-    return difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
+    return parameter_difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 
 def _closed_splits(fit: LawFit) -> list[tuple[Bool[np.ndarray, " fewer"], Bool[np.ndarray, " fewer"]]]:

@@ -206,12 +206,14 @@ class BorderedEquations:
     dense_gradient: Float[np.ndarray, "dense 1"]
 
     def solved(
-        self, knots: Float[np.ndarray, "knots columns"], dense: Float[np.ndarray, "dense columns"]
+        self, knot_right_side: Float[np.ndarray, "knots columns"], dense_right_side: Float[np.ndarray, "dense columns"]
     ) -> tuple[Float[np.ndarray, "knots columns"], Float[np.ndarray, "dense columns"]]:
         """Solution for a right-hand side: knots, and dense parameters."""
-        by_knots = cho_solve_banded((self.cholesky, False), knots) if knots.size else knots
-        dense_solution = self.schur_inverse @ (dense - self.border.T @ by_knots)
-        return by_knots - self.eliminated_border @ dense_solution, dense_solution
+        knots_without_dense = (
+            cho_solve_banded((self.cholesky, False), knot_right_side) if knot_right_side.size else knot_right_side
+        )
+        dense_solution = self.schur_inverse @ (dense_right_side - self.border.T @ knots_without_dense)
+        return knots_without_dense - self.eliminated_border @ dense_solution, dense_solution
 
 
 def normal_equations(

@@ -10,7 +10,7 @@ import numpy as np
 from identify.contacts.observation import RINGING_S
 from identify.contacts.results import ContactReport, Estimate, Segment
 from identify.contacts.space_identification import identify_recording
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import Averaging
 from rig.errors import RigError
 from rig.limits import memory_bound_bytes
@@ -37,7 +37,7 @@ def identify_long(
     path: Path,
     *,
     segment_s: float = SEGMENT_S,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
     tolerances: Tolerances | None = None,

@@ -19,7 +19,7 @@ from identify.linear.joined import ContactGroup, contact_groups, group_rig_of
 from identify.linear.modal import relative_motion
 from identify.linear.nuisance import NuisanceKind
 from identify.signals.drift import KNOT_S, Drift, spline
-from identify.signals.kinematics import Kinematics, Use, kinematics
+from identify.signals.kinematics import Kinematics, MotionQuantity, kinematics
 from identify.signals.noise import NOISE_BAND, acceleration_noise, displacement_noise
 from identify.signals.spectra import decimated, force_band, oversampled
 from rig.model.description import ForceSensor, Rig, Station, contact_stations
@@ -62,7 +62,7 @@ class Separation:
     mass_pull: float
 
 
-def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
+def separate(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> Separation:
     """Contact forces of a recording, without assuming a law.
 
     The first seconds of a segment of a longer record, in which the beams ring of what was before, are left out.
@@ -73,7 +73,9 @@ def separate(recording: Recording, use: Use, tolerances: Tolerances) -> Separati
     return separation
 
 
-def separate_planes(recordings: Sequence[Recording], use: Use, tolerances: Tolerances) -> tuple[Separation, ...]:
+def separate_planes(
+    recordings: Sequence[Recording], use: MotionQuantity, tolerances: Tolerances
+) -> tuple[Separation, ...]:
     """Contact forces of one record in each of its directions, as `separate`, with one start and one band for all.
 
     The band is that of the forces; of the motion where no force acts. The shakers of one direction move the others.
@@ -134,7 +136,7 @@ def _separated(
     return Separation(rig, motion, forces, contact_groups(rig), records, pull)
 
 
-def separate_described(recording: Recording, use: Use, tolerances: Tolerances) -> Separation:
+def separate_described(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> Separation:
     """Contact forces of a recording of which rig.json has no more than the linear model knows. Masses, linear springs,
     supports and clamps are part of the bodies of the separation's rig (`rig.model.modes.condensed`).
 

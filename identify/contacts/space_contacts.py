@@ -24,7 +24,7 @@ from identify.contacts.refusals import ContactRefusedError, Refusal, RefusalCode
 from identify.contacts.separation import Separation, check_described, separate_planes
 from identify.linear.nuisance import Nuisance, NuisanceKind
 from identify.signals.beginning import excitation_start
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from identify.signals.spectra import decimated, oversampled
 from rig.model.contact_laws.annular import Annular
 from rig.model.description import Contact, Rig, contact_stations
@@ -46,7 +46,7 @@ class SpaceContacts:
     findings: tuple[Finding, ...]
 
 
-def checked_space_contacts(recording: Recording, use: Use, tolerances: Tolerances | None) -> SpaceContacts:
+def checked_space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> SpaceContacts:
     """Contacts after a check of the recording in both directions, with the findings of all.
 
     Raises RigError if the record allows nothing, with the first finding.
@@ -58,14 +58,14 @@ def checked_space_contacts(recording: Recording, use: Use, tolerances: Tolerance
     return replace(contacts, findings=findings + contacts.findings)
 
 
-def space_findings(recording: Recording, use: Use, tolerances: Tolerances | None) -> tuple[Finding, ...]:
+def space_findings(recording: Recording, use: MotionQuantity, tolerances: Tolerances | None) -> tuple[Finding, ...]:
     """Findings of the check, without what weight does to displacements at rest."""
     findings = check_recording(from_rest_position(recording), use, tolerances)
     findings = without_dead_force(findings, () if np.any(recording.forces_n) else recording.force_names)
     return tuple(f for f in findings if f.cause != "not at rest")
 
 
-def check_directions(rig: Rig, use: Use) -> None:
+def check_directions(rig: Rig, use: MotionQuantity) -> None:
     """Raises ContactRefusedError if a body of an annular contact has sensors in one direction alone."""
     for contact in (c for c in rig.contacts if c.law.spatial):
         for station in contact_stations(contact):
@@ -92,7 +92,7 @@ def from_rest_position(recording: Recording) -> Recording:
     return replace(recording, signals=signals)
 
 
-def space_contacts(recording: Recording, use: Use, tolerances: Tolerances) -> SpaceContacts:
+def space_contacts(recording: Recording, use: MotionQuantity, tolerances: Tolerances) -> SpaceContacts:
     """Estimate of every contact of a rig in space, or why the record does not determine it.
 
     Raises RigError if the record allows nothing: too short, too few stations, no force, no contacts described.

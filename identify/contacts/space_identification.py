@@ -11,7 +11,7 @@ from identify.contacts.annular_law import CENTER, CLEARANCE, DAMPING, FRICTION, 
 from identify.contacts.identification import Identification, contact_estimate, identify_contact
 from identify.contacts.ring_shares import RingShares, ring_shares
 from identify.contacts.space_contacts import SpaceContacts, checked_space_contacts
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from identify.signals.noise import noise_source
 from identify.signals.spectra import Averaging
 from rig.model.description import Rig
@@ -48,7 +48,7 @@ class SpaceIdentification:
 def identify_recording(
     recording: Recording,
     *,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     averaging: Averaging | None = None,
     equation: str | None = None,
     tolerances: Tolerances | None = None,
@@ -66,7 +66,7 @@ def identify_recording(
 def identify_in_space(
     recording: Recording,
     *,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> SpaceIdentification:

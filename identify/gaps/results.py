@@ -212,7 +212,7 @@ Analysis = Literal[
 ]
 
 
-class Note(msgspec.Struct, frozen=True):
+class FailedAnalysis(msgspec.Struct, frozen=True):
     """Side analysis that could not be made, and the reason. The verdict does not rest on it."""
 
     analysis: Analysis
@@ -262,7 +262,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     between: RecordDifferences | None = None
     """Given with more than two records."""
     channel_faults: dict[str, str] = {}
-    notes: tuple[Note, ...] = ()
+    notes: tuple[FailedAnalysis, ...] = ()
 
 
 class Gap(Diagnosis, frozen=True, kw_only=True):

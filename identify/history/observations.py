@@ -7,7 +7,7 @@ from pathlib import Path
 from identify.contacts.results import ContactReport
 from identify.contacts.space_identification import identify_recording
 from identify.history.changes import Observation
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from rig.errors import RigError
 from rig.files import contents, sha256_of
 from rig.limits import decoded_result
@@ -37,7 +37,7 @@ def sorted_by_name(paths: Iterable[Path]) -> list[Path]:
 
 def observations(
     sources: Sequence[Path],
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     tolerances: Tolerances | None = None,
     progress: Callable[[float], None] = lambda _: None,
 ) -> Iterator[Observation]:
@@ -50,7 +50,7 @@ def observations(
         progress((source_index + 1) / len(sources))
 
 
-def _observation_of(source: Path, use: Use, tolerances: Tolerances | None) -> Observation:
+def _observation_of(source: Path, use: MotionQuantity, tolerances: Tolerances | None) -> Observation:
     """Observation of a recording, or of a contact.json or its folder; raises RigError if there is none."""
     if source.suffix == ".mcap":
         recording = read(source)

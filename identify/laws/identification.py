@@ -41,7 +41,7 @@ from identify.laws.results import (
 )
 from identify.laws.symbolic import Formula, pyoperon, search
 from identify.linear.joined import ContactGroup
-from identify.signals.kinematics import Use
+from identify.signals.kinematics import MotionQuantity
 from rig.errors import RigError
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
@@ -97,7 +97,7 @@ def identify_law(
     recording: Recording,
     *,
     contact: str | None = None,
-    use: Use = "auto",
+    use: MotionQuantity = "auto",
     seconds: float = 60.0,
     seed: int = 0,
     tolerances: Tolerances | None = None,

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 
 from rig.model.contact_laws import ContactLaw
-from rig.model.description import Contact, Rig
+from rig.model.description import Contact, Rig, Station
 
 Values = Float[np.ndarray, "*shape"]
 
@@ -27,28 +27,23 @@ class ContactGroup:
 
 def contact_groups(rig: Rig) -> tuple[ContactGroup, ...]:
     """Contacts joined by pair of places, in the order of the first contact of each pair."""
-    groups: list[list[int]] = []
     contacts = rig.contacts
+    indices_by_places: dict[frozenset[Station | None], list[int]] = {}
     for j, contact in enumerate(contacts):
-        places = {contact.at, contact.against}
-        group = next((f for f in groups if {contacts[f[0]].at, contacts[f[0]].against} == places), None)
-        if group is None:
-            groups.append([j])
-        else:
-            group.append(j)
+        indices_by_places.setdefault(frozenset({contact.at, contact.against}), []).append(j)
     return tuple(
         ContactGroup(
             replace(contacts[first], name=" + ".join(contacts[j].name for j in (first, *further))),
             (first, *further),
             tuple(1 if contacts[j].at == contacts[first].at else -1 for j in (first, *further)),
         )
-        for first, *further in groups
+        for first, *further in indices_by_places.values()
     )
 
 
 def group_rig_of(rig: Rig) -> Rig:
     """Rig with one contact for each pair of places, which has the names of all and the law of the first."""
-    return replace(rig, contacts=tuple(j.contact for j in contact_groups(rig)))
+    return replace(rig, contacts=tuple(group.contact for group in contact_groups(rig)))
 
 
 @dataclass(frozen=True)

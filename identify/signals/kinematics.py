@@ -24,9 +24,9 @@ CORNER_HZ = 0.5
 """Integrated accelerations are drift below; they are cut off smoothly between half this frequency and itself."""
 
 if TYPE_CHECKING:
-    Use = str
+    MotionQuantity = str
 else:
-    Use = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
+    MotionQuantity = Literal["auto", *(name for name, quantity in QUANTITIES.items() if quantity.translates)]
 """Quantity of the sensors in use, or all of motion; strain gauges show none (`identify.contacts.gauges`)."""
 ByStation = dict[Station, dict[int, Sensor]]
 """Sensor of each measured derivative at each station; the last one of several alike."""
@@ -164,7 +164,7 @@ class _Motion:
 
 
 def kinematics(
-    recording: Recording, use: Use = "auto", corner_hz: float = CORNER_HZ, least_order: int = 0
+    recording: Recording, use: MotionQuantity = "auto", corner_hz: float = CORNER_HZ, least_order: int = 0
 ) -> Kinematics:
     """Displacement, velocity and acceleration at every station with a sensor.
 
@@ -208,7 +208,7 @@ def kinematics(
     )
 
 
-def _motion_sensors(recording: Recording, use: Use) -> list[Sensor]:
+def _motion_sensors(recording: Recording, use: MotionQuantity) -> list[Sensor]:
     """Sensors of motion of the quantity in use, those on a shaken base first and of any quantity.
 
     Raises RigError if there are none.

@@ -111,16 +111,16 @@ def _resample_to_grid(
     grid_start = 0
     for first_sample in range(0, sample_times.sample_count - 1, piece_length):
         last_sample = min(first_sample + piece_length, sample_times.sample_count - 1)
-        first_knot = max(first_sample - OVERLAP_SAMPLES, 0)
-        last_knot = min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count)
-        knots_s = sample_times.stamps(first_knot, last_knot)
+        knot_start = max(first_sample - OVERLAP_SAMPLES, 0)
+        knot_stop = min(last_sample + OVERLAP_SAMPLES, sample_times.sample_count)
+        knots_s = sample_times.stamps(knot_start, knot_stop)
         is_final = last_sample == sample_times.sample_count - 1
         grid_stop = (
-            grid_values.shape[1] if is_final else math.ceil((knots_s[last_sample - first_knot] - start_s) * grid_hz)
+            grid_values.shape[1] if is_final else math.ceil((knots_s[last_sample - knot_start] - start_s) * grid_hz)
         )
         times_s = start_s + np.arange(grid_start, grid_stop) / grid_hz
         grid_values[:, grid_start:grid_stop] = scipy.interpolate.CubicSpline(
-            knots_s, values[:, first_knot:last_knot], axis=1
+            knots_s, values[:, knot_start:knot_stop], axis=1
         )(times_s)
         grid_start = grid_stop
     return grid_values

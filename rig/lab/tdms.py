@@ -58,7 +58,7 @@ def _read_column(channel: Any, name: str, _: object) -> list[Column]:
     unit = channel.properties.get("unit_string")
     interval_s = channel.properties.get("wf_increment")
     rate_hz = 1 / interval_s if isinstance(interval_s, int | float) and interval_s > 0 else None
-    date_text = f"{start} UTC" if (start := channel.properties.get("wf_start_time")) is not None else ""
+    date_text = f"{start_utc} UTC" if (start_utc := channel.properties.get("wf_start_time")) is not None else ""
     return [Column(name, channel[:].astype(float, copy=False), str(unit) if unit else None, rate_hz, date_text)]
 
 

@@ -219,8 +219,8 @@ class ContainerWriter:
         )
         summary_start = self._offset
         self._write(summary_bytes)
-        footer_start = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
-        self._write(_encode(Footer(summary_start, 0, crc32(footer_start, crc32(summary_bytes)))))
+        footer_bytes_before_crc = _FOOTER.pack(Opcode.FOOTER, 20, summary_start, 0)
+        self._write(_encode(Footer(summary_start, 0, crc32(footer_bytes_before_crc, crc32(summary_bytes)))))
         self._write(MAGIC)
 
     def _write(self, data: bytes | memoryview, crc: int | None = None) -> int:

@@ -172,12 +172,12 @@ def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file: signals that only a simulator has."""
     stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
     station_names = tuple(station.label for station in stations)
-    no_stations = (None,) * len(contact_names)
+    no_station_per_contact = (None,) * len(contact_names)
     return {
         "force": _force_channels(rig),
         "displacement": Channels("displacement", "m", station_names, stations, rate_hz),
-        "relative_displacement": Channels("relative displacement", "m", contact_names, no_stations, rate_hz),
-        "contact_force": Channels("contact force", "N", contact_names, no_stations, rate_hz),
+        "relative_displacement": Channels("relative displacement", "m", contact_names, no_station_per_contact, rate_hz),
+        "contact_force": Channels("contact force", "N", contact_names, no_station_per_contact, rate_hz),
     }
 
 

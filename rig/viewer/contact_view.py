@@ -40,8 +40,8 @@ NEAR_S = 0.005
 CHANGE_MARKS = (("closes", "circle", "●"), ("opens", "diamond", "◆"))
 """Marks of the first closed and of the first free sample; both bound the time in contact and have its colour."""
 SIDE_NAMES = {-1: "upper", 1: "lower"}
-LABEL_COLUMNS = (1.85, -1.85, 0.55)
-"""Positions of the labels of the walls and of overlaid laws, relative to the reach."""
+LABEL_X_OVER_REACH = (1.85, -1.85, 0.55)
+"""Horizontal positions of the labels of the walls and of overlaid laws, over the reach."""
 
 
 LawSource = Literal["true", "identified", "believed"]
@@ -191,8 +191,10 @@ def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMot
             f"{entity_path}/{SIDE_NAMES[direction]}",
             rr.LineStrips2D(wall_lines, colors=[colour], radii=pixels(1.5)),
         )
-    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_COLUMNS[0], colour)
-    for label_column, (law_source, overlaid_law) in zip(LABEL_COLUMNS[1:], motion.overlaid_laws.items(), strict=False):
+    _send_wall_labels(stream, f"{entity_path}/{motion.wall_source}", motion, law, LABEL_X_OVER_REACH[0], colour)
+    for label_x_over_reach, (law_source, overlaid_law) in zip(
+        LABEL_X_OVER_REACH[1:], motion.overlaid_laws.items(), strict=False
+    ):
         dash_ends = np.linspace(-half_width_mm, half_width_mm, 2 * DASH_COUNT).reshape(DASH_COUNT, 2)
         dash_lines = [
             [[a, level_mm], [b, level_mm]] for level_mm, _ in _wall_levels(overlaid_law) for a, b in dash_ends
@@ -200,7 +202,7 @@ def _send_walls(stream: rr.RecordingStream, entity_path: str, motion: ContactMot
         dash_strips = rr.LineStrips2D(dash_lines, colors=[SOURCES[law_source]], radii=pixels(1.25), draw_order=40.0)
         send_static(stream, f"{entity_path}/{law_source}", dash_strips)
         _send_wall_labels(
-            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_column, SOURCES[law_source]
+            stream, f"{entity_path}/{law_source}", motion, overlaid_law, label_x_over_reach, SOURCES[law_source]
         )
     middle_line = rr.LineStrips2D([[[-half_width_mm, 0], [half_width_mm, 0]]], colors=[FAINT], radii=pixels(0.5))
     send_static(stream, f"{entity_path}/middle", middle_line)
@@ -216,12 +218,12 @@ def _send_wall_labels(
     entity_path: str,
     motion: ContactMotion,
     law: ContactLaw,
-    label_column: float,
+    label_x_over_reach: float,
     colour: Colour,
 ) -> None:
     law_source = entity_path.rpartition("/")[2]
     for level_mm, direction in _wall_levels(law):
-        label_position = [label_column * motion.reach_mm, level_mm - 0.28 * motion.reach_mm * (direction < 0)]
+        label_position = [label_x_over_reach * motion.reach_mm, level_mm - 0.28 * motion.reach_mm * (direction < 0)]
         send_labels(
             stream,
             f"{entity_path}/{SIDE_NAMES[direction]}",

@@ -21,10 +21,10 @@ from identify.gaps.results import (
     Attribution,
     Criteria,
     Diagnosis,
+    FailedAnalysis,
     Gap,
     Matters,
     NextExperiment,
-    Note,
     RecordDifferences,
 )
 from identify.gaps.search.hypothesis import Hypothesis
@@ -139,7 +139,7 @@ class SideAnalyses:
     next_experiments: tuple[NextExperiment, ...]
     next_between: tuple[str, ...]
     attribution: Attribution
-    notes: tuple[Note, ...]
+    notes: tuple[FailedAnalysis, ...]
 
 
 def _side_analyses(

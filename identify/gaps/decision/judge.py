@@ -38,7 +38,7 @@ from identify.gaps.decision_table import (
 )
 from identify.gaps.residual.likelihood import Misfit, misfit
 from identify.gaps.residual.residual import Linearization, Residual, SearchCache
-from identify.gaps.results import Matters, Note
+from identify.gaps.results import FailedAnalysis, Matters
 from identify.gaps.search.contact_laws import with_contact_fit
 from identify.gaps.search.hypothesis import MIN_GAIN
 from identify.gaps.search.nominal import fit_nuisance
@@ -64,7 +64,7 @@ class UnmeasuredCauses:
     force_fit: UnmeasuredForceFit | None = None
     clearance_swing: ClearanceModulation | None = None
     cost_decrease: float | None = None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[FailedAnalysis, ...] = ()
 
 
 @dataclass(frozen=True)

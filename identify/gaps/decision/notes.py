@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from identify.gaps.results import Analysis, Note
+from identify.gaps.results import Analysis, FailedAnalysis
 from rig.errors import RigError
 
 Result = TypeVar("Result")
@@ -15,7 +15,7 @@ class Attempt(Generic[Result]):
     """Result of a side analysis, or the note that says why there is none."""
 
     result: Result | None = None
-    notes: tuple[Note, ...] = ()
+    notes: tuple[FailedAnalysis, ...] = ()
 
 
 def attempted(analysis: Analysis, compute: Callable[[], Result]) -> Attempt[Result]:
@@ -23,6 +23,6 @@ def attempted(analysis: Analysis, compute: Callable[[], Result]) -> Attempt[Resu
     try:
         return Attempt(compute())
     except RigError as error:
-        return Attempt(notes=(Note(analysis, str(error)),))
+        return Attempt(notes=(FailedAnalysis(analysis, str(error)),))
     except Exception as error:
-        return Attempt(notes=(Note(analysis, f"{type(error).__name__}: {error}"),))
+        return Attempt(notes=(FailedAnalysis(analysis, f"{type(error).__name__}: {error}"),))

@@ -61,7 +61,7 @@ def mismatch_size(gap: Gap) -> str:
     if is_explained:
         header.append("with the likeliest cause")
         columns.append(_share_words(gap.after))
-    rows = list(zip(signal_names, *columns, [percent(limit) for limit in share_limits], strict=True))
+    rows = list(zip(signal_names, *columns, [percent(share_limit) for share_limit in share_limits], strict=True))
     section_html = (
         "<p>The share of a signal's rms that the model does not explain, beyond sensor noise, on the validation "
         "record: no parameter was fitted to it.</p>"

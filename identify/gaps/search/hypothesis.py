@@ -198,19 +198,19 @@ def relinearised(
     Scales that an effect has made superfluous come down over some refits, of which the first may gain nothing. Without
     contacts, refits at the stated scales follow: larger ones absorb the error of a linearised resonance.
     """
-    candidates, best_fit, record = initial_fit.hypothesis.candidates, initial_fit, search.linearization.record
+    candidates, likeliest_fit, record = initial_fit.hypothesis.candidates, initial_fit, search.linearization.record
     stated_scale_rounds = stated_scale_refits(search.linearization.rig)
 
     def refit(earlier_fit: FittedHypothesis) -> FittedHypothesis:
         return refit_at(earlier_fit, scales_at(earlier_fit.linearization, earlier_fit.residual))
 
     def refit_at(earlier_fit: FittedHypothesis, scales: Scales) -> FittedHypothesis:
-        nonlocal best_fit
+        nonlocal likeliest_fit
         earlier_values = earlier_fit.hypothesis.values
         start_residual = reset_mode_nuisance(earlier_fit.residual) if stated_scale_rounds else earlier_fit.residual
         linearization = earlier_fit.linearization.relinearized(build_rig(earlier_values), start_residual, scales)
         later_fit = _gauss_newton(search, build_rig, candidates, earlier_values, linearization, start_residual)
-        best_fit = min(best_fit, later_fit, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
+        likeliest_fit = min(likeliest_fit, later_fit, key=lambda fitted_hypothesis: fitted_hypothesis.cost)
         return later_fit
 
     def settled(earlier_fit: FittedHypothesis, later_fit: FittedHypothesis) -> bool:
@@ -221,10 +221,10 @@ def relinearised(
     latest_fit = refit_until_settled(initial_fit, refit, settled, rounds=round_limit)
     if stated_scale_rounds and latest_fit.cost <= best_cost + MAX_EXCESS_COST:
         latest_fit = refit_until_settled(
-            best_fit, lambda earlier_fit: refit_at(earlier_fit, prior_scales(record)), rounds=stated_scale_rounds
+            likeliest_fit, lambda earlier_fit: refit_at(earlier_fit, prior_scales(record)), rounds=stated_scale_rounds
         )
         refit_until_settled(latest_fit, refit, settled, rounds=round_limit)
-    return best_fit
+    return likeliest_fit
 
 
 def _rig_builder(search: Search, candidates: tuple[Candidate, ...]) -> Build:

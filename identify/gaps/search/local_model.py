@@ -211,8 +211,10 @@ def local_model(
     candidates: Sequence[Candidate],
 ) -> LocalModel:
     """Local model about the residual of `rig` with the effects `present_set`, with the columns of every candidate."""
-    term_count = sum(len(c.start_values()) * len(c.parameters.strengths) for c in candidates)
-    columns = LocalColumns(linearization, residual, variances, len(parameters_of(present_set.candidates)) + term_count)
+    candidate_column_count = sum(len(c.start_values()) * len(c.parameters.strengths) for c in candidates)
+    columns = LocalColumns(
+        linearization, residual, variances, len(parameters_of(present_set.candidates)) + candidate_column_count
+    )
     for column in _present_columns(linearization, residual, rig, present_set):
         columns.append(column)
     present_count, terms = columns.count - residual.pulls.size, list[CandidateTerm]()

@@ -86,13 +86,13 @@ def ranked_hypotheses(search: Search, progress: Progress = lambda _: None) -> li
     These are the nominal rig, the best set of effects, this set without some of its members, and its look-alikes.
     """
     nominal_fit = search.nominal_fit()
-    best_fit = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
+    likeliest_fit = nominal_fit if search.linearization.record.measured_modes else _refined_from(search, nominal_fit)
     progress(0.4)
-    best_fit, rival_hypotheses = _with_single_effects(search, nominal_fit, best_fit)
+    likeliest_fit, rival_hypotheses = _with_single_effects(search, nominal_fit, likeliest_fit)
     progress(0.6)
-    best_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, best_fit)))
+    likeliest_fit, variant_hypotheses = reduced_sets(search, with_base_motion(search, with_tone(search, likeliest_fit)))
     progress(1.0)
-    hypotheses = (nominal_fit.hypothesis, best_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
+    hypotheses = (nominal_fit.hypothesis, likeliest_fit.hypothesis, *variant_hypotheses, *rival_hypotheses)
     return sorted({h.effect_names: h for h in reversed(hypotheses)}.values(), key=lambda hypothesis: hypothesis.cost)
 
 

@@ -103,7 +103,7 @@ def dialect_of(path: Path) -> CsvDialect:
 def is_stamp(cell: str) -> bool:
     """True if a cell is a date, a time of day, or both."""
     text = cell.strip()
-    return any(mark in text for mark in ":-/.") and bool(text) and STAMP_PATTERN.fullmatch(text) is not None
+    return any(separator in text for separator in ":-/.") and bool(text) and STAMP_PATTERN.fullmatch(text) is not None
 
 
 def cell_kinds_of(cells: Sequence[str], decimal: str) -> str:

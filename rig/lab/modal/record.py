@@ -72,19 +72,21 @@ def fit_record(
     hz, frfs, weights = hz[is_used], frfs[:, is_used], np.sqrt(force_density[is_used])
     accelerance = frfs * (2j * np.pi * hz) ** (2 - measured.order)
     frf_modes = fit_modes(hz, accelerance, driving_index)
-    refined = refined_by_frfs(
+    refined_modes = refined_by_frfs(
         hz, accelerance, weights / (2 * np.pi * hz) ** (2 - measured.order), frf_modes, driving_index
     )
     used_hz = float(hz[0]), float(hz[-1])
-    refined = refined_by_output(*_output_spectra(measured, refined, used_hz), used_hz, refined, driving_index)
+    refined_modes = refined_by_output(
+        *_output_spectra(measured, refined_modes, used_hz), used_hz, refined_modes, driving_index
+    )
     sensor_order = np.argsort(positions_m)
     places_m = np.array(positions_m, dtype=float)[sensor_order]
-    shapes = refined.shapes(driving_index)
-    misfits = _free_run_misfits(measured, refined)
+    shapes = refined_modes.shapes(driving_index)
+    misfits = _free_run_misfits(measured, refined_modes)
     noise_shares = noise_density * np.sqrt(measured.sample_rate_hz / 2) / measured.responses.std(axis=1)
     return FittedRecord(
         body=structure_of(
-            name, length_m, refined.frequencies_hz, refined.damping_ratios, places_m, shapes[sensor_order]
+            name, length_m, refined_modes.frequencies_hz, refined_modes.damping_ratios, places_m, shapes[sensor_order]
         ),
         frf_fit_misfits=_free_run_misfits(measured, frf_modes),
         misfits=misfits,

@@ -80,14 +80,14 @@ def _let_formulas_record(symbolic: Any) -> None:
         getattr(elementary, name).register(symbolic.Real, function)
 
 
-def add_grounded(exu: Any, mbs: Any, ground: int, marker: int, extra: GroundedForce) -> int:
+def add_grounded(exu: Any, mbs: Any, ground_marker: int, marker: int, extra: GroundedForce) -> int:
     """Add a connector from a marker to the ground with the formula of a grounded force; return its number."""
 
     @no_type_check  # recorded symbolically from the plain function
     def law(_system, t, _number, w, rate, _stiffness, _damping, _offset):
         return extra.force_n(exu.symbolic, t, w, rate)
 
-    return _connected(mbs, ground, marker, law)
+    return _connected(mbs, ground_marker, marker, law)
 
 
 def modulus_change(mbs: Any, meshes: list[Mesh], extra: ChangingModulus) -> Callable[[int, float], None]:

@@ -36,15 +36,15 @@ def build(
     sections = [e for e in extra if isinstance(e, Section)]
     rig = _with_nodes_for(rig, extra)
     ground_node = mbs.AddNode(item("NodePointGround")())
-    ground = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
-    meshes = [_add_body(mbs, rig, body, ground, element_count, sections) for body in rig.bodies]
+    ground_marker = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
+    meshes = [_add_body(mbs, rig, body, ground_marker, element_count, sections) for body in rig.bodies]
     _add_attachments(mbs, rig, meshes)
     _add_damping(mbs, rig, meshes)
 
     def marker(station: Station | None) -> int:
-        return ground if station is None else _add_marker(mbs, meshes, station)
+        return ground_marker if station is None else _add_marker(mbs, meshes, station)
 
-    def position(station: Station | None) -> int:
+    def position_marker(station: Station | None) -> int:
         if station is None:
             ground_body = mbs.AddObject(item("ObjectGround")())
             return int(mbs.AddMarker(item("MarkerBodyPosition")(bodyNumber=ground_body)))
@@ -56,8 +56,12 @@ def build(
         if not c.law.spatial:
             connectors.append(add_contact(exu, mbs, marker(c.against), marker(c.at), c.law))
         elif c.at.direction == "y":
-            connectors += [add_contact(exu, mbs, position(c.against), position(c.at), c.law)] * len(rig.directions)
-    connectors += [add_grounded(exu, mbs, ground, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)]
+            connectors += [add_contact(exu, mbs, position_marker(c.against), position_marker(c.at), c.law)] * len(
+                rig.directions
+            )
+    connectors += [
+        add_grounded(exu, mbs, ground_marker, marker(g.station), g) for g in extra if isinstance(g, GroundedForce)
+    ]
     forces = [None if rig.is_on_ground(station) else station for station in rig.forces]
     load_points = [*zip(forces, first_n, strict=True), *((tone.station, 0.0) for tone in rig.tones)]
     loads = [
@@ -81,14 +85,16 @@ def _add_marker(mbs: Any, meshes: list[Mesh], station: Station) -> int:
     return int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate)))
 
 
-def _add_body(mbs: Any, rig: Rig, body: Body, ground: int, element_count: int, sections: list[Section]) -> Mesh:
+def _add_body(mbs: Any, rig: Rig, body: Body, ground_marker: int, element_count: int, sections: list[Section]) -> Mesh:
     add = _ADD_BODY.get(type(body))
     if add is None:
         raise RigError(f"the ancf plant meshes beams, and {body.name!r} is a modal basis; simulate it with modal")
-    return add(mbs, rig, body, ground, element_count, sections)
+    return add(mbs, rig, body, ground_marker, element_count, sections)
 
 
-def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _element_count: int, _sections: list[Section]) -> Mesh:
+def _add_mass(
+    mbs: Any, rig: Rig, body: Oscillator, ground_marker: int, _element_count: int, _sections: list[Section]
+) -> Mesh:
     if rig.in_space:
         node = int(mbs.AddNode(item("NodePoint")(referenceCoordinates=[0.0, 0.0, 0.0])))
         mbs.AddObject(item("MassPoint")(nodeNumber=node, physicsMass=with_attachments(rig, body).mass_kg))
@@ -101,17 +107,17 @@ def _add_mass(mbs: Any, rig: Rig, body: Oscillator, ground: int, _element_count:
         marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
         mbs.AddObject(
             item("CoordinateSpringDamper")(
-                markerNumbers=[ground, marker], stiffness=mass.stiffness_n_per_m, damping=mass.damping_n_s_per_m
+                markerNumbers=[ground_marker, marker], stiffness=mass.stiffness_n_per_m, damping=mass.damping_n_s_per_m
             )
         )
     return mesh
 
 
-def _add_beam(mbs: Any, rig: Rig, body: Beam, ground: int, element_count: int, sections: list[Section]) -> Mesh:
+def _add_beam(mbs: Any, rig: Rig, body: Beam, ground_marker: int, element_count: int, sections: list[Section]) -> Mesh:
     def fix(node: int, coordinates: tuple[int, ...]) -> None:
         for coordinate in coordinates:
             marker = mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=node, coordinate=coordinate))
-            mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground, marker]))
+            mbs.AddObject(item("CoordinateConstraint")(markerNumbers=[ground_marker, marker]))
 
     positions, (width, thickness) = mesh_positions(rig, body, element_count), body.area_factors
     if rig.in_space and body.bending_stiffness_n_m2 != body.bending_in_z.bending_stiffness_n_m2:

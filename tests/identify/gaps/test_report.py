@@ -20,7 +20,7 @@ from identify.gaps.page.marks import marks
 from identify.gaps.page.pictures import pictures
 from identify.gaps.page.report import CAPTIONS, curves, write_all, write_page
 from identify.gaps.page.screen import screen_view
-from identify.gaps.results import Attribution, Gap, Note
+from identify.gaps.results import Attribution, FailedAnalysis, Gap
 from identify.gaps.wording import (
     interval,
     look_alikes_of,
@@ -163,7 +163,7 @@ def test_a_limit_that_is_reached_is_said(gaps, tmp_path):
 
 
 def test_what_could_not_be_computed_is_noted(gaps, tmp_path):
-    gap = replace(gaps["pair"], attribution=Attribution(), notes=(Note("attribution", "singular <matrix>"),))
+    gap = replace(gaps["pair"], attribution=Attribution(), notes=(FailedAnalysis("attribution", "singular <matrix>"),))
     write_page(gap, {}, "noted", tmp_path / "gap.html")
     said = "Not computed: where the difference lies (singular <matrix>)."
     assert escape(said) in (tmp_path / "gap.html").read_text(encoding="utf-8")
