@@ -9,7 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from identify.linear.model import RANK_TOLERANCE, Response, eta_modes
+from identify.linear.model import RANK_TOLERANCE, Response, eta_modes, relative_shapes
 from rig.model.description import Rig
 
 
@@ -44,3 +44,18 @@ def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray,
 def has_high_passed_springs(responses: Sequence[Response]) -> bool:
     """True if the spring of some mode acts on the high-passed displacement alone."""
     return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+
+
+def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
+    """Constant contact forces that balance static loads on floating bodies and on single masses, N."""
+    forces_n = np.zeros(len(rig.contacts))
+    for response in responses if rig.loads else ():
+        is_rigid_mode = response.modes.frequencies_hz(response.mode_count) == 0
+        if response.body.is_mass:
+            is_rigid_mode[:] = True
+        modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
+        if np.any(modal_load_n[is_rigid_mode]):
+            forces_n += np.linalg.lstsq(
+                relative_shapes(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
+            )[0]
+    return forces_n

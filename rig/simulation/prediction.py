@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig, Station
-from rig.simulation.plants.loading import connection_forces_n
+from rig.simulation.plants.loading import connection_forces_n, shaken_base
 from rig.simulation.plants.modal import Model, applied_inputs, body_modes_of, constants_of, model_of, shape_row
 from rig.simulation.replay import forces_at_steps, step_s_of
 
@@ -28,8 +28,9 @@ def modal(
     """Displacement (m) and velocity (m/s) at stations over each window, from their states at its first sample.
 
     forces_n are the measured forces of the whole record at the sampling rate; a window has `sample_count` of them.
-    Initially each body moves in as many of its lowest modes as it has stations, in the least-squares sense. Base motion
-    is left out, as its history is unknown. A diverging motion is not finite.
+    Initially each body moves in as many of its lowest modes as it has stations, in the least-squares sense. Where a
+    sensor measures the base, states and motion are those against it, and the force on the ground is its inertial force,
+    N/kg; else base motion is left out, as its history is unknown. A diverging motion is not finite.
 
     Raises RigError if a contact is too stiff for the plant's step.
     """
@@ -39,11 +40,12 @@ def modal(
     steps_per_sample = round(1 / (rig.sample_rate_hz * step_s))
     step_count = (sample_count - 1) * steps_per_sample
     rig_without_base = replace(rig, base_motion=None)
-    model, body_modes = model_of(rig_without_base, False, MODE_COUNT), body_modes_of(rig_without_base, MODE_COUNT)
-    constants = constants_of(model, step_s)
+    step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
+    base_signals = shaken_base(rig_without_base, step_forces, step_s)
+    model = model_of(rig_without_base, bool(base_signals), MODE_COUNT)
+    constants, body_modes = constants_of(model, step_s), body_modes_of(rig_without_base, MODE_COUNT)
     shapes = np.array([shape_row(body_modes, station) for station in stations])
     modes_by_stations = modal_inverse(shapes, [(basis.body.name, basis.mode_count) for basis in body_modes], stations)
-    step_forces = forces_at_steps(forces_n, rig.sample_rate_hz, step_s, forces_n.shape[1] * steps_per_sample)
     predicted_states = np.empty((first_samples.size, 2, len(stations), sample_count))
     trajectory = np.empty((step_count + 1, 2 * model.omega.size))
     contact_n = np.empty((2, len(model.eta_rows), step_count))
@@ -51,7 +53,7 @@ def modal(
         for window_states, first_sample, state in zip(predicted_states, first_samples.tolist(), states, strict=True):
             start_step = first_sample * steps_per_sample
             inputs, input_bends = applied_inputs(
-                rig_without_base, step_forces, (), step_s, slice(start_step + 1, start_step + 1 + step_count)
+                rig_without_base, step_forces, base_signals, step_s, slice(start_step + 1, start_step + 1 + step_count)
             )
             trajectory[0] = (state @ modes_by_stations.T).ravel()
             contact_state = contact_state_at(model, trajectory[0], start_step * step_s)

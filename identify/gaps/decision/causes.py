@@ -42,7 +42,7 @@ def phrase(candidate: Candidate, values: Float[np.ndarray, " parameters"], rig: 
     word_fields["at"] = ""
     if "relative_position" in candidate.parameters.names:
         relative_position = float(values[candidate.parameters.names.index("relative_position")])
-        body_name = candidate.place.get("body") or rig.forces[0].body
+        body_name = candidate.place.get("body") or rig.first_driven
         word_fields["at"] = f" at {relative_position * rig.body(body_name).length_m:.2f} m"
     return candidate.kind.words.format_map(word_fields)
 

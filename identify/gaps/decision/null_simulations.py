@@ -24,8 +24,9 @@ from identify.gaps.decision.channel_errors import ChannelErrors, with_channel_er
 from identify.gaps.decision.recordings import cut_recording
 from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from identify.gaps.residual.record import Record
-from rig.model.description import Body, Contact, Rig, Sensor, Station, contact_stations
-from rig.model.modes import mode_count, modes_of
+from identify.gaps.residual.shaken_base import with_inertial_force
+from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
+from rig.model.modes import mode_count, modes_of, participation
 from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
@@ -58,7 +59,7 @@ def draw_rig(rig: Rig, tolerances: Tolerances, normals: Float[np.ndarray, " draw
     """
     next_normals = iter(normals.tolist())
     drawn_sensors = []
-    drawn_stations: dict[Station, Station] = {}
+    drawn_stations = {ON_GROUND: ON_GROUND}
     for sensor in rig.sensors:
         sensor_tolerances = tolerances.of_sensor(sensor.name)
         if sensor.station not in drawn_stations:  # sensors at one station sit on one block
@@ -155,8 +156,12 @@ def _draw_body(
     )
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, drawn_mode_count) / np.sqrt(mass_factor)
+    participations: tuple[float, ...] = ()
+    if rig.base_sensors:
+        carried = np.sqrt(mass_factor) * participation(rig, body, modes, drawn_mode_count)
+        participations = tuple(carried[frequency_order].tolist())
     damping_ratios = np.minimum(modes.damping_ratios(drawn_mode_count) * damping_factors, 0.9)
-    return structure_of(
+    drawn_body = structure_of(
         body.name,
         body.length_m,
         natural_hz[frequency_order],
@@ -164,6 +169,7 @@ def _draw_body(
         positions_m,
         shapes[:, frequency_order],
     )
+    return replace(drawn_body, participations=participations)
 
 
 def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
@@ -204,8 +210,22 @@ mean over a decay of wrong damping does not tell it. Set by hand."""
 
 
 def null_simulator(measured: Recording, record: Record, simulate: Simulate) -> Simulate:
-    """Simulator of a recording's test: with its force, or of its free decay."""
+    """Simulator of a recording's test: with its force, by its shaken base, or of its free decay."""
+    if record.base is not None:
+        return ShakenBaseSimulator(simulate)
     return simulate if record.has_force else FreeDecaySimulator(measured, record, simulate)
+
+
+@dataclass(frozen=True)
+class ShakenBaseSimulator:
+    """Simulator of rigs on a shaken base, whose force is what the sensor on the base shows of it."""
+
+    simulate: Simulate
+
+    def __call__(
+        self, rig: Rig, actual_rig: Rig, forces_n: Float[np.ndarray, "forces samples"], seed: int
+    ) -> Recording:
+        return with_inertial_force(self.simulate(rig, actual_rig, forces_n, seed))
 
 
 @dataclass(frozen=True)

@@ -206,7 +206,7 @@ def search_record(
     """Hypotheses from the search on one record, and its candidates."""
     linearization, residual = fit_nuisance(record, record.rig)
     library_candidates = candidates(
-        scale_of(record, record.rig), [sensor.name for sensor in record.sensors], record.zero_known, record.has_force
+        scale_of(record, record.rig), record.channel_names, record.zero_known, record.has_force
     )
     hypotheses = ranked_hypotheses(
         Search(nominal_variances, linearization, residual, tuple(library_candidates)), progress

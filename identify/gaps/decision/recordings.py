@@ -20,7 +20,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from identify.gaps.residual.extent import read_sensors, sensor_densities
 from identify.gaps.residual.ringing import highest_ringing_hz
-from identify.signals.measured_base import refuse_measured_base
+from identify.gaps.residual.shaken_base import base_sensor, check_base, with_inertial_force
 from rig.errors import RigError
 from rig.model.description import Rig, to_json
 from rig.recording import Recording, Signals, channel_groups
@@ -49,7 +49,8 @@ FITTED_SHARE = 0.55
 
 
 def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], dict[str, str]]:
-    """All recordings without the channels that are dead or clipped in any of them, and those faults.
+    """All recordings without the channels that are dead or clipped in any of them, and those faults; where the base is
+    measured, with the inertial force.
 
     Raises RigError if a recording without a force is no free decay.
     """
@@ -57,7 +58,8 @@ def without_faulty_channels(*recordings: Recording) -> tuple[list[Recording], di
     for recording in recordings:
         fault_by_channel |= sound_channels(recording, excluded_channels=tuple(fault_by_channel))[1]
     sound_recordings = [
-        sound_channels(recording, excluded_channels=tuple(fault_by_channel))[0] for recording in recordings
+        with_inertial_force(sound_channels(recording, excluded_channels=tuple(fault_by_channel))[0])
+        for recording in recordings
     ]
     for recording in sound_recordings:
         if not np.any(recording.forces_n):
@@ -72,7 +74,7 @@ def ordered_recordings(
     recordings_in_order = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not recordings_in_order:
         raise RigError("no recording to diagnose; give one or more of the rig")
-    refuse_measured_base(recordings_in_order[0].rig, "identify gap")
+    check_base(recordings_in_order[0].rig)
     if validation is None and len(recordings_in_order) == 1:
         return list(_fitted_and_validating(recordings_in_order[0])), 1
     if validation is not None and not any(validation is recording for recording in recordings_in_order):
@@ -101,7 +103,9 @@ def _check_base_motion(rig: Rig) -> None:
     """Raise RigError if a body is held to a moving base: the null reference describes it by its modes, which cannot
     follow."""
     held_bodies = (
-        [body.name for body in rig.bodies if not body.is_mass and body.rigid_modes < 2] if rig.base_motion else []
+        [body.name for body in rig.bodies if not body.is_mass and body.rigid_modes < 2]
+        if rig.base_motion and not rig.base_sensors
+        else []
     )
     if held_bodies:
         raise RigError(
@@ -136,7 +140,7 @@ def cut_recording(recording: Recording, sample_slice: slice) -> Recording:
 def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()) -> tuple[Recording, dict[str, str]]:
     """Recording without its faulty channels and those of `excluded_channels`, and the fault of each of the former.
 
-    Raises RigError if the force channel is clipped, or no sensor is left.
+    Raises RigError if the force channel or the sensor on a shaken base is faulty, or no sensor is left.
     """
     fault_by_channel: dict[str, str] = {}
     for quantity, signals in recording.signals.items():
@@ -146,6 +150,11 @@ def sound_channels(recording: Recording, excluded_channels: tuple[str, ...] = ()
                 continue
             if fault and quantity == "force":
                 raise RigError(f"the force channel is {fault}; the diagnosis needs the force: mend it and record again")
+            if fault and recording.rig.base_sensors and channel == base_sensor(recording.rig).name:
+                raise RigError(
+                    f"sensor {channel!r} on the ground is {fault}; the diagnosis needs the motion of the base: mend it "
+                    "and record again"
+                )
             if fault and channel not in excluded_channels:
                 fault_by_channel[channel] = fault
     dropped_channels = {*fault_by_channel, *excluded_channels}

@@ -9,6 +9,7 @@ from scipy.signal import periodogram
 
 from identify.contacts.separation import highest_driven_hz
 from identify.gaps.residual.ringing import highest_ringing_hz, highest_vibrating_hz
+from identify.gaps.residual.shaken_base import body_sensors, read_quantity
 from identify.signals.beginning import QUIET_S, excitation_start
 from identify.signals.kinematics import CORNER_HZ, kinematics
 from identify.signals.noise import rounding_noise_density, spectrogram_noise_density
@@ -16,7 +17,7 @@ from identify.signals.spectra import force_band
 from rig.errors import RigError
 from rig.model.description import Rig, Sensor, contact_stations
 from rig.model.modes import modes_of
-from rig.model.sensing import PASSBAND, sensors_of
+from rig.model.sensing import PASSBAND
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording
 
@@ -54,15 +55,16 @@ clearance."""
 
 def read_sensors(recording: Recording) -> tuple[Sensor, ...]:
     """Sensors of the quantity that the diagnosis reads: accelerations, else velocities, else displacements; in reverse
-    order for a record without a force.
+    order for a record without a force; those on bodies of the quantity that a shaken base has, too.
 
     Raises RigError if there are no sensors of motion.
     """
-    motion_sensors = [s for s in recording.rig.sensors if s.measures.translates]
+    motion_sensors = body_sensors(recording.rig)
     if not motion_sensors:
         raise RigError("the recording has no sensors of motion; the diagnosis needs them, best accelerometers")
     max_or_min = max if np.any(recording.forces_n) else min
-    return sensors_of(recording.rig, max_or_min(motion_sensors, key=lambda s: s.measures.order).quantity)
+    quantity = read_quantity(recording.rig) or max_or_min(motion_sensors, key=lambda s: s.measures.order).quantity
+    return tuple(sensor for sensor in motion_sensors if sensor.quantity == quantity)
 
 
 @dataclass(frozen=True)
@@ -238,10 +240,10 @@ def end_of_motion_s(accelerations: Float[np.ndarray, "sensors times"], rate_hz: 
 def force_noise_n(recording: Recording, quiet_samples: int, tolerances: Tolerances) -> Float[np.ndarray, " forces"]:
     """Standard deviation of each force channel's noise, N: from the quiet start, else from the tolerances.
 
-    Zero in a free decay, in which no force acts.
+    Zero in a free decay, in which no force acts, and of a shaken base, whose sensor has noise of its own.
     """
     forces_n = recording.forces_n
-    if not np.any(forces_n):
+    if not np.any(forces_n) or recording.rig.base_sensors:
         return np.zeros(len(forces_n))
     if quiet_samples:
         return np.asarray(np.std(forces_n[:, :quiet_samples], axis=1))

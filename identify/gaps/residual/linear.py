@@ -7,7 +7,8 @@ The accelerations of all sensors at every line are
 with the accelerances G of measured forces F, tones T, cubic springs and friction to the ground (by the measured w and v
 there), contact forces f and an unmeasured base motion. G holds the viscous dampers to the ground (those of free motion
 follow the measured v, too). f is a least-squares estimate, and so is a_base under the prior of its spectrum. The rest,
-in standard deviations of the error, is the linear residual.
+in standard deviations of the error, is the linear residual. Where a sensor measures the base (`shaken_base`), w, v and
+relative displacements are those against it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,7 @@ from jaxtyping import Complex, Float
 
 from identify.gaps.residual.initial_state import free_motion_of
 from identify.gaps.residual.record import Record
+from identify.gaps.residual.shaken_base import BaseSpectra, unmeasured_base_accelerations
 from identify.gaps.residual.windowed import (
     GroundForceChanges,
     SensedMotion,
@@ -42,10 +44,10 @@ from identify.linear.model import (
     relative_shapes,
     responses_of,
 )
+from identify.linear.observed_motion import ObservedBase
 from identify.linear.projection import Projection, estimated_inputs, input_residual, projection
-from identify.linear.slow_stiffness import slow_stiffness
+from identify.linear.slow_stiffness import slow_stiffness, static_contact_forces
 from rig.model.description import Rig, Station
-from rig.model.modes import participation
 
 INITIAL_STATE_ROUNDS = 2
 """Evaluations of forces along the free motion after the first. Chosen: the third changes residuals by less than 1 %."""
@@ -58,10 +60,10 @@ class Linear:
     """Linear model of a rig, fitted to a record.
 
     sensor_response is each sensor's signal per acceleration, error_deviation the standard deviation of its error.
-    signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion,
-    then the noise of each measured force. residual is in standard deviations, its last rows the estimates of the base's
-    motion and the force noise; log_determinant is the cost of that freedom. acceleration_by_force are those at the
-    sensors by each measured force, known_forces all with their stations, free_modes free motion of modes.
+    signal_per_input are the signals, in standard deviations, per unknown input: contact forces, then a base motion (or
+    the noise of a measured one), then the noise of each measured force. residual is in standard deviations, its last
+    rows the estimates of the latter two; log_determinant is the cost of that freedom. acceleration_by_force are those
+    at the sensors by each measured force, known_forces all with their stations, free_modes free motion of modes.
     """
 
     record: Record
@@ -102,15 +104,34 @@ class Linear:
         return sum((m.missed_acceleration for m in self.free_modes), np.zeros_like(self.sensor_response))
 
     @cached_property
+    def base(self) -> BaseSpectra | None:
+        """Motion of a shaken base that is measured."""
+        return self.record.base and self.record.base.in_rig(self.rig, self.record.omega)
+
+    @property
+    def base_at_sensors(self) -> Complex[np.ndarray, "sensors lines"] | float:
+        """Acceleration of the measured base as each sensor shows it; 0 without one."""
+        return self.base.at_sensors if self.base else 0.0
+
+    @property
+    def observed_base(self) -> ObservedBase | None:
+        """Measured base, with what it causes at the sensors against it."""
+        if self.base is None:
+            return None
+        base, by_base = self.base, self.acceleration_by_force[0] - self.base.at_sensors
+        return ObservedBase(base.sensor, base.sensor, base.acceleration, base.displacement, by_base)
+
+    @cached_property
     def accelerations(self) -> Complex[np.ndarray, "sensors lines"]:
-        """Accelerations at the sensors: measured and missed ones."""
-        return np.asarray(self.record.acceleration_signals / self.sensor_response + self.missed_accelerations)
+        """Accelerations at the sensors, against a measured base: measured and missed ones."""
+        measured_accelerations = self.record.acceleration_signals / self.sensor_response - self.base_at_sensors
+        return np.asarray(measured_accelerations + self.missed_accelerations)
 
     @cached_property
     def displacements(self) -> Complex[np.ndarray, "sensors lines"]:
-        """Displacements at the sensors: measured ones, and those by missed accelerations."""
+        """Displacements at the sensors, against a measured base: measured, and by missed accelerations."""
         missed_displacements = self.missed_accelerations * self.record.twice_integrated
-        return np.asarray(self.record.displacement_signals / self.sensor_response + missed_displacements)
+        return _measured_displacements(self.record, self.rig) + missed_displacements
 
     @cached_property
     def motion(self) -> SensedMotion:
@@ -161,7 +182,7 @@ class Linear:
     @cached_property
     def static_contact_n(self) -> Float[np.ndarray, " contacts"]:
         """Constant contact forces under static loads, N."""
-        return _static_contact_forces(self.rig, self.responses)
+        return static_contact_forces(self.rig, self.responses)
 
     @cached_property
     def slow_n_per_m(self) -> Float[np.ndarray, "contacts contacts"]:
@@ -200,13 +221,19 @@ def linear_model(
     if mode_factors:
         responses = tuple(r.tuned(*mode_factors[r.body.name]) if r.body.name in mode_factors else r for r in responses)
     responses = tuple(r.damped_by(linear_dampers(record, rig)) for r in responses)
-    displacements = record.displacement_signals / sensor_response_of(record, rig)
+    displacements = _measured_displacements(record, rig)
     motion = SensedMotion(displacements, 1j * record.omega * displacements + record.velocity_correction)
     model = _linear_model(record, rig, responses, model_error, motion)
     if model.free_modes and has_ground_forces(following_motion(record, rig)):
         for _ in range(INITIAL_STATE_ROUNDS):
             model = _linear_model(record, rig, responses, model_error, model.motion)
     return model
+
+
+def _measured_displacements(record: Record, rig: Rig) -> Complex[np.ndarray, "sensors lines"]:
+    """Measured displacements at the sensors, against a measured base."""
+    displacements = record.displacement_signals / sensor_response_of(record, rig)
+    return displacements if record.base is None else displacements - record.base.in_rig(rig, record.omega).displacement
 
 
 def _linear_model(
@@ -228,6 +255,8 @@ def _linear_model(
         response_to_force(record, rig, response_per_newton, force_n)
         for response_per_newton, (_, force_n) in zip(accelerance_by_input, known_forces, strict=False)
     ]
+    if base := record.base and record.base.in_rig(rig, record.omega):
+        acceleration_by_known_force[0] = acceleration_by_known_force[0] + base.at_sensors
     acceleration_by_force = np.stack(acceleration_by_known_force[: len(rig.forces)])
     known_accelerations = sum(acceleration_by_known_force[1:], acceleration_by_known_force[0])
     if rig.loads:
@@ -238,8 +267,12 @@ def _linear_model(
     error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
     scaled_response = sensor_response / error_deviation
     acceleration_by_unknown = [acceleration_by_contact]
-    if rig.base_motion is not None:
-        acceleration_by_unknown.append(_base_accelerations(record, rig, responses, sensor_stations)[None])
+    if base is not None:
+        acceleration_by_unknown.append(np.sqrt(base.noise_variance) * (acceleration_per_newton - 1))
+    elif rig.base_motion is not None:
+        acceleration_by_unknown.append(
+            unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_stations, record.sample_count)[None]
+        )
     has_force_noise = record.force_noise_variance > 0
     force_noise_n = np.sqrt(record.force_noise_variance[has_force_noise, None, None])
     acceleration_by_unknown.append(force_noise_n / rig.force_sensor.gain * acceleration_per_newton[has_force_noise])
@@ -292,21 +325,6 @@ def _across_weights(
     return end_weights[: len(rig.contacts)] - end_weights[len(rig.contacts) :]
 
 
-def _static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:
-    """Constant contact forces that balance static loads on floating bodies and on single masses, N."""
-    forces_n = np.zeros(len(rig.contacts))
-    for response in responses if rig.loads else ():
-        is_rigid_mode = response.modes.frequencies_hz(response.mode_count) == 0
-        if response.body.is_mass:
-            is_rigid_mode[:] = True
-        modal_load_n = np.array([x.force_n for x in rig.loads]) @ response.shapes([x.station for x in rig.loads])
-        if np.any(modal_load_n[is_rigid_mode]):
-            forces_n += np.linalg.lstsq(
-                relative_shapes(rig, response)[:, is_rigid_mode].T, modal_load_n[is_rigid_mode], rcond=None
-            )[0]
-    return forces_n
-
-
 def ground_spring_correction(
     record: Record, model: Linear, displacement_changes: Complex[np.ndarray, "sensors lines"]
 ) -> Complex[np.ndarray, "sensors lines"]:
@@ -329,21 +347,3 @@ def delivered_by(
                     response.transfer(response.shapes(sensor_stations), response.shapes([station]))[0] * force_n
                 )
     return signals
-
-
-def _base_accelerations(
-    record: Record, rig: Rig, responses: tuple[Response, ...], sensor_stations: list[Station | None]
-) -> Complex[np.ndarray, "sensors lines"]:
-    """Accelerations by a base motion of one standard deviation per line, an inertial load on each mode."""
-    base_motion = rig.base_motion
-    assert base_motion is not None
-    accelerations = np.ones((len(sensor_stations), record.omega.size), dtype=complex)
-    for response in responses:
-        modal_load = participation(rig, response.body, response.modes, response.mode_count)
-        accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
-    lines_hz = record.omega / (2 * np.pi)
-    power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)
-    line_deviation = np.sqrt(power_density * record.sample_count * record.sample_rate_hz / 2)
-    return np.asarray(
-        accelerations * line_deviation * ((lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz))
-    )

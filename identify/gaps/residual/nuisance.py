@@ -160,19 +160,21 @@ def _with_damper_feedback(record: Record, model: Linear, change: Change) -> Chan
 
 def _observed_motion(record: Record, model: Linear) -> ObservedSignals:
     """Observed motion of a record under a linear model, from which changes by nuisance parameters follow."""
+    signals = record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation
     return ObservedSignals(
         sensors=record.sensors,
         displaced_by=record.sensors,
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        signals=record.acceleration_signals - model.residual[: len(record.sensors)] * model.error_deviation,
-        force_accelerations=model.acceleration_by_force,
+        signals=signals - model.sensor_response * model.base_at_sensors,
+        force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=model.displacements,
         bodies=tuple(
             BodyMotion(response, modal_acceleration, _parameter_modes(record, response))
             for response, modal_acceleration in zip(model.responses, _modal_accelerations(record, model), strict=True)
         ),
+        base=model.observed_base,
     )
 
 

@@ -8,6 +8,7 @@ from jaxtyping import Complex, Float
 from scipy.fft import irfft, rfft
 
 from identify.gaps.residual.ringing import MeasuredMode
+from identify.gaps.residual.shaken_base import BaseSpectra
 from identify.linear.sampled_motion import Sampling
 from identify.signals.drift import Drift
 from identify.signals.kinematics import integrated
@@ -37,6 +38,8 @@ class Record:
     windowed displacement; for other bodies, whose response is windowed, that is zero.
     noise_variance: variance of each line of acceleration_signals by sensor noise; smoothed_power: their smoothed mean
     square; force_noise_variance: variance of each force's lines by noise of its channel.
+    base: what the sensor on a shaken base delivers; the force is then the inertial force on each kilogram (N/kg), and
+    velocity_correction, drifts and eta_above_band are those of motion against the base.
     corner_hz: corner of the high-pass under which sensors' signals are integrated.
     eta_above_band: measured relative displacements on the lines from `highest_hz` on; drifts: what is known of their
     slow parts (None where integration loses nothing).
@@ -56,6 +59,7 @@ class Record:
     window: Float[np.ndarray, " samples"]
     omega: Float[np.ndarray, " lines"]
     force_spectra: Complex[np.ndarray, "forces lines"]
+    base: BaseSpectra | None
     acceleration_signals: Complex[np.ndarray, "sensors lines"]
     displacement_signals: Complex[np.ndarray, "sensors lines"]
     velocity_correction: Complex[np.ndarray, "sensors lines"]
@@ -91,6 +95,11 @@ class Record:
     def has_force(self) -> bool:
         """True if a force was measured; the record is a free decay otherwise."""
         return bool(np.any(self.force_spectra))
+
+    @property
+    def channel_names(self) -> list[str]:
+        """Names of the sensors that are read, that on a shaken base last."""
+        return [sensor.name for sensor in (*self.sensors, *([self.base.sensor] if self.base else []))]
 
     @property
     def counted_part(self) -> CountedPart:

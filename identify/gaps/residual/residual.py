@@ -338,13 +338,14 @@ def contact_columns(
 
 
 def same_but_sensors(rig: Rig, compared: Rig) -> bool:
-    """True if two rigs differ in their sensors alone, and no force depends on the measured motion."""
-    return replace(rig, sensors=compared.sensors) == compared and not has_ground_forces(rig)
+    """True if two rigs differ in their sensors on bodies alone, and no force depends on the measured motion."""
+    same_base = rig.base_sensors == compared.base_sensors
+    return same_base and replace(rig, sensors=compared.sensors) == compared and not has_ground_forces(rig)
 
 
 def same_but_laws(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their contact laws alone, if at all."""
-    if rig is compared:
-        return True
     pairs = zip(rig.contacts, compared.contacts, strict=True)
-    return replace(rig, contacts=tuple(replace(contact, law=target.law) for contact, target in pairs)) == compared
+    return (
+        rig is compared or replace(rig, contacts=tuple(replace(c, law=target.law) for c, target in pairs)) == compared
+    )

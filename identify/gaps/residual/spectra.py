@@ -8,11 +8,9 @@ Notes for maintainers
    itself, w x'' = (w x)'' - 2 (w' x)' + w'' x, with no corner of integration.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Complex, Float
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import irfft
 from scipy.ndimage import uniform_filter1d
 
 from identify.contacts.separation import drift_of
@@ -32,20 +30,19 @@ from identify.gaps.residual.extent import (
 )
 from identify.gaps.residual.record import CountedPart, Record
 from identify.gaps.residual.ringing import MeasuredMode, measured_modes
+from identify.gaps.residual.shaken_base import BaseSpectra, base_sensor
+from identify.gaps.residual.transform import Transform, transform_of
 from identify.linear.joined import group_rig_of
 from identify.signals.drift import Drift
-from identify.signals.kinematics import CORNER_HZ, integrated, kinematics, taper
+from identify.signals.kinematics import CORNER_HZ, integrated, kinematics
 from identify.signals.noise import acceleration_noise
-from rig.model.description import Rig, Sensor
+from rig.model.description import ON_GROUND, Rig, Sensor
 from rig.model.modes import modes_of
 from rig.model.sensing import PASSBAND
 from rig.model.tolerances import LABORATORY, Tolerances
 from rig.recording import Recording
 from rig.recording.period import period_of
 
-RING_S, LONGEST_RING_S, DECAY_TIMES = 12.0, 60.0, 20.0
-"""Padding in which beams ring down before the transform wraps around, s; without contacts DECAY_TIMES of the slowest
-mode, within both bounds, so that with two fifths of its damping it falls to 3e-4."""
 FIRST_SAMPLES = 10
 """Samples from which the first state of a decay is read. Set by hand."""
 SMOOTHED_HZ = 1.0
@@ -55,43 +52,6 @@ SMOOTHED_HZ = 1.0
 SETTLED_SHARE = 1 / 3
 """Share of the first natural frequency below which an AC-coupled sensor shows nothing while its high-pass settles. Set
 by hand: high-passes of some tenths of a hertz settle below 1 Hz, beams and frames vibrate above 3 Hz."""
-
-
-@dataclass(frozen=True)
-class _Transform:
-    """Transform of windowed samples, padded to `padded_length`, and the lines for a rate lower by `decimation`."""
-
-    sample_rate_hz: float
-    padded_length: int
-    decimation: int
-    window: Float[np.ndarray, " samples"]
-
-    @property
-    def line_count(self) -> int:
-        """Number of lines from zero to the highest frequency."""
-        return self.padded_length // self.decimation // 2 + 1
-
-    @property
-    def omega(self) -> Float[np.ndarray, " lines"]:
-        """Circular frequencies of the lines, rad/s."""
-        omega = 2 * np.pi * np.arange(self.line_count) * self.sample_rate_hz / self.padded_length
-        omega[0] = 0.01 * omega[1]  # stands for the mean, which powers of omega would lose
-        return omega
-
-    @property
-    def omega_above_band(self) -> Float[np.ndarray, " morelines"]:
-        """Circular frequencies from the last of the lines to half the sample rate, rad/s."""
-        return (
-            2
-            * np.pi
-            * self.sample_rate_hz
-            / self.padded_length
-            * np.arange(self.line_count - 1, self.padded_length // 2 + 1)
-        )
-
-    def spectrum(self, signal: Float[np.ndarray, "*rows samples"]) -> Complex[np.ndarray, "*rows all"]:
-        """Spectrum of a signal under the window, up to half the sample rate."""
-        return np.asarray(rfft(signal * self.window, self.padded_length))
 
 
 def record_of(
@@ -118,7 +78,7 @@ def record_of(
         )
         high_hz = min(high_hz, REACH * max((m.frequency_hz for m in decay_modes), default=np.inf))
     decimation = counted_part.decimation if counted_part else max(1, int(rate_hz / (2 * high_hz)))
-    transform = _transform(recording, beginning, decimation)
+    transform = transform_of(recording, beginning, decimation)
     omega = transform.omega
     sensor_spectra, eta_above_band = _spectra(recording, transform, joined_rig, sensors)
     noise_per_line = sample_count * noise_densities**2 * rate_hz / 2
@@ -134,6 +94,7 @@ def record_of(
         recording, transform, sensors, omega, beginning.zero_known
     )
     acceleration_signals += sensor_spectra * to_acceleration
+    base, base_correction = _base_spectra(recording, transform, beginning, corner_hz)
     period_samples = _period_of(recording.forces_n[:, beginning.excitation_start_sample :])
     acceleration_factor = np.stack([omega ** (2 - s.measures.order) for s in sensors])
     return Record(
@@ -149,7 +110,8 @@ def record_of(
         force_spectra=transform.spectrum(recording.forces_n)[:, : omega.size],
         acceleration_signals=acceleration_signals,
         displacement_signals=sensor_spectra * to_displacement,
-        velocity_correction=velocity_correction,
+        base=base,
+        velocity_correction=velocity_correction - base_correction,
         force_noise_variance=sample_count * force_noise_n(recording, beginning.quiet_samples, tolerances) ** 2,
         noise_variance=noise_per_line[:, None]
         * acceleration_factor**2
@@ -173,40 +135,12 @@ def record_of(
     )
 
 
-def _transform(recording: Recording, beginning: Beginning, decimation: int) -> _Transform:
-    """Transform of the lowest lines; the record fades out, and in unless it starts quiet or with a blow."""
-    rate_hz, sample_count = recording.rig.sample_rate_hz, recording.samples
-    padded_length = decimation * next_fast_len(
-        -(-(sample_count + round(_ring_down_s(recording.rig) * rate_hz)) // decimation), real=True
-    )
-    window = taper(sample_count, max(2, round(beginning.fade_length_s * rate_hz)))
-    if beginning.zero_known and not beginning.counts_from_blow:  # differentiated twice, a kink in w'' would ring
-        window = np.sin(np.pi / 2 * window) ** 2
-    if beginning.counts_from_blow:
-        window[0] = 0.5  # half a sample: the signal starts there
-    elif not beginning.starts_quiet:
-        window = window * window[::-1]
-    return _Transform(rate_hz, padded_length, decimation, window)
-
-
 def _first_state(signal: Float[np.ndarray, " samples"], rate_hz: float) -> Float[np.ndarray, "2"]:
     """Value and slope of a signal at its first sample, by a cubic through its first samples."""
     first_value, first_slope = np.polynomial.polynomial.polyfit(
         np.arange(FIRST_SAMPLES) / rate_hz, signal[:FIRST_SAMPLES], 3
     )[:2]
     return np.array([first_value, first_slope])
-
-
-def _ring_down_s(rig: Rig) -> float:
-    """Padding in which a rig rings down, s: without contacts until its slowest mode has decayed."""
-    if rig.contacts:
-        return RING_S
-    decay_rates_per_s = []
-    for body in rig.bodies:
-        modes, mode_count = modes_of(rig, body), body.max_modes
-        decay_rates_per_s += (2 * np.pi * modes.frequencies_hz(mode_count) * modes.damping_ratios(mode_count)).tolist()
-    slowest_rate_per_s = min((rate_per_s for rate_per_s in decay_rates_per_s if rate_per_s > 0), default=np.inf)
-    return float(np.clip(DECAY_TIMES / slowest_rate_per_s, RING_S, LONGEST_RING_S))
 
 
 def _drifts(
@@ -224,12 +158,16 @@ def _drifts(
 
 
 def _spectra(
-    recording: Recording, transform: _Transform, joined_rig: Rig, sensors: tuple[Sensor, ...]
+    recording: Recording, transform: Transform, joined_rig: Rig, sensors: tuple[Sensor, ...]
 ) -> tuple[Complex[np.ndarray, "sensors lines"], Complex[np.ndarray, "contacts morelines"]]:
     """Spectrum of each sensor on the lines, and the measured relative displacements beyond them."""
     omega_above_band = transform.omega_above_band
     eta_above_band = np.zeros((len(joined_rig.contacts), omega_above_band.size), dtype=complex)
     sensor_spectra = np.empty((len(sensors), transform.line_count), dtype=complex)
+    if recording.rig.base_sensors:
+        sensor = base_sensor(recording.rig)
+        spectrum = transform.spectrum(recording.values_of(sensor))[transform.line_count - 1 :]
+        _add_eta_above_band(eta_above_band, joined_rig, sensor, spectrum, omega_above_band)
     for sensor_row, sensor in zip(sensor_spectra, sensors, strict=True):
         spectrum = transform.spectrum(recording.values_of(sensor))
         sensor_row[:] = spectrum[: transform.line_count]
@@ -265,7 +203,7 @@ def _unsettled_noise_factors(
 def _smoothed_power(
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     acceleration_ratio: Float[np.ndarray, "sensors lines"],
-    transform: _Transform,
+    transform: Transform,
 ) -> Float[np.ndarray, "sensors lines"]:
     """Mean square of the accelerations per line, smoothed after division by their fall per force."""
     smoothing_lines = max(1, round(SMOOTHED_HZ * transform.padded_length / transform.sample_rate_hz))
@@ -277,7 +215,7 @@ def _smoothed_power(
 
 def _window_corrections(
     recording: Recording,
-    transform: _Transform,
+    transform: Transform,
     sensors: tuple[Sensor, ...],
     omega: Float[np.ndarray, " lines"],
     zero_known: bool,
@@ -286,21 +224,42 @@ def _window_corrections(
     w x' = (w x)' - w' x and w x'' = (w x)'' - 2 (w' x)' + w'' x. Zero for held bodies, whose response to a faded force
     is not the faded motion."""
     velocity_correction, acceleration_correction = np.zeros((2, len(sensors), omega.size), dtype=complex)
-    window_slope = np.gradient(transform.window) * transform.sample_rate_hz
-    window_curvature = np.gradient(window_slope) * transform.sample_rate_hz
     for sensor_index, sensor in enumerate(sensors):
         if zero_known and is_free(recording.rig, sensor.station.body):
-            slope_spectrum, curvature_spectrum = rfft(
-                np.stack([window_slope, window_curvature]) * recording.values_of(sensor), transform.padded_length
-            )[:, : omega.size]
-            velocity_correction[sensor_index] = -slope_spectrum
-            acceleration_correction[sensor_index] = curvature_spectrum - 2j * omega * slope_spectrum
+            velocity_correction[sensor_index], acceleration_correction[sensor_index] = transform.window_correction(
+                recording.values_of(sensor)
+            )
     return velocity_correction, acceleration_correction
+
+
+def _base_spectra(
+    recording: Recording, transform: Transform, beginning: Beginning, corner_hz: float
+) -> tuple[BaseSpectra | None, Complex[np.ndarray, "sensors lines"] | float]:
+    """Spectra of a measured base, and its part in the velocity corrections of the sensors; None, 0 without one."""
+    if not recording.rig.base_sensors:
+        return None, 0.0
+    rig, omega, sensors = recording.rig, transform.omega, read_sensors(recording)
+    sensor = base_sensor(rig)
+    signal, order = recording.values_of(sensor), sensor.measures.order
+    spectrum = transform.spectrum(signal)[: omega.size]
+    velocity_correction, acceleration_correction = transform.window_correction(signal)
+    sensed_acceleration = spectrum * integrated(omega, 2 - order, corner_hz)
+    (noise_density,) = sensor_densities(recording, (sensor,), beginning.quiet_samples)
+    noise_variance = recording.samples * noise_density**2 * rig.sample_rate_hz / 2 * omega ** (2 * (2 - order))
+    is_corrected = np.array([beginning.zero_known and is_free(rig, s.station.body) for s in sensors])
+    base = BaseSpectra(
+        sensor,
+        sensed_acceleration + beginning.zero_known * acceleration_correction,
+        sensed_acceleration + np.outer(is_corrected, acceleration_correction),
+        spectrum * integrated(omega, -order, corner_hz),
+        noise_variance,
+    )
+    return base, np.outer(is_corrected, velocity_correction / sensor.gain)
 
 
 def _counted_samples(
     sample_count: int,
-    transform: _Transform,
+    transform: Transform,
     beginning: Beginning,
     acceleration_signals: Complex[np.ndarray, "sensors lines"],
     counted_until_s: float | None,
@@ -334,7 +293,7 @@ def _add_eta_above_band(
     """Add a sensor's contribution to the relative displacement of its contact above the band of the diagnosis."""
     for j, contact in enumerate(rig.contacts):
         for station, sign in ((contact.at, 1.0), (contact.against, -1.0)):
-            if sensor.station == station:
+            if sensor.station == (station or ON_GROUND):
                 in_passband = omega_above_band <= 2 * np.pi * PASSBAND * rig.sample_rate_hz
                 eta_above[j] += (
                     sign

@@ -48,9 +48,12 @@ def known_forces_of(
     sensor_stations: list[Station | None],
     motion: SensedMotion,
 ) -> tuple[tuple[Station, Spectrum], ...]:
-    """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion."""
+    """Known forces: measured ones, tones, static loads, and those of ground springs and dampers by measured motion
+    (against a shaken base, whose inertial force on each kilogram is the measured one)."""
     measured_forces_n = (
         record.force_spectra * np.exp(-1j * record.omega * rig.force_sensor.lag_s) / rig.force_sensor.gain
+        if record.base is None
+        else -record.base.in_rig(rig, record.omega).acceleration[None]
     )
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in rig.tones]
     ground_reactions, following = [], following_motion(record, rig)

@@ -139,9 +139,10 @@ def _has_logarithmic_range(parameter: Parameter) -> bool:
 def scale_of(record: Record, rig: Rig) -> Scale:
     """Scale of the effects' ranges: the rig, and the record's force (root mean square, N) and duration (s).
 
-    In a free decay the inertial forces of the bodies, averaged over the sensors, stand for the force.
+    In a free decay, and on a shaken base, the inertial forces of the bodies, averaged over the sensors, stand for the
+    force.
     """
-    if record.has_force:
+    if record.has_force and record.base is None:
         forces_n = record.in_time(record.force_spectra)
     else:
         sensor_masses_kg = np.array([rig.body(s.station.body).mass_kg for s in record.sensors])
@@ -158,11 +159,12 @@ def candidates(
 
     Left out are effects that only the zero of a relative displacement shows, where that is not known; those on the
     force and on channels where no force is measured (free motion has no scale, and may begin at any time); those on the
-    force where several act; those that change nothing, or that separate contacts between the same places.
+    force where several act or the base alone shakes, and on a base's motion where it is measured; those that change
+    nothing, or that separate contacts between the same places.
     """
     possible_candidates = []
     for effect_kind in effects().values():
-        if effect_kind.needs_zero and not zero_known:
+        if (effect_kind.needs_zero and not zero_known) or (effect_kind.stochastic and effect_scale.rig.base_sensors):
             continue
         for place in effect_kind.placements(effect_scale.rig, sensor_names):
             place_scale = effect_scale.with_place(place)
@@ -174,7 +176,7 @@ def candidates(
             except RigError:
                 continue  # the effect cannot act here
             nominal_rig = effect_scale.rig
-            if not has_force or len(nominal_rig.forces) > 1:
+            if not has_force or len(nominal_rig.forces) > 1 or nominal_rig.base_sensors:
                 changed_rig = replace(changed_rig, force_sensor=nominal_rig.force_sensor)
             if not has_force:
                 changed_rig = replace(changed_rig, sensors=nominal_rig.sensors, force_at=nominal_rig.force_at)
@@ -262,9 +264,10 @@ def _attached_forces(
     ):
         attached_forces.append((spring.station, -spring.stiffness_n_per_m * displacement))
     masses = attachments.masses
+    base_acceleration = model.base.acceleration if model.base else 0.0
     for mass, acceleration in zip(
         masses, displaced_at(model.responses, sensor_stations, masses, accelerations), strict=True
     ):
-        attached_forces.append((mass.station, -mass.mass_kg * acceleration))
+        attached_forces.append((mass.station, -mass.mass_kg * (acceleration + base_acceleration)))
     tone_forces = [(tone.station, record.spectrum(tone.force_n(record.sample_times_s))) for tone in attachments.tones]
     return attached_forces + tone_forces

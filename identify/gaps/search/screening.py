@@ -239,6 +239,7 @@ def _thinned_record(record: Record) -> Record:
         record,
         omega=record.omega[line_slice],
         responses_windowed=False,
+        base=record.base and record.base.thinned(line_slice),
         **{
             field_name: getattr(record, field_name)[..., line_slice]
             for field_name in (

@@ -69,9 +69,10 @@ def _measured_motion(whitened: WhitenedRecord) -> ObservedSignals:
         tolerances=record.tolerances,
         omega=record.omega,
         sensor_response=model.sensor_response,
-        signals=record.acceleration_signals,
-        force_accelerations=model.acceleration_by_force,
+        signals=record.acceleration_signals - model.sensor_response * model.base_at_sensors,
+        force_accelerations=model.acceleration_by_force[: 0 if model.base else None],
         displacements=record.displacement_signals,
+        base=model.observed_base,
         bodies=tuple(
             BodyMotion(
                 response,

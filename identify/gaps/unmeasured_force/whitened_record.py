@@ -291,6 +291,7 @@ def _measured_accelerations(
     mode_count = len(inverse_shapes)
     unexplained_accelerations = (
         record.acceleration_signals / model.sensor_response
+        - model.base_at_sensors
         - response.shapes([s.station for s in record.sensors]) @ modelled
     )
     return np.concatenate([modelled[:mode_count] + inverse_shapes @ unexplained_accelerations, modelled[mode_count:]])

@@ -16,10 +16,10 @@ from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_
 from rig.simulation.plants.connectors import ChangingModulus, Extra, Section, modulus_change
 from rig.simulation.plants.finite_elements import add_loads, build, item
 from rig.simulation.plants.loading import (
-    base_motion,
     check_softening,
     connections,
     has_static_load,
+    shaken_base,
     softening_limits_m,
     true_force,
 )
@@ -98,10 +98,10 @@ def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra: tuple[Extr
 
     Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
     """
-    base = base_motion(rig, len(force_n), step_s)
+    measured_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
+    base = shaken_base(rig, measured_n, step_s)
     if (base or has_static_load(rig)) and any(isinstance(e, Section) for e in extra):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
-    measured_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
     true_n = (true_force(rig, signal[:], step_s) for signal in measured_n.signals)
     return _Excitation(measured_n, (*true_n, *(tone.force_n(time_s) for tone in rig.tones)), base)
 

@@ -12,7 +12,7 @@ from rig.model.description import RISE_S, Contact, Rig, Station, contact_rows, c
 from rig.model.modes import modes_of
 from rig.model.space import in_plane
 from rig.simulation.excitation import noise_spectrum
-from rig.simulation.motion import ForceSignal
+from rig.simulation.motion import Forces, ForceSignal
 
 SPLINE_SUPPORT = 64
 """Samples on either side that determine a cubic spline to rounding."""
@@ -37,7 +37,7 @@ def true_force(
 
 
 def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
-    """Consistent displacement, velocity and acceleration of the base at multiples of the step.
+    """Consistent displacement, velocity and acceleration of the base at multiples of the step, by its description.
 
     Empty without base motion. The motion rises from rest over RISE_S from its start on. Raises RigError if the band
     does not fit the record or the step.
@@ -58,6 +58,19 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     slope, curvature = slope / RISE_S, curvature / RISE_S**2
     motion = (rise * d, slope * d + rise * v, curvature * d + 2 * slope * v + rise * a)
     return tuple(rms_factor * row for row in motion)
+
+
+def shaken_base(rig: Rig, force_n: Forces, step_s: float) -> tuple[Float[np.ndarray, " samples"], ...]:
+    """Displacement, velocity and acceleration of the base at multiples of the step.
+
+    They are those of `base_motion`, unless the force is on the ground and is not zero: it is then the inertial force
+    on each kilogram (N/kg), minus the base's acceleration, which is integrated from rest by straight lines.
+    """
+    if rig.is_on_ground(rig.forces[0]) and np.any(inertial_n := force_n.signals[0][:]):
+        acceleration = -np.asarray(inertial_n)
+        velocity = scipy.integrate.cumulative_trapezoid(acceleration, dx=step_s, initial=0)
+        return scipy.integrate.cumulative_trapezoid(velocity, dx=step_s, initial=0), velocity, acceleration
+    return base_motion(rig, len(force_n), step_s)
 
 
 def connections(rig: Rig) -> tuple[Contact, ...]:

@@ -16,12 +16,12 @@ from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.model.space import plane_rigs
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
 from rig.simulation.plants.loading import (
-    base_motion,
     check_softening,
     connection_forces_n,
     connections,
     equilibrium,
     has_static_load,
+    shaken_base,
     softening_limits_m,
     true_force,
 )
@@ -79,7 +79,7 @@ def simulate(
     from rig.simulation.plants.stepping import advance  # numba only where something is simulated
 
     limits_m, forces_n = softening_limits_m(rig), forces_of(rig, force_n)
-    base_signals = base_motion(rig, len(force_n), step_s)
+    base_signals = shaken_base(rig, forces_n, step_s)
     model, quantities = model_of(rig, bool(base_signals), modes_per_beam), [sensor.measures for sensor in rig.sensors]
     constants = constants_of(model, step_s)
     shapes = np.array([model.station_rows[station] for station in stations_of(rig)]).reshape(-1, model.omega.size)

@@ -1,0 +1,145 @@
+"""Shaken base whose motion is measured: its spectra in a record, and what it does at the sensors.
+
+Sensors on bodies measure the motion in space, and contacts, springs and dampers to the ground act on the motion against
+the base. With the base's acceleration a_B and the participations Gamma_m of the modes, sensors at x show
+
+    A(x) = a_B (1 - sum_m phi_m(x) H_m Gamma_m) + ...        H_m: modal accelerance
+
+The inertial force -a_B on each kilogram (N/kg) is the force on the ground of `input_shapes`. The noise of the base's
+sensor enters all signals alike: it is one unknown input with a prior, as the noise of a force is.
+"""
+
+from dataclasses import dataclass
+from dataclasses import replace as with_fields
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.interpolate import make_interp_spline
+
+from identify.linear.model import Response
+from rig.errors import RigError
+from rig.model.description import BaseMotion, Rig, Sensor, Station
+from rig.model.modes import participation
+from rig.recording import Recording
+
+READ_QUANTITIES = ("acceleration", "displacement")
+"""Quantities of which the diagnosis reads a shaken base, the first that base and bodies have in common."""
+SPLINE_DEGREE = 5
+"""Degree of the spline that differentiates displacements of the base twice: its error is below 1 % up to a fifth of the
+sampling rate."""
+
+
+@dataclass(frozen=True)
+class BaseSpectra:
+    """Motion of a shaken base on a record's lines, under the record's window.
+
+    sensor is that on the ground. acceleration is the windowed acceleration, at_sensors what each sensor on a body shows
+    of it: without a window correction the derivative of the windowed signal. noise_variance is that of its lines.
+    """
+
+    sensor: Sensor
+    acceleration: Complex[np.ndarray, " lines"]
+    at_sensors: Complex[np.ndarray, "sensors lines"]
+    displacement: Complex[np.ndarray, " lines"]
+    noise_variance: Float[np.ndarray, " lines"]
+
+    def in_rig(self, rig: Rig, omega: Float[np.ndarray, " lines"]) -> "BaseSpectra":
+        """Motion behind these signals by the sensor's gain, delay and high-pass in a rig."""
+        sensor = next(s for s in rig.base_sensors if s.name == self.sensor.name)
+        response = sensor.response(omega)
+        return with_fields(
+            self,
+            sensor=sensor,
+            acceleration=self.acceleration / response,
+            at_sensors=self.at_sensors / response,
+            displacement=self.displacement / response,
+            noise_variance=self.noise_variance / sensor.gain**2,
+        )
+
+    def thinned(self, lines: slice) -> "BaseSpectra":
+        """Motion on a selection of the lines."""
+        return with_fields(
+            self,
+            acceleration=self.acceleration[lines],
+            at_sensors=self.at_sensors[:, lines],
+            displacement=self.displacement[lines],
+            noise_variance=self.noise_variance[lines],
+        )
+
+
+def check_base(rig: Rig) -> None:
+    """Check what measures a shaken base; raises RigError with what the diagnosis takes."""
+    if not rig.base_sensors:
+        return
+    if forces := [s for s in rig.forces if not rig.is_on_ground(s)]:
+        raise RigError(
+            f"identify gap takes a base that alone shakes a rig, and {rig.name!r} has a force on {forces[0].body!r} "
+            f"beside {rig.base_sensors[0].name!r} on the ground; record without that force and leave force_at out, or "
+            "record by the force with the base at rest and take the sensor off the ground"
+        )
+    if read_quantity(rig) is None:
+        raise RigError(
+            f"identify gap reads a shaken base and its bodies by {' or '.join(READ_QUANTITIES)} sensors, the same on "
+            f"both, and {rig.name!r} has {_quantities(rig.base_sensors)} on the ground and "
+            f"{_quantities(body_sensors(rig))} on bodies; put an accelerometer on the ground and on the bodies"
+        )
+
+
+def _quantities(sensors: tuple[Sensor, ...]) -> str:
+    return " and ".join(dict.fromkeys(sensor.quantity for sensor in sensors)) or "none"
+
+
+def body_sensors(rig: Rig) -> tuple[Sensor, ...]:
+    """Sensors of motion on bodies."""
+    return tuple(s for s in rig.sensors if s.measures.translates and s not in rig.base_sensors)
+
+
+def read_quantity(rig: Rig) -> str | None:
+    """Quantity by which base and bodies are read; None if they have none in common."""
+    on_ground, on_bodies = ({s.quantity for s in sensors} for sensors in (rig.base_sensors, body_sensors(rig)))
+    return next((quantity for quantity in READ_QUANTITIES if quantity in on_ground & on_bodies), None)
+
+
+def base_sensor(rig: Rig) -> Sensor:
+    """Sensor on the ground by which the base is read."""
+    quantity = read_quantity(rig)
+    return next(sensor for sensor in rig.base_sensors if sensor.quantity == quantity)
+
+
+def with_inertial_force(recording: Recording) -> Recording:
+    """Recording whose force is the inertial force on each kilogram, minus the base's acceleration, N/kg.
+
+    It sets level, band and null simulations; the linear model reads the sensor itself. Recordings of a rig without a
+    sensor on the ground stay as they are.
+    """
+    if not recording.rig.base_sensors:
+        return recording
+    sensor, force = base_sensor(recording.rig), recording.signals["force"]
+    signal = recording.values_of(sensor) / sensor.gain
+    if sensor.measures.order == 0:
+        sample_numbers = np.arange(signal.size)
+        spline = make_interp_spline(sample_numbers, signal, SPLINE_DEGREE)
+        signal = spline.derivative(2)(sample_numbers) * recording.rig.sample_rate_hz**2
+    inertial_force = with_fields(force, values=-signal[None])
+    return with_fields(recording, signals={**recording.signals, "force": inertial_force})
+
+
+def unmeasured_base_accelerations(
+    rig: Rig,
+    base_motion: BaseMotion,
+    responses: tuple[Response, ...],
+    sensor_stations: list[Station | None],
+    sample_count: int,
+) -> Complex[np.ndarray, "sensors lines"]:
+    """Accelerations by an unmeasured base motion of one standard deviation per line, an inertial load on each mode."""
+    omega = responses[0].cache.omega
+    accelerations = np.ones((len(sensor_stations), omega.size), dtype=complex)
+    for response in responses:
+        modal_load = participation(rig, response.body, response.modes, response.mode_count)
+        accelerations -= response.transfer(response.shapes(sensor_stations), modal_load[None])[0]
+    lines_hz = omega / (2 * np.pi)
+    power_density = base_motion.acceleration_rms_m_per_s2**2 / (base_motion.high_hz - base_motion.low_hz)
+    line_deviation = np.sqrt(power_density * sample_count * rig.sample_rate_hz / 2)
+    return np.asarray(
+        accelerations * line_deviation * ((lines_hz >= base_motion.low_hz) & (lines_hz <= base_motion.high_hz))
+    )
