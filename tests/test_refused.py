@@ -164,7 +164,10 @@ CASES = {name: laboratory(name) for name in laboratory_tests.REFUSED} | {
     "strain gauges alone, diagnosed": gap(BarrelCradle(sensors="strain").rig()),
     "a record of 4 s, diagnosed": gap(SDOF, seconds=4.0),
     "base motion of held beams in rig.json, diagnosed": gap(replace(BEAMS, base_motion=SHAKEN)),
-    "a base whose motion is measured, diagnosed": gap(ON_TABLE),
+    "a force beside a measured base, diagnosed": gap(replace(ON_TABLE, force_at=SDOF.force_at)),
+    "a base measured by its velocity, diagnosed": gap(
+        replace(ON_TABLE, sensors=(replace(TABLE, quantity="velocity"), *SDOF.sensors))
+    ),
     "a base whose motion is measured, planned": lambda _: identify.plan(ON_TABLE),
     "a base at rest and no force": simulated(ON_TABLE, modal.simulate),
     "two forces at once, as an FMU": lambda folder: export_fmu(TWO_FORCES, folder / "r.fmu"),

@@ -17,11 +17,12 @@ from rig.recording import Recording
 @dataclass(frozen=True)
 class MeasuredBase:
     """Motion of the base by the sensors on it; `sensor` is that of the acceleration, `displaced_by` that of the
-    displacement. lost_m_per_s2 is the slow part of the acceleration that an integrated displacement lacks."""
+    displacement, which may be left out. lost_m_per_s2 is the slow part of the acceleration that an integrated
+    displacement lacks."""
 
     sensor: Sensor
     displaced_by: Sensor
-    displacement_m: Float[np.ndarray, " samples"]
+    displacement_m: Float[np.ndarray, " _"]
     acceleration_m_per_s2: Float[np.ndarray, " samples"]
     lost_m_per_s2: Float[np.ndarray, " samples"]
 
@@ -40,7 +41,7 @@ def refuse_measured_base(rig: Rig, command: str) -> None:
     if rig.base_sensors:
         raise RigError(
             f"{command} does not know a base whose motion is measured, as that of {rig.name!r} by "
-            f"{rig.base_sensors[0].name!r}; identify contact and identify law do"
+            f"{rig.base_sensors[0].name!r}; identify contact, identify law and identify gap do"
         )
 
 

@@ -129,7 +129,7 @@ def experiments(record: Record, forces_n: Float[np.ndarray, "forces samples"]) -
         _unchanged_rig,
         FORCE_FACTORS[-1] * longer_forces_n,
     )
-    for station in _force_stations(rig) if len(rig.forces) == 1 else ():
+    for station in _force_stations(rig) if len(rig.forces) == 1 and not rig.base_sensors else ():
         yield Experiment(
             f"move the force to {_station_words(rig, station)}", partial(with_fields, force_at=station), repeated_n
         )

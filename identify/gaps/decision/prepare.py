@@ -60,7 +60,7 @@ class PreparedRecording:
 
     @property
     def force_rms_n(self) -> float:
-        """Root mean square of all forces together, N."""
+        """Root mean square of all forces together, N; of a measured base of its acceleration, m/s^2."""
         return float(np.sqrt(np.sum(np.var(self.recording.forces_n, axis=1))))
 
 
@@ -109,7 +109,8 @@ class PreparedRecordings:
     @property
     def record_titles(self) -> tuple[str, ...]:
         return tuple(
-            f"{k + 1}, {observation.force_rms_n:.3g} N{', validates' * (k == self.validation_index)}"
+            f"{k + 1}, {observation.force_rms_n:.3g} {'m/s²' if observation.record.base else 'N'}"
+            + ", validates" * (k == self.validation_index)
             for k, observation in enumerate(self.observations)
         )
 

@@ -267,9 +267,9 @@ def _linear_model(
     error_deviation = np.maximum(error_deviation, 1e-9 * error_deviation.max())
     scaled_response = sensor_response / error_deviation
     acceleration_by_unknown = [acceleration_by_contact]
-    if base is not None:
+    if base and np.any(base.noise_variance):
         acceleration_by_unknown.append(np.sqrt(base.noise_variance) * (acceleration_per_newton - 1))
-    elif rig.base_motion is not None:
+    elif rig.base_motion and not base:
         acceleration_by_unknown.append(
             unmeasured_base_accelerations(rig, rig.base_motion, responses, sensor_stations, record.sample_count)[None]
         )

@@ -6,9 +6,10 @@ At every line the sensors' accelerations A, in standard deviations sigma, obey
 
 N spans the complement of what contact forces (and a base motion) cause, so that these stay free. G are accelerances, F
 is the measured force and f the unmeasured one. The noise of the force channel, of variance S_F at each line, is
-whitened (of several forces, each); s is free in bands of 2 Hz. The nuisance columns D are frequency and damping of each
-mode, gain and place of each sensor and the gain of the force, each by one tolerance. They are linearised about the
-measured modal accelerations q'' = Phi^+ (A - Phi_high q''_high): the modelled ones lack what the unmeasured force does.
+whitened (of several forces, each; of a measured base that of its sensor); s is free in bands of 2 Hz. The nuisance
+columns D are frequency and damping of each mode, gain and place of each sensor and the gain of the force, each by one
+tolerance. They are linearised about the measured modal accelerations q'' = Phi^+ (A - Phi_high q''_high): the modelled
+ones lack what the unmeasured force does.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from jaxtyping import Complex, Float, Int
 
 from identify.gaps.residual.linear import Linear, linear_model
 from identify.gaps.residual.record import Record
-from identify.linear.model import Response
+from identify.linear.model import Response, accelerances
 from identify.linear.nuisance import Nuisance
 from identify.linear.projection import input_complement
 from identify.signals.beginning import STD_BY_MEDIAN
@@ -160,10 +161,12 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
     """
     # the force channels' noise is whitened below; unmeasured responses are windowed
     no_force_noise = np.zeros_like(record.force_noise_variance)
+    base_noise_variance = record.base.noise_variance if record.base else no_force_noise
     record = replace(
         record,
         noise_variance=capped_noise_variance(record),
         force_noise_variance=no_force_noise,
+        base=record.base and replace(record.base, noise_variance=0 * base_noise_variance),
         responses_windowed=False,
     )
     model = linear_model(record, rig, record.tolerances.unmodelled)
@@ -197,15 +200,18 @@ def record_without_nuisance(record: Record, rig: Rig) -> WhitenedRecord:
         column_gram=np.zeros((band_starts.size, 0, 0)),
         trace_terms=np.zeros(0),
     )
+    input_accelerations = accelerances(model.rig, model.responses, rig.forces, [s.station for s in record.sensors])
     force_responses = np.stack(
         [
-            unwhitened_record.ungated_residual(unwhitened_record.accelerance(station) / rig.force_sensor.gain)
-            for station in rig.forces
+            unwhitened_record.ungated_residual(by_input / rig.force_sensor.gain - bool(record.base))
+            for by_input in input_accelerations[: len(rig.forces)]
         ],
         axis=2,
     )
     noise_modes, singular_values, _ = np.linalg.svd(
-        force_responses * np.sqrt(force_noise_variance(record)), full_matrices=False
+        force_responses
+        * np.sqrt(base_noise_variance[line_slice, None, None] if record.base else force_noise_variance(record)),
+        full_matrices=False,
     )
     whitened = replace(
         unwhitened_record, force_noise_modes=noise_modes, force_noise_shares=1 - 1 / np.sqrt(1 + singular_values**2)

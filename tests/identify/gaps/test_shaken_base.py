@@ -12,21 +12,30 @@ from scipy.linalg import eigh
 from scipy.signal import StateSpace, lsim, resample_poly
 
 import identify
+from identify.gaps.decision.recordings import without_faulty_channels
+from identify.gaps.residual.residual import residual_of
+from identify.gaps.residual.spectra import record_of
+from identify.gaps.search.candidates import attached_column
+from identify.gaps.search.nominal import fit_nuisance
+from identify.linear.nuisance import NuisanceKind
 from identify.pages.wording import COVERED
+from rig.errors import RigError
 from rig.model.beam import Beam
 from rig.model.contact_laws import DeadZone
 from rig.model.description import ON_GROUND, Contact, PointMass, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
+from rig.model.tolerances import LABORATORY
 from rig.recording import Recording, Signals, channel_groups
 
 RATE_HZ, DURATION_S, QUIET_S, RISE_S = 512.0, 20.0, 1.0, 0.5
 SUBSTEPS = 16
 NOISE = {"acceleration": 5e-4, "displacement": 1e-8}
 MASS_KG, MASS_HZ, MASS_RATIO = 2.0, 12.0, 0.02
-STIFFNESS_N_PER_M, DAMPING_N_S_PER_M, CLEARANCE_M = 4e4, 4.0, 5e-4
+STIFFNESS_N_PER_M, DAMPING_N_S_PER_M, CLEARANCE_M = 4e4, 4.0, 2e-3
 BEAM = Beam(name="beam", ends="clamped-free", length_m=0.8, width_m=0.04, thickness_m=0.01, damping_ratio=0.01)
-BEAM_STATIONS_M = (0.2, 0.4, 0.6, 0.8)
+BEAM_STATIONS_M = (0.25, 0.5, 0.8)
 ELEMENTS = 16
+ADDED_KG, TIP_KG = 0.08 * MASS_KG, 0.05
 
 
 def shaking(seed, high_hz):
@@ -108,7 +117,7 @@ def cantilever_rig(quantity="acceleration"):
 
 def cantilever_in_space(seed, tip_mass_kg):
     """Rows of the base and of a clamped beam's stations, by finite elements and their modes up to 2 kHz."""
-    time_s, w, _, a = shaking(seed, 120.0)
+    time_s, w, _, a = shaking(seed, 100.0)
     length = BEAM.length_m / ELEMENTS
     mass, stiffness = np.zeros((2, 2 * ELEMENTS + 2, 2 * ELEMENTS + 2))
     h = length
@@ -141,6 +150,145 @@ def cantilever_in_space(seed, tip_mass_kg):
     }
 
 
-def diagnosed(rig, in_space, added_kg):
-    """Diagnosis of two records of a rig that is heavier than believed."""
-    return identify.gap([recorded(rig, in_space(seed, added_kg), seed) for seed in (1, 2)])
+@pytest.fixture(scope="module")
+def mass_motions():
+    """Motions of the nominal mass and of one that is 8 % heavier, under two shakings each."""
+    return {added_kg: [mass_in_space(seed, added_kg) for seed in (1, 2)] for added_kg in (0.0, ADDED_KG)}
+
+
+@pytest.fixture(scope="module")
+def beam_motions():
+    """Motions of the nominal cantilever and of one with a mass at its tip, under two shakings each."""
+    return {tip_kg: [cantilever_in_space(seed, tip_kg) for seed in (1, 2)] for tip_kg in (0.0, TIP_KG)}
+
+
+def gap_of(rig, motions):
+    return identify.gap([recorded(rig, motion, seed) for seed, motion in enumerate(motions)])
+
+
+def assert_named(gap, effect, parameter, true):
+    """The effect alone is named, and the true value lies in its 95 % interval, which is narrower than a quarter."""
+    report = gap.report
+    assert report.verdict == "explained"
+    assert report.criteria.named == (effect,)
+    found = report.causes[0].parameters[parameter]
+    assert abs(found.value - true) < COVERED * found.standard_error < 0.125 * true
+
+
+@pytest.mark.long
+def test_a_mass_as_described_between_stops_on_a_shaken_base_is_consistent(mass_motions):
+    report = gap_of(mass_rig(), mass_motions[0.0]).report
+    assert report.verdict == "consistent"
+    assert report.criteria.named == ()
+
+
+@pytest.mark.long
+def test_a_heavier_mass_between_stops_on_a_shaken_base_is_named(mass_motions):
+    gap = gap_of(mass_rig(), mass_motions[ADDED_KG])
+    assert_named(gap, "added_mass:mass", "added_mass.mass_kg", ADDED_KG)
+    rollout = gap.report.rollout
+    assert rollout.code == "not_vetoed"
+    assert rollout.whole.corrected < 0.5 * rollout.whole.nominal
+    (added_mass,) = gap.corrected.masses
+    assert (added_mass.station, added_mass.mass_kg) == (Station("mass"), pytest.approx(ADDED_KG, rel=0.1))
+    assert gap.corrected.base_sensors
+
+
+@pytest.mark.study
+def test_a_heavier_mass_is_named_by_displacements(mass_motions):
+    gap = gap_of(mass_rig("displacement"), mass_motions[ADDED_KG])
+    assert_named(gap, "added_mass:mass", "added_mass.mass_kg", ADDED_KG)
+
+
+@pytest.mark.study
+def test_a_mass_at_the_tip_of_a_cantilever_on_a_shaken_base_is_named(beam_motions):
+    gap = gap_of(cantilever_rig(), beam_motions[TIP_KG])
+    assert_named(gap, "added_mass:beam", "added_mass.mass_kg", TIP_KG)
+    assert gap.report.causes[0].parameters["added_mass.relative_position"].value == pytest.approx(1.0, abs=0.01)
+
+
+def fitted(rig, motion):
+    """Linearisation and fit of a record within the tolerances."""
+    (recording,), _ = without_faulty_channels(recorded(rig, motion, 0))
+    return fit_nuisance(record_of(recording, LABORATORY), rig)
+
+
+@pytest.mark.parametrize("quantity", ["acceleration", "displacement"])
+def test_a_cantilever_as_described_leaves_noise_and_a_mass_at_its_tip_what_it_adds(beam_motions, quantity):
+    rig = cantilever_rig(quantity)
+    heavier_rig = replace(rig, masses=(PointMass(station=Station("beam", BEAM.length_m), mass_kg=TIP_KG),))
+    levels = {
+        (true, believed.masses): float(np.mean(fitted(believed, motions[0])[1].linear_residual ** 2))
+        for true, motions in beam_motions.items()
+        for believed in (rig, heavier_rig)
+    }
+    assert max(levels[0.0, ()], levels[TIP_KG, heavier_rig.masses]) < 1.5
+    assert min(levels[TIP_KG, ()], levels[0.0, heavier_rig.masses]) > 20.0
+
+
+def test_the_slope_of_an_attached_mass_is_a_difference_of_residuals(beam_motions):
+    """The mass feels the acceleration in space, of which the modes at the sensors are a part only."""
+    rig = cantilever_rig()
+    linearization, residual = fitted(rig, beam_motions[0.0][0])
+    heavier_rig = replace(rig, masses=(PointMass(station=Station("beam", 0.6), mass_kg=1e-4),))
+    slope, _ = attached_column(linearization, heavier_rig, residual)
+    difference = (
+        residual.linear_residual - residual_of(linearization, heavier_rig, residual.nuisance_pulls).linear_residual
+    )
+    assert np.linalg.norm(slope - difference) < 0.05 * np.linalg.norm(difference)
+
+
+@pytest.mark.parametrize("sensor", ["s0", "s1"])
+@pytest.mark.parametrize("make", ["mass", "beam"])
+def test_the_column_of_a_gain_is_a_difference_of_residuals(mass_motions, beam_motions, make, sensor):
+    """Gains of the sensors on the base and on the body; they change forces and relative displacements of contacts."""
+    rig, motion = (mass_rig(), mass_motions[0.0][0]) if make == "mass" else (cantilever_rig(), beam_motions[0.0][0])
+    linearization, _ = fitted(rig, motion)
+    columns = linearization.columns
+    index = [(p.kind, p.owner) for p in columns.parameters].index((NuisanceKind.GAIN, sensor))
+    changed = replace(
+        rig,
+        sensors=tuple(replace(s, gain=1 + 1e-2 * LABORATORY.gain) if s.name == sensor else s for s in rig.sensors),
+    )
+    before, after = (residual_of(linearization, r) for r in (rig, changed))
+    difference = 100 * (before.linear_before_nuisance - after.linear_before_nuisance)
+    assert np.linalg.norm(columns.residual[index] - difference) < 0.05 * np.linalg.norm(difference) + 1e-3
+    for contact in range(len(rig.contacts)):
+        force_change_n = 100 * (before.signals[contact].force_n - after.signals[contact].force_n)
+        eta_change_m = 100 * (before.model.eta_m - after.model.eta_m)[contact]
+        moving = columns.moving.tolist().index(index)
+        assert np.linalg.norm(columns.contact_n[index, contact] - force_change_n) < 0.05 * np.linalg.norm(
+            force_change_n
+        )
+        assert np.linalg.norm(columns.eta_m[moving, contact] - eta_change_m) < 0.05 * np.linalg.norm(eta_change_m)
+
+
+def on_ground(quantity):
+    return Sensor(name="table", station=ON_GROUND, quantity=quantity)
+
+
+@pytest.mark.parametrize(
+    ("rig", "words"),
+    [
+        (replace(mass_rig(), force_at=Station("mass")), "a force on 'mass' beside 's0' on the ground; record without"),
+        (
+            replace(mass_rig(), sensors=(on_ground("velocity"), *mass_rig().sensors[1:])),
+            "has velocity on the ground and acceleration on bodies; put an accelerometer on the ground",
+        ),
+    ],
+)
+def test_what_the_diagnosis_does_not_take_is_refused_with_what_it_takes(rig, words):
+    noise, groups = np.random.default_rng(1).standard_normal((4, 1, 6000)), channel_groups(rig)
+    signals = {
+        name: Signals(group, 0.0, np.tile(values, (len(group.names), 1)))
+        for (name, group), values in zip(groups.items(), noise, strict=False)
+    }
+    with pytest.raises(RigError, match=words):
+        identify.gap(Recording(rig, signals, {}))
+
+
+def test_a_faulty_sensor_on_the_ground_is_refused(mass_motions):
+    recording = recorded(mass_rig(), mass_motions[0.0][0], 0)
+    recording.signals["acceleration"].values[0] = 0.0
+    with pytest.raises(RigError, match="'s0' on the ground is dead; the diagnosis needs the motion of the base: mend"):
+        identify.gap(recording)

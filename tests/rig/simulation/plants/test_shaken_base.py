@@ -10,6 +10,7 @@ from rig.model.contact_laws import DeadZone
 from rig.model.description import ON_GROUND, BaseMotion, Contact, Rig, Sensor, Station
 from rig.model.oscillator import Oscillator
 from rig.model.quantities import QUANTITIES
+from rig.simulation import prediction
 from rig.simulation.motion import concatenated
 from rig.simulation.plants import ancf, modal
 from rig.simulation.plants.loading import base_motion
@@ -68,3 +69,33 @@ def test_the_plants_agree_on_a_cantilever_that_meets_a_stop_on_its_base():
 def test_a_base_without_motion_leaves_the_rig_at_rest():
     rig = replace(rig_on(None, MASS), base_motion=None)
     np.testing.assert_array_equal(moved(rig, "modal", 0.1).sensed, 0.0)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_an_inertial_force_on_the_ground_shakes_the_base_in_place_of_its_description(plant):
+    """Minus the acceleration of a base, N/kg, moves the sensors on base and body as that base does."""
+    rig = rig_on(SHAKEN, MASS, quantities=("displacement", "acceleration"))
+    described = moved(rig, plant, 2.0)
+    acceleration = described.sensed[1]
+    driven = concatenated(
+        PLANTS[plant](
+            rig_on(None, MASS, quantities=("displacement", "acceleration")), -acceleration, STEP_S, lambda _: None
+        )
+    )
+    for row, expected in zip(driven.sensed, described.sensed, strict=True):
+        assert np.linalg.norm(row - expected) < 1e-3 * np.linalg.norm(expected)
+    np.testing.assert_array_equal(driven.sensed[1], acceleration)
+
+
+def test_a_prediction_on_a_measured_base_is_the_motion_against_it():
+    """From states against the base, under its inertial force, in the sampled motion of the plant."""
+    rig = replace(rig_on(SHAKEN, MASS, quantities=("displacement", "velocity", "acceleration")), sample_rate_hz=2048.0)
+    base_m, base_rate, base_acceleration, mass_m, mass_rate, _ = moved(rig, "modal", 2.0).sensed[:, ::2]
+    motion = np.stack([mass_m - base_m, mass_rate - base_rate])
+    starts, samples = np.array([1500, 2500]), 800
+    states = motion[:, None, starts].transpose(2, 0, 1)
+    predicted = prediction.modal(rig, -base_acceleration[None], starts, samples, (Station("mass"),), states)
+    for window, start in zip(predicted, starts, strict=True):
+        expected = motion[:, start : start + samples]
+        error = np.linalg.norm(window[:, 0] - expected, axis=1)
+        assert np.all(error < 2e-3 * np.linalg.norm(expected, axis=1))
