@@ -345,7 +345,5 @@ def same_but_sensors(rig: Rig, compared: Rig) -> bool:
 
 def same_but_laws(rig: Rig, compared: Rig) -> bool:
     """True if two rigs differ in their contact laws alone, if at all."""
-    pairs = zip(rig.contacts, compared.contacts, strict=True)
-    return (
-        rig is compared or replace(rig, contacts=tuple(replace(c, law=target.law) for c, target in pairs)) == compared
-    )
+    same_laws = (replace(c, law=target.law) for c, target in zip(rig.contacts, compared.contacts, strict=True))
+    return rig is compared or replace(rig, contacts=tuple(same_laws)) == compared
