@@ -14,9 +14,12 @@ UNLOCATED = {Verdict.CONSISTENT, Verdict.CANNOT_TELL}
 
 
 def marks(gap: Gap, rig: Rig) -> tuple[DrawnMark, ...]:
-    """Marks of what the verdict names and of what stays unexplained, where that is certain, and of dead channels."""
+    """Marks of what the verdict names and of what stays unexplained, where that is certain, and of dead channels.
+
+    The ground, on which a sensor may stand, has no place in the drawing.
+    """
     located_marks = () if gap.verdict in UNLOCATED else (*_effect_marks(gap, rig), *_force_marks(gap, rig))
-    return (*located_marks, *_channel_marks(gap, rig))
+    return tuple(m for m in (*located_marks, *_channel_marks(gap, rig)) if not rig.is_on_ground(m.station))
 
 
 def _channel_marks(gap: Gap, rig: Rig) -> Iterator[DrawnMark]:

@@ -207,6 +207,18 @@ def test_a_mass_at_the_tip_of_a_cantilever_on_a_shaken_base_is_named(beam_motion
     assert gap.report.causes[0].parameters["added_mass.relative_position"].value == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.study
+def test_a_wrong_gain_of_the_sensor_on_the_base_is_named(beam_motions, tmp_path):
+    recordings = [recorded(cantilever_rig(), motion, seed) for seed, motion in enumerate(beam_motions[0.0])]
+    for recording in recordings:
+        recording.signals["acceleration"].values[0] *= 1.05
+    gap = identify.gap(recordings)
+    assert_named(gap, "sensor_gain:s0", "sensor_gain.factor", 1.05)
+    assert gap.corrected.base_sensors[0].gain == pytest.approx(1.05, abs=0.01)
+    gap.save(tmp_path)
+    assert "a gain of sensor s0" in (tmp_path / "gap.html").read_text(encoding="utf-8")
+
+
 def fitted(rig, motion):
     """Linearisation and fit of a record within the tolerances."""
     (recording,), _ = without_faulty_channels(recorded(rig, motion, 0))
