@@ -26,8 +26,8 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.search.beside_set import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
 from identify.gaps.search.candidates import Candidate, contains, is_possible
-from identify.gaps.search.excitation import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
 from identify.gaps.search.far_sets import far_fits
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
