@@ -23,7 +23,7 @@ from identify.gaps.residual.linear import linear_model
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.residual import same_but_laws
 from identify.gaps.residual.scales import prior_scales
-from identify.gaps.residual.windowed import has_ground_forces, needs_every_line
+from identify.gaps.residual.windowed import needs_every_line
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.hypothesis import (
     FittedHypothesis,
@@ -50,7 +50,7 @@ Values = Float[np.ndarray, " parameters"]
 
 @dataclass(frozen=True)
 class FarSet:
-    """Set of effects with their values, and the cost of the thinned record."""
+    """Set of effects with their values, and its cost on the thinned record."""
 
     candidates: tuple[Candidate, ...]
     values: Values
@@ -95,12 +95,12 @@ class _Landscape:
 def far_fits(search: Search) -> list[FittedHypothesis]:
     """Refined fits of the best sets, the likeliest first; none for rigs with contacts, single masses or free motion."""
     record, rig = search.linearization.record, search.linearization.rig
-    if record.counts_from_blow or not stated_scale_refits(rig) or has_ground_forces(rig):
+    if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
         return []
     thinned = thinned_record(record)
     shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
     landscape = _Landscape(thinned, rig, shares, ResponseCache(thinned.omega))
-    effects = [c for c in search.candidates if _changes_the_bodies(c, rig)]
+    effects = [c for c in search.candidates if _is_linear_effect(c, rig)]
     singles = sorted((landscape.minimum(s) for c in effects for s in _best_on_grid(landscape, (), c)), key=_cost_of)
     pairs = [
         pair
@@ -117,8 +117,8 @@ def _cost_of(far_set: FarSet) -> float:
     return far_set.cost
 
 
-def _changes_the_bodies(candidate: Candidate, rig: Rig) -> bool:
-    """True of an effect on the linear model that is not one of a sensor, a force or the base."""
+def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
+    """True of an effect on the linear model, but for those of a single sensor and of lines, which slopes find."""
     if candidate.kind.stochastic or candidate.kind.grid_screened or "sensor" in candidate.place:
         return False
     try:
@@ -144,6 +144,7 @@ def _best_on_grid(landscape: _Landscape, present: tuple[FarSet, ...], candidate:
 
 
 def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
+    """Refined fits of those sets of which there are rigs; refinement ends for those that stay far above the best."""
     best_cost = np.inf
     for far_set in far_sets:
         with suppress(RigError):
