@@ -50,7 +50,7 @@ from identify.linear.slow_stiffness import slow_stiffness, static_contact_forces
 from rig.model.description import Rig, Station
 
 INITIAL_STATE_ROUNDS = 2
-"""Evaluations of forces along the free motion after the first. Chosen: the third changes residuals by less than 1 %."""
+"""Further evaluations of forces along the free motion. Effort: a third one changes residuals by less than 1 %."""
 ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
 """Factors on the frequency and on the damping ratio of each mode, by body."""
 
@@ -135,8 +135,8 @@ class Linear:
 
     @cached_property
     def motion(self) -> SensedMotion:
-        """Motion at the sensors. Where it begins freely, displacements jump at the first sample, but for whose jump
-        the velocities are their derivatives."""
+        """Motion at the sensors. A free motion jumps at the first sample; its velocities are the derivatives of the
+        displacements without that jump."""
         velocities = 1j * self.record.omega * self.displacements + self.record.velocity_correction
         for free_mode in self.free_modes:
             velocities -= free_mode.initial_state[0] * free_mode.shape[:, None]

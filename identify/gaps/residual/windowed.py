@@ -234,8 +234,8 @@ def ground_force_derivative(
 
 
 def following_motion(record: Record, rig: Rig) -> Rig:
-    """Rig whose dampers are those of which the linear model holds none: friction, and dampers of free motion, which is
-    fitted, or whose windowed acceleration is measured."""
+    """Rig with those dampers alone that follow the measured motion: friction, and the dampers of bodies whose free
+    motion is fitted, or whose windowed acceleration is measured."""
     return replace(rig, dampers=tuple(d for d in rig.dampers if not _is_linear(record, rig, d)))
 
 

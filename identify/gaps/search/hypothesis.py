@@ -14,7 +14,7 @@ from identify.gaps.residual.nuisance import LIMIT
 from identify.gaps.residual.residual import Linearization, Residual, rescaled, scales_at
 from identify.gaps.residual.scales import Scales, prior_scales
 from identify.gaps.residual.tuning import TUNED_KINDS
-from identify.gaps.search.base_excitation import fit_base_excitation
+from identify.gaps.search.base_spectrum import fit_base_spectrum
 from identify.gaps.search.candidates import Candidate
 from identify.gaps.search.nominal import extra_relinearizations, fitted_nuisance, stated_scale_refits
 from identify.signals.refit import refit_until_settled
@@ -277,7 +277,7 @@ def fit_spectrum(search: Search, nominal_fit: FittedHypothesis, candidate: Candi
     """Fit of an effect that is known by its spectrum alone, so that its values are not fitted over time."""
     if not nominal_fit.hypothesis.is_incomplete:
         return None
-    base_estimate = fit_base_excitation(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
+    base_estimate = fit_base_spectrum(nominal_fit.linearization, nominal_fit.residual, candidate, MIN_GAIN)
     if base_estimate is None:
         return None
     values, standard_errors = base_estimate

@@ -156,12 +156,12 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
     """
     if needs_every_line(linearization.rig):
         return []
-    thinned_record = _thinned_record(linearization.record)
+    thinned = thinned_record(linearization.record)
     unmodelled_shares = linearization.scales.unmodelled_shares[:, 1::LINE_STRIDE]
-    response_cache = ResponseCache(thinned_record.omega)
+    response_cache = ResponseCache(thinned.omega)
 
     def cost(rig: Rig) -> float:
-        model = linear_model(thinned_record, rig, unmodelled_shares, response_cache)
+        model = linear_model(thinned, rig, unmodelled_shares, response_cache)
         return LINE_STRIDE * float(np.sum(np.abs(model.residual) ** 2))
 
     nominal_cost = cost(linearization.rig)
@@ -173,7 +173,7 @@ def grid_screening(linearization: Linearization, candidates: Sequence[Candidate]
         if not (has_linear_change and has_same_loads) or candidate.kind.stochastic or needs_every_line(changed_rig):
             continue
         costs_and_values = []
-        for grid_values in _grid_values(candidate):
+        for grid_values in grid_values_of(candidate):
             try:
                 costs_and_values.append((cost(candidate.applied(linearization.rig, grid_values)), grid_values))
             except RigError:
@@ -224,7 +224,7 @@ def _log_scatter(residual: Residual) -> float:
     return float(sum(contact.residual.size * np.log(contact.cost) for contact in residual.contacts))
 
 
-def _grid_values(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
+def grid_values_of(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameters"]]:
     """Parameter values on the grid of strengths within the bounds, at every place."""
     for place_values in candidate.start_values():
         for strength in candidate.trial_strengths(STRENGTHS):
@@ -233,7 +233,8 @@ def _grid_values(candidate: Candidate) -> Iterator[Float[np.ndarray, " parameter
             yield grid_values
 
 
-def _thinned_record(record: Record) -> Record:
+def thinned_record(record: Record) -> Record:
+    """Record on every `LINE_STRIDE`-th line."""
     line_slice = slice(1, None, LINE_STRIDE)
     return replace(
         record,

@@ -9,8 +9,9 @@ Notes for maintainers
    the three that gain most are fitted whatever they gain, as tolerances that stand far off bend the model.
 3. Start from a single effect (`_with_single_effects`): where a set leaves more than half of the mismatch, an effect is
    so large, or a line so sharp, that slopes say nothing of it. Then single effects are screened over their whole range;
-   so they are beside sets of three and more, which may stand for one large effect. A free decay whose modes are known
-   starts so at once: no slope leads from one resonance to another.
+   so they are beside sets of three and more, which may stand for one large effect, and so are pairs on bodies without
+   contacts (`far_sets`). A free decay whose modes are known starts so at once: no slope leads from one resonance to
+   another.
 4. Leave out (`reduced_sets`): linear removal of strong effects misleads, so the set is fitted again without each of its
    members. A member without which S rises by less than `MIN_GAIN` leaves the set. Then members leave one after the
    other, the least important first, so that the record that was not fitted may demand fewer.
@@ -25,8 +26,9 @@ import numpy as np
 from jaxtyping import Float
 
 from identify.gaps.residual.residual import Linearization, Residual
+from identify.gaps.search.beside_set import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
 from identify.gaps.search.candidates import Candidate, contains, is_possible
-from identify.gaps.search.excitation import is_stochastic, linearized_about, search_about, with_base_motion, with_tone
+from identify.gaps.search.far_sets import far_fits
 from identify.gaps.search.hypothesis import (
     MAX_EXCESS_COST,
     MIN_GAIN,
@@ -118,10 +120,10 @@ def _with_single_effects(
         dominant_excess = max(MAX_EXCESS_COST, DOMINANT_SHARE * nominal_misfit.excess_cost)
         is_mostly_unexplained = set_misfit.line_cost > MIN_GAIN or set_misfit.excess_cost >= dominant_excess
         is_doubtful = is_mostly_unexplained or len(best_set.hypothesis.candidates) >= DOUBTFUL_SIZE
-    single_effect_fits = single_effects(search, nominal_fit) if is_doubtful else []
-    if not single_effect_fits:
+    starts = [*single_effects(search, nominal_fit), *far_fits(search)] if is_doubtful else []
+    if not starts:
         return best_set, []
-    likeliest = single_effect_fits[0]
+    likeliest = min(starts, key=lambda fitted: fitted.cost)
     if likeliest.cost >= best_set.cost:
         return best_set, [likeliest.hypothesis]
     is_base_motion = is_stochastic(likeliest.hypothesis)

@@ -27,7 +27,7 @@ TRIAL_DENSITIES = 10.0 ** np.arange(-9, 3, 0.5)
 """Trial spectral densities, (m/s^2)^2/Hz. Derived: the best is within a factor 1.8, then refined."""
 
 
-def fit_base_excitation(
+def fit_base_spectrum(
     linearization: Linearization, residual: Residual, candidate: Candidate, min_gain: float
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """Most likely base motion (rms acceleration in m/s^2, lower and upper end of its band in Hz) and standard errors.

@@ -1,0 +1,153 @@
+"""Sets of one or two large effects on the linear model, from the minima of a cost that every line bounds.
+
+Two effects that shift resonances by more than their widths hide each other: no slope leads to either, and neither alone
+explains enough to be a start for the other. With the linear residuals r of a thinned record at the stated scales and
+without nuisance parameters, the cost sum ln(1 + |r|^2) falls towards the right resonances from afar, as a wrong one
+costs no more than its logarithm.
+
+Notes for maintainers
+1. Each effect alone, over a grid of strengths and places, then from its best point by a simplex.
+2. The best of these with each further effect over its grid, the best of the pairs then together by a simplex.
+3. The best few are fitted to the record, from nominal nuisance parameters at their values.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import minimize
+
+from identify.gaps.residual.linear import linear_model
+from identify.gaps.residual.record import Record
+from identify.gaps.residual.residual import same_but_laws
+from identify.gaps.residual.scales import prior_scales
+from identify.gaps.residual.windowed import needs_every_line
+from identify.gaps.search.candidates import Candidate
+from identify.gaps.search.hypothesis import (
+    FittedHypothesis,
+    Search,
+    fit_briefly,
+    parameters_of,
+    refined,
+    with_effects,
+)
+from identify.gaps.search.nominal import stated_scale_refits
+from identify.gaps.search.screening import LINE_STRIDE, grid_values_of, thinned_record
+from identify.linear.model import ResponseCache
+from rig.errors import RigError
+from rig.model.description import Rig
+
+FIRST_EFFECTS, PAIRS, FITTED_PAIRS = 3, 4, 2
+"""Effects that are paired with all others, pairs that are minimised, and those that are fitted beside the best effect
+alone. Effort."""
+EVALUATIONS_PER_PARAMETER = 40
+"""Evaluations of the cost per parameter of a simplex at most. Effort."""
+
+Values = Float[np.ndarray, " parameters"]
+
+
+@dataclass(frozen=True)
+class FarSet:
+    """Set of effects with their values, and its cost on the thinned record."""
+
+    candidates: tuple[Candidate, ...]
+    values: Values
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Landscape:
+    """Cost of a thinned record over the rigs that effects make of the nominal one."""
+
+    record: Record
+    rig: Rig
+    unmodelled_shares: Float[np.ndarray, "sensors lines"]
+    cache: ResponseCache
+
+    def cost(self, candidates: tuple[Candidate, ...], values: Values) -> float:
+        """Cost sum ln(1 + |r|^2); infinite where there is no such rig."""
+        lower, upper = parameters_of(candidates).bounds
+        if np.any(values < lower) or np.any(values > upper):
+            return np.inf
+        try:
+            model = linear_model(
+                self.record, with_effects(self.rig, candidates, values), self.unmodelled_shares, self.cache
+            )
+        except RigError:
+            return np.inf
+        return float(np.sum(np.log1p(np.abs(model.residual) ** 2)))
+
+    def minimum(self, start: FarSet) -> FarSet:
+        """Set at the minimum that a simplex reaches."""
+        lower, upper = parameters_of(start.candidates).bounds
+        solution = minimize(
+            lambda shares: self.cost(start.candidates, lower + shares * (upper - lower)),
+            (start.values - lower) / (upper - lower),
+            method="Nelder-Mead",
+            options={"maxfev": EVALUATIONS_PER_PARAMETER * start.values.size, "xatol": 1e-4, "fatol": 1.0},
+        )
+        reached = FarSet(start.candidates, lower + solution.x * (upper - lower), float(solution.fun))
+        return min(start, reached, key=_cost_of)
+
+
+def far_fits(search: Search) -> list[FittedHypothesis]:
+    """Refined fits of the best sets, the likeliest first; none for rigs with contacts, single masses or free motion."""
+    record, rig = search.linearization.record, search.linearization.rig
+    if record.counts_from_blow or not stated_scale_refits(rig) or needs_every_line(rig):
+        return []
+    thinned = thinned_record(record)
+    shares = prior_scales(record).unmodelled_shares[:, 1::LINE_STRIDE]
+    landscape = _Landscape(thinned, rig, shares, ResponseCache(thinned.omega))
+    effects = [c for c in search.candidates if _is_linear_effect(c, rig)]
+    singles = sorted((landscape.minimum(s) for c in effects for s in _best_on_grid(landscape, (), c)), key=_cost_of)
+    pairs = [
+        pair
+        for single in singles[:FIRST_EFFECTS]
+        for candidate in effects
+        for pair in _best_on_grid(landscape, (single,), candidate)
+    ]
+    minima = sorted((landscape.minimum(pair) for pair in sorted(pairs, key=_cost_of)[:PAIRS]), key=_cost_of)
+    fits = _fits(search, [*minima[:FITTED_PAIRS], *singles[:1]])
+    return sorted(fits, key=lambda fitted: fitted.cost)
+
+
+def _cost_of(far_set: FarSet) -> float:
+    return far_set.cost
+
+
+def _is_linear_effect(candidate: Candidate, rig: Rig) -> bool:
+    """True of an effect on the linear model, but for those of a single sensor and of lines, which slopes find."""
+    if candidate.kind.stochastic or candidate.kind.grid_screened or "sensor" in candidate.place:
+        return False
+    try:
+        changed = candidate.applied(rig, candidate.typical_values)
+    except RigError:
+        return False
+    return not (same_but_laws(rig, changed) or needs_every_line(changed)) and changed.loads == rig.loads
+
+
+def _best_on_grid(landscape: _Landscape, present: tuple[FarSet, ...], candidate: Candidate) -> Iterator[FarSet]:
+    """Best set of present effects and a further one on its grid; none where no point of it makes a rig, or where the
+    further one stands nowhere and is there already."""
+    candidates = tuple(c for far_set in present for c in far_set.candidates)
+    if candidate in candidates and len(candidate.parameters) == len(candidate.parameters.strengths):
+        return
+    values = np.concatenate([np.zeros(0), *(far_set.values for far_set in present)])
+    members = (*candidates, candidate)
+    points = (np.append(values, grid_values) for grid_values in grid_values_of(candidate))
+    costs_and_points = [(landscape.cost(members, point), point) for point in points]
+    cost, point = min(costs_and_points, key=lambda cost_and_point: cost_and_point[0], default=(np.inf, values))
+    if np.isfinite(cost):
+        yield FarSet(members, point, cost)
+
+
+def _fits(search: Search, far_sets: Sequence[FarSet]) -> Iterator[FittedHypothesis]:
+    """Refined fits of those sets of which there are rigs; refinement ends for those that stay far above the best."""
+    best_cost = np.inf
+    for far_set in far_sets:
+        with suppress(RigError):
+            fitted = refined(search, fit_briefly(search, far_set.candidates, far_set.values, None), best_cost)
+            best_cost = min(best_cost, fitted.cost)
+            yield fitted
