@@ -13,7 +13,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from shutil import get_terminal_size
 from textwrap import TextWrapper
-from typing import Annotated, Any, TextIO
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -100,7 +100,7 @@ def run(app: typer.Typer, command_name: str) -> None:
         exit_status = 1
         sentence = one_line(f"{file_name}: cannot be read or written ({error.strerror}); choose another place")
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # where what is left goes
-    _print_fitted(f"{command_name}: {sentence}", sys.stderr)
+    _print_fitted(f"{command_name}: {sentence}", is_error=True)
     sys.exit(exit_status)
 
 
@@ -132,7 +132,7 @@ def _interrupt(*_: object) -> None:
 
 def say(text: str) -> None:
     """Print a line on standard output, with control characters escaped; a terminal breaks it between words."""
-    _print_fitted(text if is_plain(text) else one_line(text), sys.stdout)
+    _print_fitted(text if is_plain(text) else one_line(text))
 
 
 def print_sentence(sentence: str, console: Console) -> None:
@@ -153,8 +153,9 @@ def fitted(text: str, width: int) -> str:
     return wrapper.fill(bound_text).replace("\u2060", " ")
 
 
-def _print_fitted(line: str, stream: TextIO) -> None:
+def _print_fitted(line: str, is_error: bool = False) -> None:
     """Print a line, fitted to a terminal; where it is piped it stays one line, for programs that read lines."""
+    stream = sys.stderr if is_error else sys.stdout
     print(fitted(line, get_terminal_size().columns) if stream.isatty() else line, file=stream)
 
 

@@ -68,7 +68,7 @@ def run_here(function, parameters, _result_type, folder, _dask=None):
 
 def forced_record(*_, **__):
     """What the tool asks of a record; the recordings here are too short for a true one."""
-    return SimpleNamespace(counted_part=CountedPart(1, 1.5), has_force=True)
+    return SimpleNamespace(counted_part=CountedPart(1, 1.5), has_force=True, base=None)
 
 
 @pytest.fixture
