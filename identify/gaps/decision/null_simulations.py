@@ -27,7 +27,7 @@ from identify.gaps.residual.record import Record
 from identify.gaps.residual.shaken_base import with_inertial_force
 from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
 from rig.model.modes import mode_count, modes_of, participation
-from rig.model.structure import SAME_PLACE_M, structure_of
+from rig.model.structure import SAME_PLACE_M, Structure, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
 from rig.recording.interfaces import Simulate
@@ -157,7 +157,7 @@ def _draw_body(
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, drawn_mode_count) / np.sqrt(mass_factor)
     participations: tuple[float, ...] = ()
-    if rig.base_sensors:
+    if rig.base_sensors or not isinstance(body, Structure):  # a base may move by an effect
         carried = np.sqrt(mass_factor) * participation(rig, body, modes, drawn_mode_count)
         participations = tuple(carried[frequency_order].tolist())
     damping_ratios = np.minimum(modes.damping_ratios(drawn_mode_count) * damping_factors, 0.9)

@@ -6,10 +6,12 @@ from msgspec.structs import replace
 
 from identify.gaps.decision.channel_errors import ChannelErrors, with_crosstalk, with_lateral_motion
 from identify.gaps.decision.null_simulations import draw_rig, simulated_machines
+from rig.effects import effect_named
 from rig.model.description import Sensor, Station
 from rig.model.tolerances import EXACT, LABORATORY
 from rig.recording import Recording, Signals, channel_groups
 from rig.simulation.reference import BarrelCradle, Sdof
+from rig.simulation.replay import modal
 
 ODD_M = 1.0272139258614885
 """No number of nine digits."""
@@ -113,3 +115,14 @@ def test_strain_gauges_keep_their_fibre():
         replace(rig, sensors=(*rig.sensors, gauge)), LABORATORY, np.random.default_rng(3).standard_normal(600)
     )
     assert actual.sensors[-1].fibre_m == rig.body("cradle").half_thickness_m
+
+
+def test_drawn_beams_follow_a_base_that_an_effect_shakes():
+    rig = BarrelCradle(sensors="acceleration").rig()
+    shaken = effect_named("base_motion:acceleration_rms_m_per_s2=1.0,low_hz=5.0,high_hz=40.0").applied_to(rig)
+    drawn = draw_rig(rig, EXACT, np.random.default_rng(1).standard_normal(600))
+    at_rest = np.zeros(2048)
+    signals = [modal(rig, replace(shaken, bodies=bodies), at_rest, 1) for bodies in (rig.bodies, drawn.bodies)]
+    rows = [recording.signals["acceleration"].values for recording in signals]
+    np.testing.assert_allclose(rows[1], rows[0], atol=0.01 * np.abs(rows[0]).max())
+    assert np.abs(rows[0]).max() > 0.5
