@@ -276,15 +276,17 @@ def misfit_covariance(
 
 def misfit_excess(score_differences: Float[np.ndarray, "parts free"]) -> tuple[Float[np.ndarray, " free"], float]:
     """Difference D of the parameters by both halves of a split, and the excess max(0, 1 - T0^2 / T^2)."""
-    parts, free = score_differences.shape
+    part_count, parameter_count = score_differences.shape
     parameter_difference = score_differences.sum(axis=0)
     scale = np.maximum(np.sqrt(np.sum(score_differences**2, axis=0)), 1e-300)
     scatter = (score_differences - score_differences.mean(axis=0)) / scale
-    covariance = parts / (parts - 1) * scatter.T @ scatter
+    covariance = part_count / (part_count - 1) * scatter.T @ scatter
     t_square = float(
         (parameter_difference / scale) @ np.linalg.pinv(covariance, hermitian=True) @ (parameter_difference / scale)
     )
-    t_square_limit = free * (parts - 1) / (parts - free) * float(f.ppf(MISFIT_CONFIDENCE, free, parts - free))
+    freedom = part_count - parameter_count
+    quantile = float(f.ppf(MISFIT_CONFIDENCE, parameter_count, freedom))
+    t_square_limit = parameter_count * (part_count - 1) / freedom * quantile
     return parameter_difference, max(0.0, 1 - t_square_limit / max(t_square, 1e-300))
 
 

@@ -1,4 +1,4 @@
-"""Stiffness and damping of the bodies against slow relative displacements of the contacts.
+"""Stiffness and damping of the bodies against slow relative displacements of the contacts, and constant contact forces.
 
 Accelerations do not show slow motion; where they are all that is measured, the springs of some modes act on the
 high-passed displacement alone, and the slow rest meets these matrices.

@@ -131,21 +131,21 @@ def rig_drawing(rig: Rig, contact_lines: Mapping[str, Sequence[str]], marks: Seq
     for body in reversed(rig.bodies):
         layout.tops_px[body.name] = y_px = y_px + ROW_GAP + LINE_HEIGHT * len(spans_above[body.name].spans_by_line)
         y_px += _height_px(body) + LINE_HEIGHT * len(spans_below[body.name].spans_by_line)
-    svg_parts = [
-        *(part for body in rig.bodies for part in _clamp_or_spring(layout, body)),
-        *(part for contact, text in contact_texts for part in _contact(layout, contact, text)),
-        *(part for body in rig.bodies for part in _body(layout, body)),
+    svg_elements = [
+        *(element for body in rig.bodies for element in _clamp_or_spring(layout, body)),
+        *(element for contact, text in contact_texts for element in _contact(layout, contact, text)),
+        *(element for body in rig.bodies for element in _body(layout, body)),
         *_supports(layout),
-        *(part for body_name, line in held_lines.items() for part in _held_words(layout, body_name, line)),
+        *(element for body_name, line in held_lines.items() for element in _held_words(layout, body_name, line)),
         *_sensors(layout),
         *_forces(layout),
         *_measured_base(layout, y_px + FOOT_HEIGHT),
-        *(part for mark, text in ringed.values() for part in _mark_ring(layout, mark, text)),
-        *(part for mark, text in mark_texts for part in _mark_words(layout, mark, text)),
+        *(element for mark, text in ringed.values() for element in _mark_ring(layout, mark, text)),
+        *(element for mark, text in mark_texts for element in _mark_words(layout, mark, text)),
     ]
     return (
         f'<svg viewBox="0 0 {WIDTH:g} {y_px + FOOT_HEIGHT:g}" role="img" aria-label="Drawing of {escape(rig.name)}" '
-        f'class="machine">{"".join(svg_parts)}</svg>'
+        f'class="machine">{"".join(svg_elements)}</svg>'
     )
 
 

@@ -80,11 +80,9 @@ def _mass_force_maps(record: Record, residual: Residual) -> dict[str, ResidualMa
     for response in residual.model.responses:
         for sensor_index, sensor in enumerate(record.sensors):
             if response.body.is_mass and sensor.station.body == response.body.name:
-                missing_force_n = (
-                    residual.model.residual[sensor_index]
-                    * residual.model.error_deviation[sensor_index]
-                    / response.accelerance[0]
-                )
+                shapes = response.shapes([sensor.station])
+                missing_signals = residual.model.residual[sensor_index] * residual.model.error_deviation[sensor_index]
+                missing_force_n = missing_signals / response.transfer(shapes, shapes)[0, 0]
                 displacement_m, velocity_m_per_s, force_n = record.in_time(
                     np.stack(
                         [

@@ -146,21 +146,23 @@ class Misfit:
             + self.line_cost
         )
 
-    @property
-    def variance_beyond_noise(self) -> Float[np.ndarray, "bands sensors"]:
-        """Mean square of the linear residual per line beyond noise, in the sensors' unit; zero where noise
-        dominates."""
-        excess_variance = np.maximum(
-            self.variance_by_second.mean(axis=0) * self.variance_correction - self.nominal_variances.noise_variance, 0.0
-        )
-        return np.asarray(excess_variance * self.nominal_variances.has_signal)
+    @cached_property
+    def measured_variance(self) -> Float[np.ndarray, "bands sensors"]:
+        """Mean square of the linear residual per line, in the sensors' unit."""
+        return np.asarray(self.variance_by_second.mean(axis=0) * self.variance_correction)
+
+    @cached_property
+    def excess_variance(self) -> Float[np.ndarray, "bands sensors"]:
+        """Mean square of the linear residual per line beyond noise; zero where noise dominates."""
+        reference = self.nominal_variances
+        return np.asarray((self.measured_variance - reference.noise_variance) * reference.has_signal)
 
     @property
     def share_by_band(self) -> Float[np.ndarray, " bands"]:
         """Unexplained share of the acceleration's root mean square by band, beyond noise."""
         return np.asarray(
             np.sqrt(
-                self.variance_beyond_noise.sum(axis=1)
+                np.maximum(self.excess_variance, 0.0).sum(axis=1)
                 / np.maximum(self.nominal_variances.acceleration_power.sum(axis=1), 1e-300)
             )
         )
@@ -173,14 +175,10 @@ class Misfit:
         positive parts add up to per cents where many bands are noisy. Those that exceed it by more count alone, so that
         noise that is estimated too high hides no misfit.
         """
-        measured_variance = self.variance_by_second.mean(axis=0) * self.variance_correction
         line_counts = self.nominal_variances.line_counts[:, None]
-        excess_variance = (
-            measured_variance - self.nominal_variances.noise_variance
-        ) * self.nominal_variances.has_signal
-        is_significant = excess_variance > SIGNIFICANT_EXCESS * measured_variance / np.sqrt(line_counts)
-        significant_power = float(np.sum(line_counts * excess_variance * is_significant))
-        other_power = float(np.sum(line_counts * excess_variance * ~is_significant))
+        is_significant = self.excess_variance > SIGNIFICANT_EXCESS * self.measured_variance / np.sqrt(line_counts)
+        significant_power = float(np.sum(line_counts * self.excess_variance * is_significant))
+        other_power = float(np.sum(line_counts * self.excess_variance * ~is_significant))
         motion_power = max(self.power_by_band.sum(), 1e-300)
         return float(np.sqrt((significant_power + max(other_power, 0.0)) / motion_power))
 

@@ -50,7 +50,7 @@ from identify.linear.slow_stiffness import slow_stiffness, static_contact_forces
 from rig.model.description import Rig, Station
 
 INITIAL_STATE_ROUNDS = 2
-"""Further evaluations of forces along the free motion. Effort: a third one changes residuals by less than 1 %."""
+"""Further evaluations of forces along the free motion. Effort: a third one changes next to nothing."""
 ModeFactors = Mapping[str, tuple[Float[np.ndarray, " modes"], Float[np.ndarray, " modes"]]]
 """Factors on the frequency and on the damping ratio of each mode, by body."""
 

@@ -1,4 +1,4 @@
-"""Sets of one or two large effects on the linear model, from the minima of a cost that every line bounds.
+"""Sets of one or two large effects on the linear model, from the minima of a cost that no line dominates.
 
 Two effects that shift resonances by more than their widths hide each other: no slope leads to either, and neither alone
 explains enough to be a start for the other. With the linear residuals r of a thinned record at the stated scales and

@@ -35,7 +35,7 @@ LIMIT_SHARE = 0.99
 """Share of `LIMIT` from which a tolerance stands at its limit."""
 STRAINED_PULL = 1.0
 """Deviation of a mode's tolerance, in standard deviations, from which a refit begins without any. Set by hand: a decay
-that rubs was explained by a damping 2.9 of them off, and the friction came out elsewhere."""
+that rubs was explained by damping beyond its tolerance, and the friction was placed elsewhere."""
 CHANCE_PULL = 3.0
 """Stated standard deviations beyond which a tolerance is not off by chance: an effect may pull it. Derived: a normal
 variable exceeds it once in 370."""
