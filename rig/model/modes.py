@@ -148,11 +148,10 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     condensed_body = structure_of(
         body.name, body.length_m, modes.frequencies_hz(count), modes.damping_ratios(count), positions_m, shapes
     )
-    participations: tuple[float, ...] = ()
-    with suppress(RigError):  # a modal basis of a held body may not say
-        participations = tuple(participation(rig, body, modes, count).tolist())
     return msgspec.structs.replace(
-        condensed_body, has_axis=getattr(body, "has_axis", True), participations=participations
+        condensed_body,
+        has_axis=getattr(body, "has_axis", True),
+        participations=tuple(stated_participation(rig, body, modes, count).tolist()),
     )
 
 
@@ -252,6 +251,13 @@ def participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.nd
     places = np.concatenate([positions_m, [mass.station.position_m for mass in masses]])
     masses_kg = np.concatenate([weights / 2 * body.mass_kg, [mass.mass_kg for mass in masses]])
     return masses_kg @ modes.shapes(places, count)
+
+
+def stated_participation(rig: Rig, body: Body, modes: Modes, count: int) -> Float[np.ndarray, " modes"]:
+    """`participation`, in sqrt(kg); empty where the modal basis of a held body does not say it."""
+    with suppress(RigError):
+        return participation(rig, body, modes, count)
+    return np.empty(0)
 
 
 def matrices(

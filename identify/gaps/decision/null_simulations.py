@@ -26,8 +26,8 @@ from identify.gaps.residual.law import LEAST_CLEARANCE_FACTOR
 from identify.gaps.residual.record import Record
 from identify.gaps.residual.shaken_base import with_inertial_force
 from rig.model.description import ON_GROUND, Body, Contact, Rig, Sensor, Station, contact_stations
-from rig.model.modes import mode_count, modes_of, participation
-from rig.model.structure import SAME_PLACE_M, Structure, structure_of
+from rig.model.modes import mode_count, modes_of, stated_participation
+from rig.model.structure import SAME_PLACE_M, structure_of
 from rig.model.tolerances import Tolerances
 from rig.recording import Recording, Signals
 from rig.recording.interfaces import Simulate
@@ -156,10 +156,7 @@ def _draw_body(
     )
     positions_m = positions_m[np.append(np.diff(positions_m) > SAME_PLACE_M, True)]
     shapes = modes.shapes(positions_m, drawn_mode_count) / np.sqrt(mass_factor)
-    participations: tuple[float, ...] = ()
-    if rig.base_sensors or not isinstance(body, Structure):  # a base may move by an effect
-        carried = np.sqrt(mass_factor) * participation(rig, body, modes, drawn_mode_count)
-        participations = tuple(carried[frequency_order].tolist())
+    participations = np.sqrt(mass_factor) * stated_participation(rig, body, modes, drawn_mode_count)
     damping_ratios = np.minimum(modes.damping_ratios(drawn_mode_count) * damping_factors, 0.9)
     drawn_body = structure_of(
         body.name,
@@ -169,7 +166,8 @@ def _draw_body(
         positions_m,
         shapes[:, frequency_order],
     )
-    return replace(drawn_body, participations=participations)
+    ordered_participations = participations[frequency_order] if participations.size else participations
+    return replace(drawn_body, participations=tuple(ordered_participations.tolist()))
 
 
 def is_impulsive(force_n: Float[np.ndarray, " samples"]) -> bool:
