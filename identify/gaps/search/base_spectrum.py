@@ -25,6 +25,9 @@ WINDOW_BANDWIDTH_LINES, WINDOW_POWER_CORRELATION = 1.5, 35 / 18
 mean of w^4 over (mean of w^2)^2."""
 TRIAL_DENSITIES = 10.0 ** np.arange(-9, 3, 0.5)
 """Trial spectral densities, (m/s^2)^2/Hz. Derived: the best is within a factor 1.8, then refined."""
+LEAST_PATTERN_SHARE = 0.5
+"""Share of the band's power beyond the sensors' noise that has the pattern of a base motion, below which something else
+moves the machine there: near a resonance its errors have nearly that pattern. Set by hand: the greater part."""
 
 
 def fit_base_spectrum(
@@ -32,7 +35,8 @@ def fit_base_spectrum(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None:
     """Most likely base motion (rms acceleration in m/s^2, lower and upper end of its band in Hz) and standard errors.
 
-    None where the residual holds no base motion, or -2 ln p falls by no more than `min_gain`. With y the residual and p
+    None where the residual holds no base motion, -2 ln p falls by no more than `min_gain`, or other patterns have more
+    of the band's power. With y the residual and p
     the pattern of a base motion of unit density, both of unit noise, a density S lowers the cost of a line by
     2 (|p'y|^2/s (1 - 1/(1 + S s)) - log(1 + S s)), s = |p|^2; the best band is the interval of lines of largest sum.
     Each sensor is scaled by the level of its residual around each line, so that a model error at some sensors does not
@@ -50,14 +54,12 @@ def fit_base_spectrum(
     pattern = model.signal_per_input[contact_count]
     contact_forces = linearization.model.projection.applied_to(pattern * linearization.model.error_deviation)[1]
     pattern = pattern - np.einsum("isl,il->sl", model.signal_per_input[:contact_count], contact_forces)
-    residual_spectra = _windowed_spectra(linearization, residual)
+    spectra = _windowed_spectra(linearization, residual)
     smoothing_lines = max(1, round(SMOOTHED_HZ * record.transform_length / record.sample_rate_hz))
-    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(residual_spectra) ** 2, smoothing_lines, axis=1), 1e-300))
-    residual_spectra, pattern = residual_spectra / sensor_level, pattern / sensor_level
-    pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
-    pattern_power = np.abs(np.sum(pattern.conj() * residual_spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300)
-    remaining_power = (np.sum(np.abs(residual_spectra) ** 2, axis=0) - pattern_power) / max(
-        1, len(residual_spectra) - contact_count - 1
+    sensor_level = np.sqrt(np.maximum(uniform_filter1d(np.abs(spectra) ** 2, smoothing_lines, axis=1), 1e-300))
+    pattern_power, pattern_size = _power_and_size(spectra / sensor_level, pattern / sensor_level)
+    remaining_power = (np.sum(np.abs(spectra / sensor_level) ** 2, axis=0) - pattern_power) / max(
+        1, len(spectra) - contact_count - 1
     )
     noise_power = np.maximum(uniform_filter1d(remaining_power, smoothing_lines), 1e-300)
     pattern_power, pattern_size = pattern_power / noise_power, pattern_size / noise_power
@@ -84,12 +86,26 @@ def fit_base_spectrum(
     middle_line = (best_lines.start + best_lines.stop) // 2
     low_hz, low_error_hz = _band_edge(lines_hz[:middle_line], -cumulative_gains[:middle_line], resolution_hz)
     high_hz, high_error_hz = _band_edge(lines_hz[middle_line:], cumulative_gains[middle_line:-1], resolution_hz)
+    is_in_band = (lines_hz >= low_hz) & (lines_hz <= high_hz)
+    noise_by_pattern = np.mean(record.noise_variance / linearization.model.error_deviation**2, axis=0)
+    excess_power = np.sum(np.abs(spectra) ** 2, axis=0) - (len(spectra) - contact_count) * noise_by_pattern
+    excess_of_pattern = _power_and_size(spectra, pattern)[0] - noise_by_pattern
+    if np.sum(excess_of_pattern[is_in_band]) < LEAST_PATTERN_SHARE * np.sum(excess_power[is_in_band]):
+        return None
     rms_m_per_s2 = float(np.sqrt(best_density * record.sample_count / counted_count * (high_hz - low_hz)))
     base_motion_values = np.array(
         [np.clip(rms_m_per_s2, 0, parameter_ranges["acceleration_rms_m_per_s2"].high), low_hz, high_hz]
     )
     rms_error = rms_m_per_s2 * np.hypot(relative_error, np.hypot(low_error_hz, high_error_hz) / (high_hz - low_hz)) / 2
     return base_motion_values, np.array([rms_error, low_error_hz, high_error_hz])
+
+
+def _power_and_size(
+    spectra: Complex[np.ndarray, "sensors lines"], pattern: Complex[np.ndarray, "sensors lines"]
+) -> tuple[Float[np.ndarray, " lines"], Float[np.ndarray, " lines"]]:
+    """Power |p'y|^2/|p|^2 of a pattern p in spectra y at every line, and its size |p|^2."""
+    pattern_size = np.sum(np.abs(pattern) ** 2, axis=0)
+    return np.abs(np.sum(pattern.conj() * spectra, axis=0)) ** 2 / np.maximum(pattern_size, 1e-300), pattern_size
 
 
 def _line_gains(
