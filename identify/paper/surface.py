@@ -126,10 +126,10 @@ def fit_surface(
         closed_share = np.mean((eta_m[j] > stops[2 * i + 1]) | (eta_m[j] < -stops[2 * i]))
         if closed_share >= MIN_CONTACT_SHARE:
             variances = [stop_covariance[0, 0], stop_covariance[1, 1], stop_covariance.sum() / 4]
-            lower_error_m, upper_error_m, half_error_m = np.sqrt(variances).tolist()
+            lower_error_m, upper_error_m, mean_error_m = np.sqrt(variances).tolist()
             lower_m, upper_m = stops[2 * i : 2 * i + 2].tolist()
             is_touched = contacts_to_fit[i][1].touched
-            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, half_error_m, is_touched)
+            fitted_stops[j] = Stops(lower_m, upper_m, lower_error_m, upper_error_m, mean_error_m, is_touched)
     return Surface(
         equation, decimation, measured_force, fitted_force, contact_forces, tuple(fitted_stops), stiffness_n_per_m
     )
@@ -177,11 +177,11 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     part_stops_m = np.array([np.abs(fit_density(part_m, [best_parameters])[3:]) for part_m in parts_m]) * deviation_m
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
     lower_m, upper_m = np.abs(best_parameters[3:]) * deviation_m
-    lower_error_m, upper_error_m, half_error_m = (
+    lower_error_m, upper_error_m, mean_error_m = (
         float(np.std(scaled_eta, ddof=1) / np.sqrt(PARTS))
         for scaled_eta in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
-    return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, half_error_m)
+    return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, mean_error_m)
 
 
 def _projection(

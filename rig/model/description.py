@@ -239,16 +239,16 @@ def stations_of(rig: Rig) -> tuple[Station, ...]:
     stations = {sensor.station for sensor in rig.sensors if sensor not in rig.base_sensors} | {
         station for contact in contact_rows(rig) for station in contact_stations(contact)
     }
-    order = [body.name for body in rig.bodies]
-    return tuple(sorted(stations, key=lambda s: (order.index(s.body), s.position_m, s.direction)))
+    body_order = [body.name for body in rig.bodies]
+    return tuple(sorted(stations, key=lambda s: (body_order.index(s.body), s.position_m, s.direction)))
 
 
 def contact_rows(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by the components of their relative displacement: an annular one twice, NAME_y and NAME_z."""
     return tuple(
-        in_direction
+        component
         for contact in rig.contacts
-        for in_direction in (
+        for component in (
             [_component(contact, direction) for direction in DIRECTIONS] if contact.law.spatial else [contact]
         )
     )
@@ -264,10 +264,12 @@ def check_shapes_known(rig: Rig, source: str) -> None:
 
     Interpolated shapes are for effects and perturbed rigs only.
     """
-    places = [(f"the {name}", station) for name, station in zip(rig.force_names, rig.forces, strict=True)]
-    places += [(f"sensor {s.name!r}", s.station) for s in rig.sensors]
-    places += [(f"contact {c.name!r}", station) for c in rig.contacts for station in contact_stations(c)]
-    for label, station in places:
+    labelled_stations = [(f"the {name}", station) for name, station in zip(rig.force_names, rig.forces, strict=True)]
+    labelled_stations += [(f"sensor {sensor.name!r}", sensor.station) for sensor in rig.sensors]
+    labelled_stations += [
+        (f"contact {contact.name!r}", station) for contact in rig.contacts for station in contact_stations(contact)
+    ]
+    for label, station in labelled_stations:
         if rig.is_on_ground(station):
             continue
         body = rig.body(station.body)
@@ -296,12 +298,12 @@ def from_json(text: bytes, source: str) -> Rig:
         raise RigError(f"{source}: not a rig description: it is no JSON ({error}); correct it there") from error
     check_schema_version(decoded, source)
     check_largest(decoded, source)
-    invalid = f"{source}: not a rig description"
+    error_prefix = f"{source}: not a rig description"
     try:
-        in_types = json_in_types(decoded)
+        typed_json = json_in_types(decoded)
     except RigError as error:
-        raise RigError(f"{invalid}: {error}") from error
-    return converted(in_types, Rig, invalid)
+        raise RigError(f"{error_prefix}: {error}") from error
+    return converted(typed_json, Rig, error_prefix)
 
 
 def read_rig(path: Path) -> Rig:

@@ -203,7 +203,7 @@ def read_truth(path: Path) -> Recording:
 def with_history(provenance: Mapping[str, str], *steps: str) -> dict[str, str]:
     """Provenance with further processing steps, one numbered entry each."""
     step_count = sum(key.startswith("history ") for key in provenance)
-    return {**provenance, **{f"history {step_count + k}": step for k, step in enumerate(steps, start=1)}}
+    return {**provenance, **{f"history {step_count + number}": step for number, step in enumerate(steps, start=1)}}
 
 
 def truth_path(path: Path) -> Path:
@@ -278,12 +278,12 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 def _load(path: Path) -> Recording:
     contents, assemblies = Contents(), dict[str, Assembly]()
     with container.open_recording(path) as file:
-        most_values = path.stat().st_size // 8
+        max_values = path.stat().st_size // 8
         for group_name, block in container.with_path_in_error(
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             if group_name not in assemblies:
-                capacity = most_values // sum(len(channels.names) for channels in contents.groups.values())
+                capacity = max_values // sum(len(channels.names) for channels in contents.groups.values())
                 assemblies[group_name] = Assembly(path, group_name, contents.groups[group_name], capacity=capacity)
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)

@@ -121,8 +121,8 @@ class RecordingWriter:
             self._write_full_chunk()
         part_starts, part_extremes = previews(values, rate_hz, block_samples)
         times_ns = np.rint((first_sample + part_starts) / rate_hz * 1e9).astype("<u8") + np.uint64(self._start_date_ns)
-        for preview_id, extremes in zip(preview_ids, part_extremes, strict=True):
-            self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), extremes)
+        for preview_id, channel_extremes in zip(preview_ids, part_extremes, strict=True):
+            self._writer.chunk.add_many(preview_id, times_ns, messages.preview_head(2), channel_extremes)
         self._written_counts[group_name] += sample_count
 
     def _write_full_chunk(self) -> None:
@@ -163,7 +163,7 @@ def writing(
     An interruption (Ctrl-C) completes the file with what was written so far. A full disk leaves what was written under
     the name FILE.part, as a kill does, for rig.recovery. Any other error removes it.
     """
-    interruption = None
+    interrupt_error = None
     with locked_part(path) as part_path:
         try:
             with part_path.open("wb") as stream:
@@ -171,7 +171,7 @@ def writing(
                 try:
                     yield writer
                 except KeyboardInterrupt as error:
-                    interruption = error
+                    interrupt_error = error
                 writer.finish()
             sync_and_rename(part_path, path)
         except (OSError, CutOffError) as error:  # CutOffError: the disk failed another file of the same recording
@@ -184,8 +184,8 @@ def writing(
         except BaseException:
             part_path.unlink(missing_ok=True)
             raise
-        if interruption is not None:
-            raise interruption
+        if interrupt_error is not None:
+            raise interrupt_error
 
 
 PREVIEW_HZ = 50.0

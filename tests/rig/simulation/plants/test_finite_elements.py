@@ -65,7 +65,7 @@ def test_static_tip_deflection_is_within_a_thousandth(system):
     settings.solutionSettings.writeSolutionToFile = False
     settings.staticSolver.newton.absoluteTolerance = 1e-6  # newtons; rounding leaves some 1e-8
     assert system.SolveStatic(settings)
-    tip = system.GetNodeOutput(meshes[0].nodes[-1], exu.OutputVariableType.Displacement)[1]
+    tip = system.GetNodeOutput(meshes[0].node_numbers[-1], exu.OutputVariableType.Displacement)[1]
     expected = force_n / (3 * rig.bodies[0].bending_stiffness_n_m2)
     print(f"static tip deflection off by {100 * (tip / expected - 1):.2g} %")
     assert tip == pytest.approx(expected, rel=1e-3)
@@ -76,7 +76,7 @@ def test_nodes_stand_at_contacts_and_force():
     for station in [s for c in rig.contacts for s in (c.at, c.against)] + [rig.force_at]:
         mesh = next(m for m in meshes_of(rig) if m.body.name == station.body)
         assert np.abs(mesh.positions_m - station.position_m).min() < 1e-12
-        assert mesh.positions_m[mesh.nodes.index(mesh.node_at(station.position_m))] == pytest.approx(station.position_m)
+        assert mesh.positions_m[mesh.node_numbers.index(mesh.node_at(station.position_m))] == pytest.approx(station.position_m)
         assert np.diff(mesh.positions_m).max() < 1.001 / ELEMENTS
 
 
