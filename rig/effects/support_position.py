@@ -38,8 +38,12 @@ class SupportPosition(Effect, frozen=True):
     @classmethod
     def typical(cls, scale: Scale) -> Effect:
         """A hundredth of the body, towards the side with more room."""
-        shift = cls.parameters(scale)["shift_m"]
-        return cls.placed(scale, shift_m=MAX_SHIFT_SHARE * (shift.high if shift.high >= -shift.low else shift.low))
+        shift_parameter = cls.parameters(scale)["shift_m"]
+        return cls.placed(
+            scale,
+            shift_m=MAX_SHIFT_SHARE
+            * (shift_parameter.high if shift_parameter.high >= -shift_parameter.low else shift_parameter.low),
+        )
 
     @classmethod
     def placements(cls, rig: Rig, sensors: Sequence[str]) -> list[dict[str, str | None]]:

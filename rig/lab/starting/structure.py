@@ -8,7 +8,7 @@ import numpy as np
 
 from rig.errors import RigError
 from rig.lab.modal import Axis, Choice, structure_from_uff
-from rig.lab.starting.base import StartWithStops, spread
+from rig.lab.starting.base import StartWithStops, spread_positions
 from rig.model.decoding import converted
 from rig.model.description import Rig, Station
 from rig.model.structure import Structure, structure_of
@@ -85,9 +85,13 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
         force_m = _basis_position_m(body, self.force_m, "force_m")
-        places = stations_m or spread([*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist())
-        meetings = [(Station(body.name, x), None) for x in contacts_m]
-        return self._rig((body,), meetings, Station(body.name, force_m), [Station(body.name, x) for x in places])
+        places = stations_m or spread_positions(
+            [*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist()
+        )
+        meeting_stations = [(Station(body.name, x), None) for x in contacts_m]
+        return self._rig(
+            (body,), meeting_stations, Station(body.name, force_m), [Station(body.name, x) for x in places]
+        )
 
     def _from_json(self) -> Structure:
         path = self.body or Path()
