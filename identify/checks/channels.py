@@ -157,7 +157,7 @@ def _wrong_station(
         return
     positions_m = np.linspace(0, body_length_m, POSITION_COUNT)
     for _ in range(2):
-        stations = [Station(sensor.station.body, float(x)) for x in positions_m]
+        stations = [Station(sensor.station.body, float(position_m)) for position_m in positions_m]
         unexplained_shares = [
             unexplained_by(explained_spectrum)
             for explained_spectrum in acceleration_by_forces(rig, prediction, spectra.omega, stations)

@@ -67,7 +67,7 @@ def check_recording(
     findings = list(waveform_findings)
     for direction in recording.rig.directions:
         findings += _model_findings(recording, direction, use, tolerances or LABORATORY, waveform_findings)
-    if not any(f.cause in ("units", "gain") for f in findings):
+    if not any(finding.cause in ("units", "gain") for finding in findings):
         findings += _out_of_range_findings(recording, use)
     return merge_by_cause(_unexplained_findings(findings, recording.force_names), recording.rig)
 
@@ -98,7 +98,7 @@ def _unexplained_findings(findings: list[Finding], force_names: Sequence[str]) -
 def _out_of_range_findings(recording: Recording, use: MotionQuantity) -> list[Finding]:
     """Findings on channels that exceed anything on a test rig."""
     range_findings = [waveforms.out_of_range_finding(c.name, c.group, c.samples) for c in _channels(recording, use)]
-    return [f for f in range_findings if f is not None]
+    return [finding for finding in range_findings if finding is not None]
 
 
 @contextmanager
@@ -134,18 +134,25 @@ def _model_findings(
     if rig.base_sensors:
         return []  # the comparison takes forces alone
     excluded_channels = {
-        c for f in waveform_findings if f.cause in EXCLUDING_CAUSES for c in _channels_at_fault(f, force_names)
+        c
+        for finding in waveform_findings
+        if finding.cause in EXCLUDING_CAUSES
+        for c in _channels_at_fault(finding, force_names)
     }
-    sensors = tuple(s for s in rig.sensors if s.measures.translates and use in ("auto", s.quantity))
-    if not sensors or excluded_channels & {*force_names} or any(f.cause == "not at rest" for f in waveform_findings):
+    sensors = tuple(sensor for sensor in rig.sensors if sensor.measures.translates and use in ("auto", sensor.quantity))
+    if (
+        not sensors
+        or excluded_channels & {*force_names}
+        or any(finding.cause == "not at rest" for finding in waveform_findings)
+    ):
         return []
-    usable_indices = [i for i, s in enumerate(sensors) if s.name not in excluded_channels]
+    usable_indices = [i for i, sensor in enumerate(sensors) if sensor.name not in excluded_channels]
     try:
         if len(usable_indices) > len(contact_groups(rig)) + 1:
             if not quiet_samples(recording.forces_n, rig.sample_rate_hz):
                 return []  # it may ring of what was before, which no force explains
             return _channel_findings(recording, sensors, usable_indices, tolerances)
-        if not waveform_findings and all(b.is_mass for b in rig.bodies):
+        if not waveform_findings and all(body.is_mass for body in rig.bodies):
             return mass_findings(rig, kinematics(recording, use), tolerances)
     except RigError:  # a record that allows no comparison is refused by what needs it
         pass
@@ -231,19 +238,30 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     """First fault of every channel's samples; then faults that several channels show together."""
     channels = list(_channels(recording, use))
     first_faults = [fault for fault in map(_first_fault, channels) if fault is not None]
-    live_channels = [c for c in channels if c.name not in _channel_names(f for f in first_faults if f.cause == "dead")]
+    live_channels = [
+        channel
+        for channel in channels
+        if channel.name not in _channel_names(f for f in first_faults if f.cause == "dead")
+    ]
     excitation_signals = excitations(recording)
     may_begin_moving = recording.start_s > 0 or not np.any(excitation_signals)  # a free decay begins in motion
     motion_findings = [] if may_begin_moving else _motion_findings(live_channels)
     if recording.start_s == 0 and _runs_backwards(live_channels, excitation_signals, recording.rig.sample_rate_hz):
-        motion_findings = [waveforms.reversed_time_finding(tuple(c.name for c in live_channels if not c.is_force))]
+        motion_findings = [
+            waveforms.reversed_time_finding(tuple(channel.name for channel in live_channels if not channel.is_force))
+        ]
     findings = motion_findings or [*first_faults, *_spike_findings(live_channels, _channel_names(first_faults))]
-    return [*findings, *waveforms.copy_findings([c.name for c in live_channels], [c.samples for c in live_channels])]
+    return [
+        *findings,
+        *waveforms.copy_findings(
+            [channel.name for channel in live_channels], [channel.samples for channel in live_channels]
+        ),
+    ]
 
 
 def _channel_names(findings: Iterable[Finding]) -> set[str]:
     """Names of the channels that findings concern."""
-    return {name for f in findings for name in f.channels}
+    return {name for finding in findings for name in finding.channels}
 
 
 def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
@@ -251,7 +269,7 @@ def _channels(recording: Recording, use: MotionQuantity) -> Iterator[_Channel]:
     rig = recording.rig
     used_names = {
         *recording.force_names[: count_on_bodies(rig)],
-        *(s.name for s in rig.sensors if use in ("auto", s.quantity)),
+        *(sensor.name for sensor in rig.sensors if use in ("auto", sensor.quantity)),
     }
     for group, signals in recording.signals.items():
         for name, samples in zip(signals.channels.names, signals.values, strict=True):
@@ -313,7 +331,7 @@ def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float
     """True if all motion ends with the force, without ringing: time then seems to run backwards."""
     quiet_count = 0 if quiet_samples(forces_n, rate_hz) else quiet_samples(forces_n[..., ::-1], rate_hz)
     ringing_samples = slice(max(0, quiet_count - round(RINGING_S * rate_hz)), quiet_count)
-    motion_rows = [c.samples for c in channels if c.group in REST_S_BY_QUANTITY]
+    motion_rows = [channel.samples for channel in channels if channel.group in REST_S_BY_QUANTITY]
     return bool(
         quiet_count
         and motion_rows
@@ -324,9 +342,9 @@ def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float
 def _motion_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
-        waveforms.motion_finding(c.name, c.rate_hz, c.samples, REST_S_BY_QUANTITY[c.group])
-        for c in channels
-        if c.group in REST_S_BY_QUANTITY
+        waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])
+        for channel in channels
+        if channel.group in REST_S_BY_QUANTITY
     ]
     findings = [f for f in finding_by_channel if f is not None]
     return findings if len(findings) > MOVING_CHANNELS_SHARE * len(finding_by_channel) else []

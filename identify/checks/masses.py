@@ -177,7 +177,7 @@ def _open_mask(
             contact.against.body if contact.against else None,
         ):
             continue
-        if not all(rig.contacts[j].law.has_stops for j in group.contact_indices):
+        if not all(rig.contacts[contact_index].law.has_stops for contact_index in group.contact_indices):
             return np.zeros_like(is_open)
         rows = [motion.row(s) for s in (contact.at, contact.against) if s is not None]
         if None in rows:
@@ -186,7 +186,7 @@ def _open_mask(
         distance_m = np.abs(eta_m - np.median(eta_m))[::decimation]
         is_open &= distance_m < np.quantile(distance_m[motion.excited_from // decimation :], quantile)
         if len(group.contact_indices) > 1:
-            laws = [rig.contacts[j].law for j in group.contact_indices]
+            laws = [rig.contacts[contact_index].law for contact_index in group.contact_indices]
             clearances_m = [x for law in laws for x in (law.lower_clearance_m, law.upper_clearance_m)]
             is_open &= distance_m < INNER_CLEARANCE_SHARE * min(clearances_m)
     return is_open

@@ -49,7 +49,9 @@ def observed_motion(
         force_accelerations=check.acceleration_by_force[:, channel_indices],
         displacements=np.zeros_like(signals),
         bodies=tuple(_body_motion(rig, response, input_spectra) for response in responses),
-        further_changes=tuple(c for r in responses for c in _truncation_changes(rig, r, sensors, input_spectra)),
+        further_changes=tuple(
+            c for response in responses for c in _truncation_changes(rig, response, sensors, input_spectra)
+        ),
     )
 
 
@@ -69,7 +71,7 @@ def _truncation_changes(
     first_uncertain_mode = max(modes_near_band(response, MODE_MARGIN), int(CONVERGED_SHARE * response.mode_count))
     if response.body.is_mass or first_uncertain_mode >= response.mode_count:
         return
-    stations = list(dict.fromkeys(s.station for s in sensors if s.station.body == response.body.name))
+    stations = list(dict.fromkeys(sensor.station for sensor in sensors if sensor.station.body == response.body.name))
     shapes = response.shapes(stations)[:, first_uncertain_mode:]
     input_names = (*rig.force_names, *(contact.name for contact in rig.contacts))
     for name, input_shape, input_spectrum in zip(
@@ -80,6 +82,6 @@ def _truncation_changes(
                 shapes * input_shape[first_uncertain_mode:], response.accelerance[first_uncertain_mode:]
             )
             for station, signal in zip(stations, accelerance * input_spectrum, strict=True):
-                sensor_indices = [i for i, s in enumerate(sensors) if s.station == station]
+                sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station == station]
                 parameter = Nuisance(NuisanceKind.TRUNCATION, f"{sensors[sensor_indices[0]].name} by {name}")
                 yield Change(parameter, sensor_indices, np.tile(signal, (len(sensor_indices), 1)))

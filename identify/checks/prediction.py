@@ -158,11 +158,11 @@ def linear_check(
 
 def _error_scale_of(spectra: Spectra, channel_indices: list[int]) -> Float[np.ndarray, "sensors lines"]:
     """Scale of the median channel of each body, among channel_indices if any, so that no single one rules it."""
-    body_names = [s.station.body for s in spectra.sensors]
+    body_names = [sensor.station.body for sensor in spectra.sensors]
     error_scale = np.empty(spectra.line_noise.shape)
     for body_name in dict.fromkeys(body_names):
         body_channels = [i for i, name in enumerate(body_names) if name == body_name]
-        scale_channels = [i for i in body_channels if i in channel_indices] or body_channels
+        scale_channels = [channel for channel in body_channels if channel in channel_indices] or body_channels
         error_scale[body_channels] = MODEL_ERROR_SHARE * np.median(spectra.line_level[scale_channels], axis=0)
     error_scale = np.hypot(error_scale, spectra.line_noise)
     return np.asarray(np.maximum(error_scale, 1e-9 * float(error_scale.max()) or 1.0))
@@ -193,7 +193,7 @@ def driven_lines(forces: Complex[np.ndarray, "forces lines"]) -> Bool[np.ndarray
 def _accelerances(rig: Rig, spectra: Spectra, cache: ResponseCache) -> Complex[np.ndarray, "inputs sensors lines"]:
     """Accelerances of each force, then of each contact (which drives by minus its force)."""
     responses = [response_of(rig, body, cache) for body in rig.bodies]
-    return accelerances(rig, responses, rig.forces, [s.station for s in spectra.sensors])
+    return accelerances(rig, responses, rig.forces, [sensor.station for sensor in spectra.sensors])
 
 
 class Projector:

@@ -65,7 +65,7 @@ def suspects_of(
     clock_column = np.zeros_like(acceleration_by_force[0])
     for body in bodies:
         response = body.response
-        sensor_indices = [i for i, s in enumerate(sensors) if s.station.body == response.body.name]
+        sensor_indices = [i for i, sensor in enumerate(sensors) if sensor.station.body == response.body.name]
         shapes = response.shapes([sensors[i].station for i in sensor_indices])
         frequency_motion = real_product(shapes, response.sensitivity(by_frequency=True) * body.acceleration)
         clock_column[sensor_indices] += frequency_motion

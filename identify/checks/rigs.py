@@ -125,7 +125,7 @@ def rig_trials(rig: Rig, spectra: Spectra, usable_indices: list[int]) -> Iterato
 
 
 def _with_clock(rig: Rig, frequency_factor: float) -> Rig:
-    return replace(rig, bodies=tuple(b.scale_frequencies(frequency_factor) for b in rig.bodies))
+    return replace(rig, bodies=tuple(body.scale_frequencies(frequency_factor) for body in rig.bodies))
 
 
 def _other_positions(body: Body, stated_station: Station) -> list[Station]:
@@ -160,10 +160,10 @@ def _other_ends(rig: Rig, body: Body) -> Iterator[tuple[Body, str]]:
 
 def _mirrored_spectra(spectra: Spectra, body: Body) -> Spectra:
     sensors = tuple(
-        replace(s, station=replace(s.station, position_m=body.length_m - s.station.position_m))
-        if s.station.body == body.name
-        else s
-        for s in spectra.sensors
+        replace(sensor, station=replace(sensor.station, position_m=body.length_m - sensor.station.position_m))
+        if sensor.station.body == body.name
+        else sensor
+        for sensor in spectra.sensors
     )
     return dataclasses.replace(spectra, sensors=sensors)
 
@@ -178,7 +178,7 @@ def _mirrored_finding(body: str, spectra: Spectra) -> Finding:
     return Finding(
         cause="mirrored",
         of=body,
-        channels=tuple(s.name for s in spectra.sensors if s.station.body == body),
+        channels=tuple(sensor.name for sensor in spectra.sensors if sensor.station.body == body),
         evidence=f"the channels of {body} fit if their positions count from its other end",
         mend="correct the positions in rig.json",
     )

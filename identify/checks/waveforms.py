@@ -209,7 +209,7 @@ def _moving_mean(values: Row, width: int) -> Row:
 
 def copy_findings(names: list[str], rows: list[Row]) -> Iterator[Finding]:
     """Findings: channels that are the same up to a factor."""
-    thinned_rows = [r[:: max(1, r.size // 8192)] for r in rows]
+    thinned_rows = [row[:: max(1, row.size // 8192)] for row in rows]
     unit_vectors = [
         (row - row.mean()) / norm if (norm := float(np.linalg.norm(row - row.mean()))) > 0 else np.zeros_like(row)
         for row in thinned_rows

@@ -221,9 +221,9 @@ def holm_corrected(quantities: Sequence[QuantityHistory]) -> tuple[QuantityHisto
     procedure", 1979)."""
     p_values = [
         (p_value, quantity_index, field_name)
-        for quantity_index, q in enumerate(quantities)
+        for quantity_index, quantity in enumerate(quantities)
         for field_name in ("p_different", "p_trend")
-        if (p_value := getattr(q, field_name)) is not None
+        if (p_value := getattr(quantity, field_name)) is not None
     ]
     adjusted_by_field: list[dict[str, float]] = [{} for quantity in quantities]
     adjusted_p = 0.0

@@ -124,12 +124,12 @@ def identify_law(
     chosen = [
         (contact_group, contact_record)
         for contact_group, contact_record in groups_and_records
-        if contact in (None, *(contact_names[j] for j in contact_group.contact_indices))
+        if contact in (None, *(contact_names[contact_index] for contact_index in contact_group.contact_indices))
     ]
     laws: list[ContactLawFit] = []
     refusal_by_name: dict[str, Refusal] = {}
     for number, (contact_group, contact_record) in enumerate(chosen, start=1):
-        member_names = [contact_names[j] for j in contact_group.contact_indices]
+        member_names = [contact_names[contact_index] for contact_index in contact_group.contact_indices]
         if set(member_names) <= refusals.keys() and (
             contact_record.drift is not None or not np.ptp(contact_record.eta_m)
         ):
@@ -204,7 +204,8 @@ def _identify_contact(
     candidates = tuple(
         TriedLaw(name, force_samples.error_n(law, samples.held_out_rows)) for name, law in candidate_laws.items()
     )
-    best_law = candidates[_simplest_equivalent_index([c.held_out_error_n for c in candidates], error_resolution_n)]
+    errors_n = [candidate.held_out_error_n for candidate in candidates]
+    best_law = candidates[_simplest_equivalent_index(errors_n, error_resolution_n)]
     # the final fit takes all excited rows
     pieces = straight_pieces(force_samples, samples.excited_rows, pieces.knees_m)
     friction = sliding_friction(force_samples, samples.excited_rows) if best_law.law == SLIDING else None
@@ -241,12 +242,10 @@ def _contact_samples(contacts: Contacts, contact_group: ContactGroup, contact_re
     Raises RigError if too little of the record is excited.
     """
     separation, estimates_by_name = contacts.separation, contacts.outcomes.estimates
-    signs_and_names = zip(
-        contact_group.signs, (separation.rig.contacts[j].name for j in contact_group.contact_indices), strict=True
-    )
+    member_names = [separation.rig.contacts[contact_index].name for contact_index in contact_group.contact_indices]
     estimates = tuple(
         estimates_by_name[name] if sign > 0 else estimates_by_name[name].reversed
-        for sign, name in signs_and_names
+        for sign, name in zip(contact_group.signs, member_names, strict=True)
         if name in estimates_by_name
     )
     force_samples, velocity_m_per_s = _add_drift(contact_record, estimates[:1])

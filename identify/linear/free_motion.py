@@ -71,7 +71,7 @@ def free_motions(
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
-        body_rows = np.flatnonzero([s.body == response.body.name for s in motion.stations])
+        body_rows = np.flatnonzero([station.body == response.body.name for station in motion.stations])
         mode_count = min(body_rows.size, response.mode_count)
         coordinates = np.linalg.pinv(shapes[body_rows, :mode_count]) @ np.array(
             [motion.displacement_m[body_rows], motion.velocity_m_per_s[body_rows]]

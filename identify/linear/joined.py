@@ -74,6 +74,6 @@ class GroupLaw:
 def group_laws(rig: Rig) -> tuple[GroupLaw, ...]:
     """Laws of every pair of places."""
     return tuple(
-        GroupLaw(tuple(rig.contacts[j].law for j in group.contact_indices), group.signs)
+        GroupLaw(tuple(rig.contacts[contact_index].law for contact_index in group.contact_indices), group.signs)
         for group in contact_groups(rig)
     )

@@ -65,10 +65,10 @@ def transformation(rig: Rig, body: Body, motion: Kinematics) -> Transformation:
 
     Raises RigError if a body has no station, or if these cannot tell the modes apart.
     """
-    station_rows = tuple(i for i, s in enumerate(motion.stations) if s.body == body.name)
+    station_rows = tuple(i for i, station in enumerate(motion.stations) if station.body == body.name)
     if not station_rows:
         raise RigError(f"body {body.name!r} has no measured station; put a sensor on it")
-    positions_m = np.array([motion.stations[i].position_m for i in station_rows])
+    positions_m = np.array([motion.stations[row].position_m for row in station_rows])
     mode_count = min(len(station_rows), body.max_modes)
     shapes = body.shapes(positions_m, mode_count)
     condition_number = float(np.linalg.cond(shapes))
@@ -155,7 +155,7 @@ def _without_higher_modes(
     padded_length = next_fast_len(motion.samples, real=True)
     line_hz = np.fft.rfftfreq(padded_length, 1 / motion.sample_rate_hz)
     force_spectra = np.fft.rfft(np.concatenate([motion.forces_n, -contact_force_n]), padded_length)
-    positions_m = np.array([motion.stations[i].position_m for i in transform.station_rows])
+    positions_m = np.array([motion.stations[row].position_m for row in transform.station_rows])
     coordinate_shares = transform.inverse_shapes[: len(coordinates[0])] @ body.shapes(positions_m, body.max_modes)
     eta_shapes = [contact_shapes(rig, body, j, body.max_modes) for j in range(len(rig.contacts))]
     input_shapes = np.stack([*input_mode_shapes(rig, body, body.max_modes), *eta_shapes])
@@ -210,7 +210,12 @@ def relative_motion(
         shape = shape_at(body, station, transform.inverse_shapes.shape[0])
         return np.asarray(shape @ transform.inverse_shapes @ station_signals[list(transform.station_rows)])
 
-    return np.stack([station_motion(c.at) - (station_motion(c.against) if c.against else 0.0) for c in rig.contacts])
+    return np.stack(
+        [
+            station_motion(contact.at) - (station_motion(contact.against) if contact.against else 0.0)
+            for contact in rig.contacts
+        ]
+    )
 
 
 def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
@@ -252,7 +257,9 @@ def _truncation_shares(
     natural_hz = body.frequencies_hz(mode_count)
     highest_hz = natural_hz[fitted_count - 1] or natural_hz[fitted_count]
     mode_responses = receptance(natural_hz, body.damping_ratios(mode_count), np.linspace(0.01, 1, 500) * highest_hz)
-    contact_places = [s for c in rig.contacts for s in contact_stations(c) if s.body == body.name]
+    contact_places = [
+        station for contact in rig.contacts for station in contact_stations(contact) if station.body == body.name
+    ]
     shapes_at_contacts = body.shapes(np.array([s.position_m for s in contact_places]), mode_count)
     input_shapes = np.concatenate([shapes_at_contacts, input_mode_shapes(rig, body, mode_count)])
     coordinate_covariance = (mode_responses @ mode_responses.conj().T).real * (input_shapes.T @ input_shapes)

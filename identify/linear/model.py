@@ -202,7 +202,7 @@ class Response:
         if not body_dampers:
             return self
         undamped, shapes = partial(self.cache.transfer, self.dynamics), self.shapes([d.station for d in body_dampers])
-        damping_n_s_per_m = [d.damping_n_s_per_m for d in body_dampers]
+        damping_n_s_per_m = [damper.damping_n_s_per_m for damper in body_dampers]
         return replace(self, dampers=damper_feedback(shapes, damping_n_s_per_m, undamped, self.cache.omega))
 
     def tuned(self, hz_factors: Float[np.ndarray, " modes"], zeta_factors: Float[np.ndarray, " modes"]) -> "Response":
@@ -266,7 +266,7 @@ def accelerances(
         inputs = input_shapes(rig, response, forces)
         driving_inputs = np.flatnonzero(np.any(inputs, axis=1))
         if rows and driving_inputs.size:
-            outputs = response.shapes([places[i] for i in rows])
+            outputs = response.shapes([places[row] for row in rows])
             accelerance[driving_inputs[:, None], rows] = response.transfer(outputs, inputs[driving_inputs])
     return accelerance
 
@@ -322,11 +322,12 @@ def _high_passed_modes(
     responses: Sequence[Response], eta_shapes: Float[np.ndarray, "contacts modes"]
 ) -> list[tuple[int, int]]:
     """Modes (body and number) whose springs act on the high-passed displacement alone; see `responses_of`."""
-    modes = [(k, m) for k, r in enumerate(responses) for m in range(r.mode_count)]
-    rigid_counts = [max(r.body.rigid_modes, r.body.is_mass) for r in responses]
+    modes = [(k, m) for k, response in enumerate(responses) for m in range(response.mode_count)]
+    rigid_counts = [max(response.body.rigid_modes, response.body.is_mass) for response in responses]
     high_passed = [i for i, (k, m) in enumerate(modes) if m < rigid_counts[k]]
     rank = _force_rank(eta_shapes, high_passed)
-    for i in np.argsort(np.concatenate([r.dynamics.natural_hz for r in responses]), kind="stable").tolist():
+    natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
+    for i in np.argsort(natural_hz, kind="stable").tolist():
         if rank == len(eta_shapes):
             break
         if _force_rank(eta_shapes, [*high_passed, i]) > rank:
@@ -345,5 +346,5 @@ def eta_modes(
     rig: Rig, responses: Sequence[Response]
 ) -> tuple[Float[np.ndarray, "contacts modes"], Float[np.ndarray, " modes"]]:
     """Shapes of all bodies' modes in the relative displacements, and their natural frequencies, rad/s."""
-    natural_hz = np.concatenate([r.dynamics.natural_hz for r in responses])
-    return np.concatenate([relative_shapes(rig, r) for r in responses], axis=1), 2 * np.pi * natural_hz
+    natural_hz = np.concatenate([response.dynamics.natural_hz for response in responses])
+    return np.concatenate([relative_shapes(rig, response) for response in responses], axis=1), 2 * np.pi * natural_hz

@@ -154,7 +154,9 @@ def changes_of(observed: ObservedSignals, with_common: bool = True) -> Iterator[
     yield from _base_changes(observed)
     yield from _force_changes(observed)
     for body in observed.bodies:
-        sensor_indices = [i for i, s in enumerate(observed.sensors) if s.station.body == body.response.body.name]
+        sensor_indices = [
+            i for i, sensor in enumerate(observed.sensors) if sensor.station.body == body.response.body.name
+        ]
         yield from _position_changes(observed, body, sensor_indices)
         yield from _mode_changes(observed, body, sensor_indices, with_common)
     yield from observed.further_changes

@@ -18,7 +18,7 @@ def slow_damping(
 ) -> Float[np.ndarray, "contacts contacts"]:
     """Contact forces (N s) per slow relative velocity (m/s): K M K, with M the sum of phi phi' 2 zeta / omega^3."""
     eta_shapes, omega = eta_modes(rig, responses)
-    zeta, is_held = np.concatenate([r.dynamics.damping_ratios for r in responses]), omega > 0
+    zeta, is_held = np.concatenate([response.dynamics.damping_ratios for response in responses]), omega > 0
     held_shapes, damping_weights = eta_shapes[:, is_held], 2 * zeta[is_held] / omega[is_held] ** 3
     return np.asarray(slow_n_per_m @ (held_shapes * damping_weights) @ held_shapes.T @ slow_n_per_m)
 
@@ -43,7 +43,7 @@ def slow_stiffness(rig: Rig, responses: Sequence[Response]) -> Float[np.ndarray,
 
 def has_high_passed_springs(responses: Sequence[Response]) -> bool:
     """True if the spring of some mode acts on the high-passed displacement alone."""
-    return any(np.any(r.dynamics.natural_hz[list(r.dynamics.high_passed)]) for r in responses)
+    return any(np.any(response.dynamics.natural_hz[list(response.dynamics.high_passed)]) for response in responses)
 
 
 def static_contact_forces(rig: Rig, responses: tuple[Response, ...]) -> Float[np.ndarray, " contacts"]:

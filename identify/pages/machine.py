@@ -85,7 +85,7 @@ class _Layout:
     @property
     def drawn_forces(self) -> tuple[Station, ...]:
         """Stations of the forces, those on the ground apart."""
-        return tuple(dict.fromkeys(s for s in self.rig.forces if not self.rig.is_on_ground(s)))
+        return tuple(dict.fromkeys(station for station in self.rig.forces if not self.rig.is_on_ground(station)))
 
     def force_span_px(self, station: Station) -> tuple[float, float]:
         """Left and right end of the arrow of a force and its letter."""
@@ -188,7 +188,7 @@ def _contact(layout: _Layout, contact: Contact, text: DrawnText) -> Iterator[str
     of text."""
     x_px, upper_body = layout.contact_x_px(contact), layout.upper_body(contact)
     top_px, bottom_px = layout.tops_px[upper_body.name], layout.bottom_px(upper_body)
-    carrier_names = [s.body for s in contact_stations(contact) if s.body != upper_body.name]
+    carrier_names = [station.body for station in contact_stations(contact) if station.body != upper_body.name]
     foot_px = (
         layout.tops_px[carrier_names[0]]
         if carrier_names

@@ -77,7 +77,9 @@ def nifo(
         )
     displacement = equation.displacement
     input_terms = [[Term(force_n, factor=equation.shape_at_force)]]
-    input_terms += [[Term(penetration_m[j], factor=equation.shape_at_contacts[j])] for j in active_contacts]
+    input_terms += [
+        [Term(penetration_m[contact], factor=equation.shape_at_contacts[contact])] for contact in active_contacts
+    ]
     if form == "weak":
         input_terms[0].append(Term(displacement, derivative=2, factor=-1.0))
         input_terms.append([Term(displacement, derivative=1)])

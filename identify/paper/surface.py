@@ -90,16 +90,18 @@ def fit_surface(
 
     def regression_columns(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, "samples columns"]:
         dead_zone_columns = [
-            equation.shape_at_contacts[j]
-            * decimated(penetration_m(eta_m[j], stops[2 * i], stops[2 * i + 1]), decimation)
-            for i, j in enumerate(contact_indices)
+            equation.shape_at_contacts[contact_index]
+            * decimated(penetration_m(eta_m[contact_index], stops[2 * i], stops[2 * i + 1]), decimation)
+            for i, contact_index in enumerate(contact_indices)
         ]
         return np.stack([*linear_columns, *dead_zone_columns], axis=1)
 
     def residual_force(stops: Float[np.ndarray, " stops"]) -> Float[np.ndarray, " samples"]:
         return measured_force - _projection(regression_columns(stops), measured_force)[0]
 
-    largest_m = np.array([[-eta_m[j].min(), eta_m[j].max()] for j in contact_indices]).ravel()
+    largest_m = np.array(
+        [[-eta_m[contact_index].min(), eta_m[contact_index].max()] for contact_index in contact_indices]
+    ).ravel()
     scale_m = np.maximum(largest_m, 1e-12)
     start_stops_m = np.array([x for _, s in contacts_to_fit for x in (s.lower_m, s.upper_m)])
     solution = least_squares(

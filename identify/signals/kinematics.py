@@ -198,8 +198,8 @@ def kinematics(
     return Kinematics(
         stations=body_stations,
         channels=motion.channels,
-        sensors=tuple(_nearest_sensor(station_sensors[s], 2) for s in body_stations),
-        displaced_by=tuple(_nearest_sensor(station_sensors[s], 0) for s in body_stations),
+        sensors=tuple(_nearest_sensor(station_sensors[station], 2) for station in body_stations),
+        displaced_by=tuple(_nearest_sensor(station_sensors[station], 0) for station in body_stations),
         sample_rate_hz=rate_hz,
         trusted_hz=(corner_hz if integrates else 0.0, PASSBAND * rate_hz),
         zero_known=not integrates or _contacts_show_zero(recording.rig, station_sensors, transform.excited_from),
@@ -221,7 +221,7 @@ def _motion_sensors(recording: Recording, use: MotionQuantity) -> list[Sensor]:
     """
     base_sensors = recording.rig.base_sensors
     sensors = [s for s in recording.rig.sensors if use in ("auto", s.quantity) and s.measures.translates]
-    sensors = [s for s in sensors if s not in base_sensors]
+    sensors = [sensor for sensor in sensors if sensor not in base_sensors]
     if not sensors:
         required_words = "sensors of motion" if use == "auto" else f"{use} sensors"
         advice = "; measure accelerations, velocities or displacements" if use == "auto" else ""
@@ -254,7 +254,9 @@ def _transform(recording: Recording, sensors: list[Sensor], corner_hz: float, in
     if recording.start_s > 0:
         end_taper = end_taper * end_taper[::-1]
     padded_count = scipy.fft.next_fast_len(sample_count + round(2 * unusable_s * rate_hz), real=True)
-    excited_from = excitation_start(excitations(recording), (recording.values_of(s) for s in sensors), rate_hz)
+    excited_from = excitation_start(
+        excitations(recording), (recording.values_of(sensor) for sensor in sensors), rate_hz
+    )
     return _PaddedTransform(
         corner_hz=corner_hz,
         end_taper=end_taper,
@@ -271,7 +273,7 @@ def _motion(recording: Recording, station_sensors: ByStation, transform: _Padded
     omega, corner_hz = transform.omega, transform.corner_hz
     integration_factor = cache(lambda power: integrated(omega, power, corner_hz))
     low_pass = 1 - _high_pass(omega, corner_hz)
-    contact_places = {ON_GROUND, *(s for c in recording.rig.contacts for s in contact_stations(c))}
+    contact_places = {ON_GROUND, *(s for contact in recording.rig.contacts for s in contact_stations(contact))}
     derivatives = tuple(
         np.empty((len(station_sensors) if order >= least_order else 0, transform.usable_count)) for order in range(3)
     )

@@ -39,7 +39,9 @@ def acceleration_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
         return motion.acceleration_m_per_s2[:, : motion.quiet_samples].std(axis=1)
     if source == "noise_density in rig.json":
         base_noise = _described_noise(motion.base.sensor, motion.sample_rate_hz) if motion.base else 0.0
-        return np.array([np.hypot(_described_noise(s, motion.sample_rate_hz), base_noise) for s in motion.sensors])
+        return np.array(
+            [np.hypot(_described_noise(sensor, motion.sample_rate_hz), base_noise) for sensor in motion.sensors]
+        )
     return np.array(
         [
             _noise_from_high_band(row, max(0, 2 - s.measures.order), motion.sample_rate_hz)
@@ -52,13 +54,13 @@ def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
     quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
     derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    rows = [derivatives[s.measures.order][i] for i, s in enumerate(motion.displaced_by)]
+    rows = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
         return np.array([row[: motion.quiet_samples].std() for row in rows])
     if source == "noise_density in rig.json":
         base_density = motion.base.displaced_by.noise_density if motion.base else 0.0
-        densities = [np.hypot(s.noise_density, base_density) for s in motion.displaced_by]
+        densities = [np.hypot(sensor.noise_density, base_density) for sensor in motion.displaced_by]
         return np.sqrt(motion.sample_rate_hz / 2) * np.array(densities)
     return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in rows])
 
@@ -67,7 +69,7 @@ def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:
     """Source of the noise: the quiet start; without one, the description if it states any noise."""
     if motion.quiet_samples:
         return "the quiet start of the record"
-    if any(s.noise_density > 0 for s in rig.sensors):
+    if any(sensor.noise_density > 0 for sensor in rig.sensors):
         return "noise_density in rig.json"
     return "the highest frequencies of the record"
 

@@ -103,7 +103,9 @@ class Scale:
         """
         body = self._body()
         touching_contacts = [
-            c for c in self.rig.contacts if any(station.body == body.name for station in contact_stations(c))
+            contact
+            for contact in self.rig.contacts
+            if any(station.body == body.name for station in contact_stations(contact))
         ]
         clearances_m = [contact.law.clearance_m for contact in touching_contacts if contact.law.sides]
         return max(self.force_rms_n / self.stiffness_n_per_m(statistic), *clearances_m, 0.0)
@@ -114,7 +116,7 @@ class Scale:
         return 2 / self.duration_s, 0.4 * self.rig.sample_rate_hz
 
     def _contact_laws(self) -> list[ContactLaw]:
-        return [c.law for c in self.rig.contacts if self.place.get("contact") in (None, c.name)]
+        return [contact.law for contact in self.rig.contacts if self.place.get("contact") in (None, contact.name)]
 
     def _body(self) -> Body:
         return self.rig.body(self.place.get("body") or self.place.get("beam") or self.rig.first_driven)
@@ -254,7 +256,9 @@ class Effect(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
         chosen_sensors = [sensor for sensor in rig.sensors if sensor_name in (None, sensor.name)][-1:]
         if not chosen_sensors:
             raise self.missing_place(rig, "sensor" if sensor_name is None else f"sensor {sensor_name!r}")
-        return replace(rig, sensors=tuple(change_sensor(s) if s in chosen_sensors else s for s in rig.sensors))
+        return replace(
+            rig, sensors=tuple(change_sensor(sensor) if sensor in chosen_sensors else sensor for sensor in rig.sensors)
+        )
 
 
 def parameters_of(effect_type: type[Effect]) -> ParameterSet:

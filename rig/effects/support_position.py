@@ -64,7 +64,9 @@ class SupportPosition(Effect, frozen=True):
         shifted_supports = _supports(rig, self.supported_body(rig))
         return replace(
             rig,
-            supports=tuple(self._shifted(s) if s in shifted_supports else s for s in rig.supports),
+            supports=tuple(
+                self._shifted(support) if support in shifted_supports else support for support in rig.supports
+            ),
             springs=tuple(self._shifted(spring) if spring in shifted_supports else spring for spring in rig.springs),
         )
 

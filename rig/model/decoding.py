@@ -148,7 +148,7 @@ def _values(type_info: Any) -> tuple[str, ...]:
 
 def _fields(type_info: Any, required: bool = False) -> tuple[str, ...]:
     fields = type_info.fields if isinstance(type_info, inspect.StructType) else ()
-    return tuple(f.encode_name for f in fields if f.required or not required)
+    return tuple(field.encode_name for field in fields if field.required or not required)
 
 
 def _comma_separated(words: Iterable[str]) -> str:

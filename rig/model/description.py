@@ -74,7 +74,7 @@ __all__ = [
 ]
 
 Body = Beam | Oscillator | Structure
-UNITS: dict[str, str] = {q.name: q.unit for q in QUANTITIES.values()} | {"force": "N"}
+UNITS: dict[str, str] = {quantity.name: quantity.unit for quantity in QUANTITIES.values()} | {"force": "N"}
 UNWRITTEN_DEFAULTS = (
     b',"direction":"y"',
     b',"gravity_m_per_s2":0.0',
@@ -149,7 +149,9 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     @property
     def directions(self) -> tuple[Direction, ...]:
         """Directions in which the bodies move: y, and z if something measures or acts in it."""
-        in_z = any(station.direction == "z" for station in self._stations) or any(c.law.spatial for c in self.contacts)
+        in_z = any(station.direction == "z" for station in self._stations) or any(
+            contact.law.spatial for contact in self.contacts
+        )
         return DIRECTIONS if in_z else DIRECTIONS[:1]
 
     @property
@@ -161,7 +163,7 @@ class Rig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True)
     def _stations(self) -> Iterator[Station]:
         """Stations of everything that has a direction."""
         yield from self.forces
-        yield from (s for contact in self.contacts for s in contact_stations(contact))
+        yield from (station for contact in self.contacts for station in contact_stations(contact))
         for items in (self.sensors, self.springs, self.loads, self.dampers, self.tones):
             yield from (item.station for item in items)
 

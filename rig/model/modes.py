@@ -141,7 +141,11 @@ def _condensed_body(rig: Rig, body: Body) -> Body:
     if isinstance(modes, Oscillator):
         return modes
     if isinstance(body, Structure):
-        stiff_supports = [s for s in rig.supports if s.station.body == body.name and s.stiffness_n_per_m is None]
+        stiff_supports = [
+            support
+            for support in rig.supports
+            if support.station.body == body.name and support.stiffness_n_per_m is None
+        ]
         count = max(1, count - len(stiff_supports))
     stations = [station.position_m for station in (*stations_of(rig), *rig.forces) if station.body == body.name]
     positions_m = np.unique([*stations, *body.places(CONDENSED_PLACES)])

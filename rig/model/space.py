@@ -59,8 +59,8 @@ def _plane_contact(contact: Contact) -> Contact:
 
 def check_plane(rig: Rig, purpose: str) -> None:
     """Raise RigError if a rig moves in two directions or has weight, which `purpose` ("rig fmu") does not take."""
-    annular_names = [c.name for c in rig.contacts if c.law.spatial]
-    sensor_names_in_z = [s.name for s in rig.sensors if s.station.direction == "z"]
+    annular_names = [contact.name for contact in rig.contacts if contact.law.spatial]
+    sensor_names_in_z = [sensor.name for sensor in rig.sensors if sensor.station.direction == "z"]
     reasons = [f"contact {name!r} is annular" for name in annular_names[:1]]
     reasons += [f"sensor {name!r} has the direction z" for name in sensor_names_in_z[:1]]
     reasons += ["something in it has the direction z"] * rig.in_space

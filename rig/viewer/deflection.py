@@ -35,7 +35,9 @@ class Deflection:
 
         Zero in a direction without stations.
         """
-        station_rows = [i for i, s in enumerate(self.stations) if (s.body, s.direction) == (body.name, direction)]
+        station_rows = [
+            i for i, station in enumerate(self.stations) if (station.body, station.direction) == (body.name, direction)
+        ]
         if not station_rows:
             return np.zeros((len(positions_m), self.displacement_m[:1, samples].shape[1]))
         stations_m = np.array([self.stations[row].position_m for row in station_rows])

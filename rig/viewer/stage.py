@@ -70,7 +70,11 @@ class Stage:
         return self.frame_samples / self.sample_rate_hz
 
     def depth_m(self, body_name: str) -> float:
-        return 0.0 if self.masses_alone else -0.1 * self.extent_m * [b.name for b in self.rig.bodies].index(body_name)
+        return (
+            0.0
+            if self.masses_alone
+            else -0.1 * self.extent_m * [body.name for body in self.rig.bodies].index(body_name)
+        )
 
     def point(self, station: Station) -> Float[np.ndarray, "frames 3"]:
         """Moving position of a station."""

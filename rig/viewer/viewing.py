@@ -261,7 +261,9 @@ def _send_series(
         signals = recording.signals[quantity]
         for body in recording.rig.bodies:
             channel_stations = [
-                (i, s) for i, s in enumerate(signals.channels.stations) if s is not None and s.body == body.name
+                (i, station)
+                for i, station in enumerate(signals.channels.stations)
+                if station is not None and station.body == body.name
             ]
             values = signals.values[[i for i, _ in channel_stations], ::stride]
             station_names = [f"{s.position_m:g} m{'' if s.direction == 'y' else ', z'}" for _, s in channel_stations]

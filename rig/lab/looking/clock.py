@@ -32,11 +32,11 @@ class SeenClock:
 def clock_in(file: SeenFile, channels: Sequence[SeenColumn], rig_rate_hz: float | None) -> SeenClock:
     """Clock of a file: a column that increases evenly, or else the rate that its channels or header state."""
     sample_count = channels[0].sample_count if channels else 0
-    rate_hz = next((c.rate_hz for c in channels if c.rate_hz), None)
+    rate_hz = next((channel.rate_hz for channel in channels if channel.rate_hz), None)
     if rate_hz is not None:
         return SeenClock(None, None, rate_hz, f"{rate_hz:.9g} Hz by the file itself")
     stated_hz = file.rate_hz
-    time_column = _time_column([c for c in file.columns if c.sample_count == sample_count])
+    time_column = _time_column([column for column in file.columns if column.sample_count == sample_count])
     if time_column is None:
         rate_note = (
             f"{stated_hz:.9g} Hz by {file.rate_origin}"
@@ -82,13 +82,18 @@ def is_time(column: SeenColumn) -> bool:
 
 def _time_column(columns: Sequence[SeenColumn]) -> SeenColumn | None:
     """Column that says by name or unit that it is the time and increases; else the first that increases evenly."""
-    rising_columns = [c for c in columns if c.stamps is not None]
+    rising_columns = [column for column in columns if column.stamps is not None]
     time_columns = [
-        c for c in rising_columns if (c.is_date or is_time(c)) and not (c.is_counter and quantity_of(c.unit) != "time")
+        column
+        for column in rising_columns
+        if (column.is_date or is_time(column)) and not (column.is_counter and quantity_of(column.unit) != "time")
     ]
     if time_columns:
         return min(time_columns, key=lambda c: (c.is_date, quantity_of(c.unit) != "time"))
-    return next((c for c in rising_columns if c.unit is None and not c.is_counter and _is_even(c)), None)
+    return next(
+        (column for column in rising_columns if column.unit is None and not column.is_counter and _is_even(column)),
+        None,
+    )
 
 
 def _is_even(column: SeenColumn) -> bool:

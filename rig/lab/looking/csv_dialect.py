@@ -191,7 +191,7 @@ def _first_sample_line(lines: Sequence[str], first_line: int, delimiter: str, de
     ]
     while first_line:
         cell_kinds = cell_kinds_of(cells_of(lines[first_line - 1], delimiter), decimal)
-        if not all(k < len(cell_kinds) and cell_kinds[k] == "n" for k in number_columns):
+        if not all(column < len(cell_kinds) and cell_kinds[column] == "n" for column in number_columns):
             break
         first_line -= 1
     return first_line

@@ -49,7 +49,7 @@ def look_at(source: Path, rig: Rig | None, rig_name: str = RIG_NAME) -> Proposal
         raise RigError(f"{source}: no column of it is a measured channel ({reasons}); check what was exported")
     clock = clock_in(file, channels, rig.sample_rate_hz if rig else None)
     if clock.column is not None:
-        channels = tuple(c for c in channels if c.number != clock.column.number)
+        channels = tuple(channel for channel in channels if channel.number != clock.column.number)
         left_out_reasons = tuple((c, reason) for c, reason in left_out_reasons if c.number != clock.column.number)
     roles = roles_of(channels)
     date, date_origin = recorded_date(source, file.form, [column.recorded for column in channels])
@@ -98,14 +98,14 @@ def _key_by_number(file: SeenFile) -> dict[int, str | int]:
     """Name of each column for the map, or its number if the name does not tell it from the others."""
     name_counts = Counter(column.name for column in file.columns)
     return {
-        c.number: c.name
-        if name_counts[c.name] == 1
-        and is_plain(c.name)
-        and c.name == c.name.strip()
-        and 0 < len(c.name) <= MAX_NAME_LENGTH
-        and c.name != PLACEHOLDER
-        else c.number
-        for c in file.columns
+        column.number: column.name
+        if name_counts[column.name] == 1
+        and is_plain(column.name)
+        and column.name == column.name.strip()
+        and 0 < len(column.name) <= MAX_NAME_LENGTH
+        and column.name != PLACEHOLDER
+        else column.number
+        for column in file.columns
     }
 
 
@@ -167,7 +167,7 @@ def _force_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], rig
     ]
     note = "; ".join(f"{_column_label(role.column)} is {_range_text(role)}" for role in force_roles)
     if is_placed and rig is not None:
-        note += ", and acts at " + ", ".join(f"{s.position_m:g} m of {s.body}" for s in rig.forces)
+        note += ", and acts at " + ", ".join(f"{station.position_m:g} m of {station.body}" for station in rig.forces)
     yield f"force = {entry_texts[0] if len(entry_texts) == 1 else '[' + ', '.join(entry_texts) + ']'}  # {note}"
 
 
@@ -175,7 +175,9 @@ def _sensor_lines(roles: Sequence[Role], key_by_number: dict[int, str | int], ri
     sensor_by_name = {sensor.name: sensor for sensor in rig.sensors} if rig else {}
     sensor_roles = [role for role in roles if role.quantity != "force"]
     if rig is not None and any(role.name not in sensor_by_name for role in sensor_roles):
-        places_text = ", ".join(b.name if b.is_mass else f"{b.name} (0 to {b.length_m:g} m)" for b in rig.bodies)
+        places_text = ", ".join(
+            body.name if body.is_mass else f"{body.name} (0 to {body.length_m:g} m)" for body in rig.bodies
+        )
         names_hint = (
             f"; sensors of rig.json need no place if they are named as there: {', '.join(sensor_by_name)}"
             if sensor_by_name

@@ -127,7 +127,7 @@ class MeasuredRig(Start, frozen=True, kw_only=True):
             )
         if self.contacts_m and (self.clearance_m is None or self.stiffness_n_per_m is None):
             raise RigError("contacts_m is given; give clearance_m and stiffness_n_per_m too")
-        if unsensed_m := [x for x in self.contacts_m if x not in self.positions_m]:
+        if unsensed_m := [position_m for position_m in self.contacts_m if position_m not in self.positions_m]:
             raise RigError(
                 f"contacts_m has {unsensed_m[0]:g} m, where no sensor is; the shapes are known at sensors alone"
             )

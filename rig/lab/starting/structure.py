@@ -81,14 +81,14 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
 
     def _rig_of(self, body: Structure) -> Rig:
         contacts_m, stations_m = (
-            [_basis_position_m(body, x, option) for x in positions_m]
+            [_basis_position_m(body, position_m, option) for position_m in positions_m]
             for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
         force_m = _basis_position_m(body, self.force_m, "force_m")
         places = stations_m or spread_positions(
             [*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist()
         )
-        meeting_stations = [(Station(body.name, x), None) for x in contacts_m]
+        meeting_stations = [(Station(body.name, position_m), None) for position_m in contacts_m]
         return self._rig(
             (body,), meeting_stations, Station(body.name, force_m), [Station(body.name, x) for x in places]
         )

@@ -83,8 +83,8 @@ def connections(rig: Rig) -> tuple[Contact, ...]:
     """Contacts by components (`contact_rows`), then cubic springs and dampers as dead zones to the ground without
     clearance and linear stiffness."""
     springs = [spring for spring in rig.springs if spring.cubic_n_per_m3]
-    to_ground = [(f"spring {i}", s.station, s.law) for i, s in enumerate(springs)]
-    to_ground += [(f"damper {i}", d.station, d.law) for i, d in enumerate(rig.dampers)]
+    to_ground = [(f"spring {i}", spring.station, spring.law) for i, spring in enumerate(springs)]
+    to_ground += [(f"damper {i}", damper.station, damper.law) for i, damper in enumerate(rig.dampers)]
     return (*contact_rows(rig), *(Contact(name=n, at=station, against=None, law=law) for n, station, law in to_ground))
 
 

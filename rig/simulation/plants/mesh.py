@@ -184,7 +184,10 @@ def _transverse_at_rest(rig: Rig, meshes: list[Mesh]) -> Float[np.ndarray, " row
     free_rows = np.setdiff1d(np.arange(load_n.size), clamped_rows)
     contacts = connections(rig)
     eta_rows = np.array(
-        [station_row(meshes, c.at) - (station_row(meshes, c.against) if c.against else 0) for c in contacts]
+        [
+            station_row(meshes, contact.at) - (station_row(meshes, contact.against) if contact.against else 0)
+            for contact in contacts
+        ]
     ).reshape(len(contacts), load_n.size)
     omega_squared, shapes = scipy.linalg.eigh(
         stiffness_matrix[np.ix_(free_rows, free_rows)], mass_matrix[np.ix_(free_rows, free_rows)]

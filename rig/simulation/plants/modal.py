@@ -193,7 +193,9 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     stations |= {tone.station for tone in rig.tones}
     stations |= {station for contact in contacts for station in contact_stations(contact)}
     station_rows = {station: shape_row(body_modes, station) for station in stations}
-    eta_rows = np.array([station_rows[c.at] - (station_rows[c.against] if c.against else 0) for c in contacts])
+    eta_rows = np.array(
+        [station_rows[contact.at] - (station_rows[contact.against] if contact.against else 0) for contact in contacts]
+    )
     eta_rows = eta_rows.reshape(len(contacts), omega.size)
     static_modal_load = np.zeros(omega.size) + sum(load.force_n * station_rows[load.station] for load in rig.loads)
     base_modal_load = _base_modal_forces(rig, body_modes) if moving_base or rig.gravity_m_per_s2 else np.zeros(0)
