@@ -259,7 +259,8 @@ def force_finding(
     subject = force_in_words(name)
     driven_mask = driven_lines(spectra.forces)[force_index]
     omega, measured, implied_force, line_weights = (
-        x[driven_mask] for x in (spectra.omega, spectra.forces[force_index], implied_force, line_weights)
+        line_values[driven_mask]
+        for line_values in (spectra.omega, spectra.forces[force_index], implied_force, line_weights)
     )
     to_implied = relation(omega, measured, implied_force, line_weights)
     band_gains, unexplained_share, centres_hz = gain_by_band(omega, measured, implied_force, line_weights)

@@ -245,7 +245,7 @@ def _waveform_findings(recording: Recording, use: MotionQuantity) -> list[Findin
     ]
     excitation_signals = excitations(recording)
     may_begin_moving = recording.start_s > 0 or not np.any(excitation_signals)  # a free decay begins in motion
-    motion_findings = [] if may_begin_moving else _motion_findings(live_channels)
+    motion_findings = [] if may_begin_moving else _not_at_rest_findings(live_channels)
     if recording.start_s == 0 and _runs_backwards(live_channels, excitation_signals, recording.rig.sample_rate_hz):
         motion_findings = [
             waveforms.reversed_time_finding(tuple(channel.name for channel in live_channels if not channel.is_force))
@@ -339,7 +339,7 @@ def _runs_backwards(channels: Sequence[_Channel], forces_n: Rows, rate_hz: float
     )
 
 
-def _motion_findings(channels: Sequence[_Channel]) -> list[Finding]:
+def _not_at_rest_findings(channels: Sequence[_Channel]) -> list[Finding]:
     """Channels that move from the record's first samples on; none if only few do."""
     finding_by_channel = [
         waveforms.motion_finding(channel.name, channel.rate_hz, channel.samples, REST_S_BY_QUANTITY[channel.group])

@@ -79,7 +79,7 @@ def gross_faults(
     if misfit < SOUND_MISFIT and (force_faults or not is_doubted):
         return GrossFaults(tuple(force_faults), usable_indices, not force_faults)
     if misfit >= SOUND_MISFIT and tolerance_questions.tolerances_explain():
-        best_trial = min(rig_trials(rig, spectra, usable_indices), key=lambda t: t.misfit)
+        best_trial = min(rig_trials(rig, spectra, usable_indices), key=lambda trial: trial.misfit)
         (finding,) = best_trial.findings()
         pull, size_in_tolerances = tolerance_questions.pull_and_size_of(best_trial)
         is_rig_wrong = pull > required_pull(finding.cause) and size_in_tolerances > required_size(finding.cause)
@@ -91,7 +91,7 @@ def gross_faults(
         *_gain_trials(rig, check, usable_indices),
         *rig_trials(rig, spectra, usable_indices),
     ]
-    best_trial = min(trials, key=lambda t: t.misfit * t.misfit_factor)
+    best_trial = min(trials, key=lambda trial: trial.misfit * trial.misfit_factor)
     if misfit < SOUND_MISFIT and best_trial.misfit * best_trial.misfit_factor > MAX_REMAINING_SHARE_IF_DOUBTED * misfit:
         return GrossFaults((), usable_indices, True)
     if best_trial.misfit >= SOUND_MISFIT:

@@ -127,17 +127,17 @@ def _fit_below_quantile(quantile: float, rig: Rig, motion: Kinematics, station_i
         np.stack([force_on_mass(rig, rig.body(motion.stations[station_index].body), motion.forces_n), *motion_rows]),
         decimation,
     )
-    passages = _passages(
+    open_passages = _passages(
         _open_mask(rig, motion, station_index, decimation, quantile), motion.excited_from // decimation + 1
     )
-    if sum(p.stop - p.start for p in passages) < 50:
+    if sum(p.stop - p.start for p in open_passages) < 50:
         return None
-    if np.concatenate([signals[0, p] for p in passages]).std() < MIN_FORCE_SHARE * signals[0].std():
+    if np.concatenate([signals[0, p] for p in open_passages]).std() < MIN_FORCE_SHARE * signals[0].std():
         return None
 
     def fit_at_delay(delay_s: float) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         force = np.interp(np.arange(signals.shape[1]) + delay_s * rate_hz, np.arange(signals.shape[1]), signals[0])
-        segments = [np.stack([force[p], *signals[1:, p]]) for p in passages]
+        segments = [np.stack([force[p], *signals[1:, p]]) for p in open_passages]
         centred_segments = [segment - segment.mean(axis=1, keepdims=True) for segment in segments]
         samples = np.concatenate(centred_segments, axis=1)
         motion_rms = samples[1:].std(axis=1)

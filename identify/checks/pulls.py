@@ -282,9 +282,9 @@ def required_size(kind: str) -> float:
     return MIN_CLOCK_PULL if kind == "clock" else MIN_BROKEN_TOLERANCES
 
 
-def _exceeds_tolerance(candidate: Suspect, size: float, tolerances: Tolerances) -> bool:
+def _exceeds_tolerance(candidate: Suspect, error_size: float, tolerances: Tolerances) -> bool:
     """True if the estimated error is far beyond the tolerance; of the clock, beyond that of frequencies."""
-    return abs(size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
+    return abs(error_size) > (1.5 * tolerances.frequency if candidate.kind == "clock" else MIN_BROKEN_TOLERANCES)
 
 
 def tolerance_finding(violation: BrokenTolerance) -> Finding:

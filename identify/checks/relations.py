@@ -71,7 +71,7 @@ def relation(
 def unit_mistake(gain: float) -> str | None:
     """Mistake of units that multiplies a channel by this gain, or None."""
     for mistake, factor in UNIT_FACTORS.items():
-        if any(abs(abs(gain) * f - 1) < UNIT_FACTOR_TOLERANCE for f in (factor, 1 / factor)):
+        if any(abs(abs(gain) * tried_factor - 1) < UNIT_FACTOR_TOLERANCE for tried_factor in (factor, 1 / factor)):
             return mistake
     return None
 

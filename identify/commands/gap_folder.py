@@ -142,7 +142,7 @@ def _cause_cells(gap_report: Gap) -> dict[str, str | float | None]:
         "effects": " | ".join(cause.labels),
         "places": " | ".join(f"{field}={place}" for field, place in cause.places.items()),
         "probability": cause.probability,
-        "inclusion_probabilities": " | ".join(f"{s.inclusion_probability:.6g}" for s in cause.strengths),
+        "inclusion_probabilities": " | ".join(f"{strength.inclusion_probability:.6g}" for strength in cause.strengths),
         "explained": cause.explained,
     }
     for parameter_name, estimate in cause.parameters.items():

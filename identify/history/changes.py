@@ -61,7 +61,7 @@ class QuantityHistory(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def changed(self) -> bool:
-        return any(p is not None and p < LEVEL for p in (self.p_different, self.p_trend))
+        return any(p_value is not None and p_value < LEVEL for p_value in (self.p_different, self.p_trend))
 
 
 class History(msgspec.Struct, frozen=True):
@@ -145,10 +145,12 @@ def quantity_of(of: str, quantity: str, unit: str, estimates: Sequence[Estimate 
     )
     is_determined = np.isfinite(values) & np.isfinite(own_errors)
     errors_known = bool(is_determined.any() and np.all(own_errors[is_determined] > 0))
-    weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
-    mean = float(np.average(values[is_determined], weights=weights[is_determined]))
+    recording_weights = np.where(is_determined, 1 / own_errors**2 if errors_known else 1.0, 0.0)
+    mean = float(np.average(values[is_determined], weights=recording_weights[is_determined]))
     recording_positions = np.flatnonzero(is_determined).astype(float)
-    change_results = change_tests(recording_positions, values[is_determined], weights[is_determined], errors_known)
+    change_results = change_tests(
+        recording_positions, values[is_determined], recording_weights[is_determined], errors_known
+    )
     common_error = float(np.sqrt(max(0.0, np.mean((standard_errors**2 - own_errors**2)[is_determined]))))
     return QuantityHistory(
         of=of,
@@ -185,7 +187,7 @@ class ChangeTests:
 
 
 def change_tests(
-    recording_positions: PerRecording, values: PerRecording, weights: PerRecording, errors_known: bool
+    recording_positions: PerRecording, values: PerRecording, recording_weights: PerRecording, errors_known: bool
 ) -> ChangeTests:
     """Test whether the values x_i differ, and whether they follow a line over the positions t_i.
 
@@ -198,16 +200,20 @@ def change_tests(
     recording_count = values.size
     if recording_count < 2:
         return ChangeTests(None, None, None)
-    centred_positions = recording_positions - np.average(recording_positions, weights=weights)
-    centred_values = values - np.average(values, weights=weights)
+    centred_positions = recording_positions - np.average(recording_positions, weights=recording_weights)
+    centred_values = values - np.average(values, weights=recording_weights)
     p_different = (
-        float(chi2.sf(weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1)) if errors_known else None
+        float(chi2.sf(recording_weights @ centred_values**2 / ERROR_INFLATION**2, recording_count - 1))
+        if errors_known
+        else None
     )
     if recording_count < MIN_TREND_COUNT:
         return ChangeTests(p_different, None, None)
-    position_square_sum = weights @ centred_positions**2
-    slope = float(weights @ (centred_positions * centred_values) / position_square_sum)
-    residual_mean_square = float(weights @ (centred_values - slope * centred_positions) ** 2) / (recording_count - 2)
+    position_square_sum = recording_weights @ centred_positions**2
+    slope = float(recording_weights @ (centred_positions * centred_values) / position_square_sum)
+    residual_mean_square = float(recording_weights @ (centred_values - slope * centred_positions) ** 2) / (
+        recording_count - 2
+    )
     slope_error = float(np.sqrt(max(residual_mean_square, 1.0 if errors_known else 0.0) / position_square_sum))
     position_span = float(np.ptp(recording_positions))
     p_trend = (

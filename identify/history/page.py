@@ -66,7 +66,8 @@ def quantity_rows(history: History) -> Iterator[tuple[str, ...]]:
     for quantity in history.quantities:
         _, unit, unit_factor = WORD_UNIT_FACTOR[quantity.quantity]
         p_texts = (
-            "" if p is None else f"{p:.2g}" if p > 0 else "< 1e-300" for p in (quantity.p_trend, quantity.p_different)
+            "" if p_value is None else f"{p_value:.2g}" if p_value > 0 else "< 1e-300"
+            for p_value in (quantity.p_trend, quantity.p_different)
         )
         yield quantity_name(quantity), f"{number(unit_factor * quantity.mean)} {unit}", drift(quantity), *p_texts
 

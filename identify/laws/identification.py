@@ -322,8 +322,10 @@ def _add_drift(
 def _damping_force_n(estimates: Sequence[JointEstimate], eta_m: Signal, rate_m_per_s: Signal) -> Signal:
     """Part of the force of joint estimates that vanishes at rest."""
     at_rest = np.zeros_like(rate_m_per_s)
-    parts = [estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates]
-    return np.asarray(np.sum(parts, axis=0))
+    damping_forces_n = [
+        estimate.force_n(eta_m, rate_m_per_s) - estimate.force_n(eta_m, at_rest) for estimate in estimates
+    ]
+    return np.asarray(np.sum(damping_forces_n, axis=0))
 
 
 def _evenly_spread_indices(eta_m: Float[np.ndarray, " samples"], rng: np.random.Generator) -> np.ndarray:

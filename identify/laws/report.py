@@ -65,7 +65,12 @@ def write_page(
         ],
         sections=[
             *(
-                [("What was refused", page.table(("contact", "why"), [(s.name, s.reason) for s in unanswered]))]
+                [
+                    (
+                        "What was refused",
+                        page.table(("contact", "why"), [(refusal.name, refusal.reason) for refusal in unanswered]),
+                    )
+                ]
                 if unanswered
                 else []
             ),

@@ -172,8 +172,10 @@ def estimated_states(
     """
     normal_matrix, gradient = np.diag(prior_deviation**-2), np.zeros_like(prior_mean)
     unexplained_spectra = unexplained_spectra - np.einsum("i,isf->sf", prior_mean, spectra)
-    for rows in without_free_inputs([spectra, unexplained_spectra[None]], spectra_by_contact, error_covariances):
-        real_rows = np.concatenate([rows.real, rows.imag])
+    for residual_rows in without_free_inputs(
+        [spectra, unexplained_spectra[None]], spectra_by_contact, error_covariances
+    ):
+        real_rows = np.concatenate([residual_rows.real, residual_rows.imag])
         normal_matrix += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, :-1]
         gradient += 2 / correlated_line_count * real_rows[:, :-1].T @ real_rows[:, -1]
     information, directions = np.linalg.eigh(normal_matrix * prior_deviation[:, None] * prior_deviation)
@@ -273,15 +275,15 @@ def fitted_free_modes(
         np.array([motion.sensed_unit_accelerations for motion in motions]),
     )
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
-    weights = (
+    line_weights = (
         (shape_products @ np.abs(scaled_response) ** 2)
         .reshape(len(shapes), *unit_accelerations.shape[::2])
         .astype(complex)
     )
     for by_input, to_input in zip(projection.by_input, projection.to_inputs, strict=True):
         input_by_shape = real_product(shapes, scaled_response.conj() * by_input)
-        weights -= input_by_shape[:, None] * real_product(shapes, scaled_response * to_input)
-    weighted_accelerations = (weights[:, :, None] * unit_accelerations).reshape(
+        line_weights -= input_by_shape[:, None] * real_product(shapes, scaled_response * to_input)
+    weighted_accelerations = (line_weights[:, :, None] * unit_accelerations).reshape(
         len(unit_accelerations), -1, unit_accelerations.shape[2]
     )
     weighted_residual = real_product(shapes, scaled_response.conj() * residual)[:, None]
@@ -320,5 +322,5 @@ def state_changes(
         parameter = Nuisance(NuisanceKind.INITIAL_STATE, bodies[motion.body_index], motion.mode_index + 1)
         for unit_acceleration in motion.sensed_unit_accelerations:
             signals = sensor_response * np.outer(motion.shape, unit_acceleration)
-            scale = signal_norm / max(float(np.linalg.norm(signals)), 1e-300)
-            yield Change(parameter, list(range(len(signals))), signals * scale)
+            signal_scale = signal_norm / max(float(np.linalg.norm(signals)), 1e-300)
+            yield Change(parameter, list(range(len(signals))), signals * signal_scale)

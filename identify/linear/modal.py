@@ -98,8 +98,8 @@ def modal_equations(
     transform = transformation(rig, body, motion)
     mode_count = min(mode_count, transform.inverse_shapes.shape[0])
     coordinates = [
-        transform.inverse_shapes[:mode_count] @ rows[list(transform.station_rows)]
-        for rows in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
+        transform.inverse_shapes[:mode_count] @ station_signals[list(transform.station_rows)]
+        for station_signals in (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
     ]
     if contact_force_n is not None:
         coordinates = _without_higher_modes(rig, motion, transform, coordinates, contact_force_n)
@@ -169,9 +169,9 @@ def _without_higher_modes(
         for i, mode_share in enumerate(coordinate_shares[:, mode_index]):
             higher_spectra[i] += mode_share * mode_response
     corrected_coordinates = []
-    for rows in coordinates:
+    for mode_coordinates in coordinates:
         higher_coordinates = [np.fft.irfft(spectrum, padded_length)[:kept_samples] for spectrum in higher_spectra]
-        corrected_coordinates.append(rows[:, :kept_samples] - np.stack(higher_coordinates))
+        corrected_coordinates.append(mode_coordinates[:, :kept_samples] - np.stack(higher_coordinates))
         higher_spectra *= 2j * np.pi * line_hz
     return corrected_coordinates
 
@@ -220,11 +220,11 @@ def relative_motion(
 
 def input_mode_shapes(rig: Rig, body: Body, mode_count: int) -> Float[np.ndarray, "inputs modes"]:
     """Shapes of a body through which the rig's inputs drive it; of a shaken base the participation of the modes."""
-    rows = [
+    shapes_by_input = [
         participation(rig, body, body, mode_count) if rig.is_on_ground(station) else shape_at(body, station, mode_count)
         for station in rig.inputs
     ]
-    return np.array(rows).reshape(len(rows), mode_count)
+    return np.array(shapes_by_input).reshape(len(shapes_by_input), mode_count)
 
 
 def force_on_mass(

@@ -231,17 +231,19 @@ def crosstalk_of(observed: ObservedSignals) -> Iterator[Change]:
     """Changes by crosstalk between neighbouring channels of the same quantity: tolerance times A."""
     crosstalk_share, sensors = observed.tolerances.crosstalk, observed.sensors
     is_displacement = [a == b for a, b in zip(sensors, observed.displaced_by, strict=True)]
-    for first, second in pairwise(range(len(sensors)) if crosstalk_share else ()):
-        if sensors[first].measures != sensors[second].measures:
+    for left_index, right_index in pairwise(range(len(sensors)) if crosstalk_share else ()):
+        if sensors[left_index].measures != sensors[right_index].measures:
             continue
-        for source_index, target_index in ((first, second), (second, first)):
+        for source_index, target_index in ((left_index, right_index), (right_index, left_index)):
             parameter = Nuisance(
                 NuisanceKind.CROSSTALK, f"{sensors[source_index].name} in {sensors[target_index].name}"
             )
             are_displacements = is_displacement[source_index] and is_displacement[target_index]
             displacements = crosstalk_share * observed.displacements[[source_index]] if are_displacements else None
-            response, weights = observed.sensor_response[[source_index]], np.eye(len(sensors))[source_index]
-            sensor_pattern = SensorPattern(crosstalk_share * response, weights) if observed.is_motion_sensed else None
+            response, unit_weights = observed.sensor_response[[source_index]], np.eye(len(sensors))[source_index]
+            sensor_pattern = (
+                SensorPattern(crosstalk_share * response, unit_weights) if observed.is_motion_sensed else None
+            )
             yield Change(
                 parameter,
                 [target_index],

@@ -130,8 +130,8 @@ def without_free_inputs(
     input_count = len(by_input)
     for lines, covariance in covariances:
         covariance_root = np.linalg.cholesky(covariance)
-        rows = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
-        standardised_signals = np.linalg.solve(covariance_root, rows)
+        stacked_rows = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
+        standardised_signals = np.linalg.solve(covariance_root, stacked_rows)
         standardised_inputs, standardised_columns = (
             standardised_signals[..., :input_count],
             standardised_signals[..., input_count:],

@@ -76,8 +76,8 @@ def tapered_sum(pole: complex, sampling: Sampling) -> Complex[np.ndarray, " line
     """
     constant_count, fading_count = sampling.sample_count - sampling.fading_samples, sampling.fading_samples
     z, z_constant, z_fading = (
-        np.exp(pole * n / sampling.rate_hz) * phases
-        for n, phases in zip((1, constant_count, fading_count), sampling.phases, strict=True)
+        np.exp(pole * count / sampling.rate_hz) * phases
+        for count, phases in zip((1, constant_count, fading_count), sampling.phases, strict=True)
     )
     cosine, geometric_factor = np.cos(np.pi / fading_count), 1 / (z - 1)
     fading_sum = (z_fading - 1) * geometric_factor - (z_fading + 1) * (z - cosine) / (z * (z - 2 * cosine) + 1)

@@ -193,10 +193,10 @@ def _projection(
     column_norms = np.sqrt(np.einsum("ij,ij->j", columns, columns))
     column_norms[column_norms == 0] = 1.0
     normal_matrix = (columns.T @ columns) / np.outer(column_norms, column_norms)
-    weights = (
+    column_weights = (
         np.linalg.pinv(normal_matrix, rcond=1e-14, hermitian=True) @ (columns.T @ target / column_norms) / column_norms
     )
-    return columns @ weights, weights
+    return columns @ column_weights, column_weights
 
 
 def _sandwich(

@@ -54,15 +54,15 @@ def displacement_noise(motion: Kinematics, rig: Rig) -> Float[np.ndarray, " stat
     """Standard deviation per sample of the white noise of each station's sensor `displaced_by`, in the unit of its
     quantity (m or m/s; against a base with that of the base's sensor), from `noise_source`."""
     derivatives = (motion.displacement_m, motion.velocity_m_per_s, motion.acceleration_m_per_s2)
-    rows = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
+    sensor_signals = [derivatives[sensor.measures.order][i] for i, sensor in enumerate(motion.displaced_by)]
     source = noise_source(motion, rig)
     if source == "the quiet start of the record":
-        return np.array([row[: motion.quiet_samples].std() for row in rows])
+        return np.array([row[: motion.quiet_samples].std() for row in sensor_signals])
     if source == "noise_density in rig.json":
         base_density = motion.base.displaced_by.noise_density if motion.base else 0.0
-        densities = [np.hypot(sensor.noise_density, base_density) for sensor in motion.displaced_by]
-        return np.sqrt(motion.sample_rate_hz / 2) * np.array(densities)
-    return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in rows])
+        noise_densities = [np.hypot(sensor.noise_density, base_density) for sensor in motion.displaced_by]
+        return np.sqrt(motion.sample_rate_hz / 2) * np.array(noise_densities)
+    return np.array([_noise_from_high_band(row, 0, motion.sample_rate_hz) for row in sensor_signals])
 
 
 def noise_source(motion: Kinematics, rig: Rig) -> NoiseSource:

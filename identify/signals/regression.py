@@ -37,7 +37,7 @@ def line_by_line(
             channel_rows = _by_line(block_spectra, line_chunk)
             normal_matrix[line_chunk] += channel_rows.conj().transpose(0, 2, 1) @ channel_rows
     input_count = normal_matrix.shape[1] - 1
-    weights = np.empty((len(normal_matrix), input_count), dtype=complex)
+    input_weights = np.empty((len(normal_matrix), input_count), dtype=complex)
     inverse_normal = normal_matrix[:, :input_count, :input_count]
     for line_chunk in _chunks(len(normal_matrix)):
         input_scale = np.sqrt(np.einsum("lii->li", normal_matrix[line_chunk]).real[:, :input_count])
@@ -50,17 +50,17 @@ def line_by_line(
                 "the force and the contacts' displacements are the same at some frequency, up to a factor; look for "
                 "channels that are copies, dead, or not of this rig"
             ) from error
-        weights[line_chunk] = (
+        input_weights[line_chunk] = (
             scaled_inverse @ (normal_matrix[line_chunk, :input_count, input_count:] / input_scale[:, :, None])
         )[:, :, 0] / input_scale
         inverse_normal[line_chunk] = scaled_inverse / scale_products
-    return weights, inverse_normal
+    return input_weights, inverse_normal
 
 
 def influences(
     spectra_of: SpectraOfBlocks,
     block_numbers: Sequence[int],
-    weights: Complex[np.ndarray, "lines inputs"],
+    input_weights: Complex[np.ndarray, "lines inputs"],
     inverse_normal: Complex[np.ndarray, "lines inputs inputs"],
     quantities_of: Callable[[Complex[np.ndarray, "some blocks inputs"], slice], Float[np.ndarray, "blocks quantities"]],
 ) -> Float[np.ndarray, "chosen quantities"]:
@@ -72,12 +72,12 @@ def influences(
     for first_index in range(0, len(block_numbers), BLOCKS_PER_BATCH):
         block_spectra = spectra_of(block_numbers[first_index : first_index + BLOCKS_PER_BATCH])
         chunk_sums = []
-        for line_chunk in _chunks(len(weights)):
+        for line_chunk in _chunks(len(input_weights)):
             spectra_by_line = _by_line(block_spectra, line_chunk)
             inputs, response = spectra_by_line[:, :, :-1], spectra_by_line[:, :, -1]
             weight_changes = inputs.conj() @ inverse_normal[line_chunk].transpose(0, 2, 1)
             leverage = np.sum(inputs * weight_changes, axis=2).real
-            residual = response - (inputs @ weights[line_chunk, :, None])[:, :, 0]
+            residual = response - (inputs @ input_weights[line_chunk, :, None])[:, :, 0]
             weight_changes *= -(residual / np.maximum(1 - leverage, 1e-3))[:, :, None]
             chunk_sums.append(quantities_of(weight_changes, line_chunk))
         batches.append(np.sum(chunk_sums, axis=0))
@@ -104,7 +104,9 @@ def variance_of_sum(
 
 def _chunks(line_count: int) -> list[slice]:
     """Slices of the lines."""
-    return [slice(first, min(first + CHUNK_LINES, line_count)) for first in range(0, line_count, CHUNK_LINES)]
+    return [
+        slice(first_line, min(first_line + CHUNK_LINES, line_count)) for first_line in range(0, line_count, CHUNK_LINES)
+    ]
 
 
 def _by_line(

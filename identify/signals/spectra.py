@@ -57,18 +57,18 @@ class Blocks:
     """Blocks of a record: their first samples, their length in samples, and the spectral lines in use."""
 
     starts: tuple[int, ...]
-    length: int
+    block_samples: int
     window: str
     sample_rate_hz: float
     lines: slice
 
     @property
     def frequency_hz(self) -> Float[np.ndarray, " lines"]:
-        return np.arange(self.length // 2 + 1)[self.lines] * (self.sample_rate_hz / self.length)
+        return np.arange(self.block_samples // 2 + 1)[self.lines] * (self.sample_rate_hz / self.block_samples)
 
     @property
     def resolution_hz(self) -> float:
-        return self.sample_rate_hz / self.length
+        return self.sample_rate_hz / self.block_samples
 
     def spectra(
         self, signal: Float[np.ndarray, " samples"], derivative: int = 0
@@ -80,12 +80,12 @@ class Blocks:
         self, channels: Sequence[Sequence[Term]], starts: Sequence[int]
     ) -> Complex[np.ndarray, "channels blocks lines"]:
         """Fourier transforms of several channels, each a sum of terms, in the blocks that begin at `starts`."""
-        windows = window_derivatives(self.window, self.length, self.sample_rate_hz)
+        windows = window_derivatives(self.window, self.block_samples, self.sample_rate_hz)
         window_weights = [[term.factor * windows[term.derivative] for term in terms] for terms in channels]
-        windowed_channels = np.empty((len(channels), self.length))
+        windowed_channels = np.empty((len(channels), self.block_samples))
         spectra = np.empty((len(channels), len(starts), self.lines.stop - self.lines.start), dtype=complex)
         for block_index, first_sample in enumerate(starts):
-            samples = slice(first_sample, first_sample + self.length)
+            samples = slice(first_sample, first_sample + self.block_samples)
             for channel_index, terms in enumerate(channels):
                 first_term, *other_terms = zip(window_weights[channel_index], terms, strict=True)
                 np.multiply(first_term[0], first_term[1].signal[samples], out=windowed_channels[channel_index])
@@ -101,13 +101,13 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
     Raises RigError if a block is longer than the record or the band holds no line.
     """
     if averaging.block_s is None:
-        length = int(sample_count / (1 + (averaging.averages - 1) * (1 - averaging.overlap)))
+        block_samples = int(sample_count / (1 + (averaging.averages - 1) * (1 - averaging.overlap)))
     else:
-        length = round(averaging.block_s * sample_rate_hz)
-    length -= length % 2
-    if not 16 <= length <= sample_count:
+        block_samples = round(averaging.block_s * sample_rate_hz)
+    block_samples -= block_samples % 2
+    if not 16 <= block_samples <= sample_count:
         raise RigError(
-            f"a block of {length / sample_rate_hz:.4g} s does not fit a record with "
+            f"a block of {block_samples / sample_rate_hz:.4g} s does not fit a record with "
             f"{sample_count / sample_rate_hz:.4g} usable seconds; choose another block or record longer"
         )
     if band_hz[0] >= band_hz[1]:
@@ -115,18 +115,22 @@ def blocks(sample_count: int, sample_rate_hz: float, averaging: Averaging, band_
             f"the force, or what the sensors show, begins at {band_hz[0]:.4g} Hz, and {sample_rate_hz:g} samples a "
             f"second show the motion up to {band_hz[1]:.4g} Hz; excite below that, or sample faster"
         )
-    resolution_hz = sample_rate_hz / length
+    resolution_hz = sample_rate_hz / block_samples
     band_lines = slice(
         int(np.ceil(band_hz[0] / resolution_hz - 1e-9)), int(np.floor(band_hz[1] / resolution_hz + 1e-9)) + 1
     )
-    if band_lines.stop <= band_lines.start or band_lines.stop > length // 2:
+    if band_lines.stop <= band_lines.start or band_lines.stop > block_samples // 2:
         raise RigError(
             f"the band {band_hz[0]:.4g} to {band_hz[1]:.4g} Hz holds no lines at a resolution of {resolution_hz:.4g} "
             f"Hz and {sample_rate_hz:g} samples a second; choose another band or block"
         )
-    hop_samples = max(1, int(length * (1 - averaging.overlap) + 1e-6))
+    hop_samples = max(1, int(block_samples * (1 - averaging.overlap) + 1e-6))
     return Blocks(
-        tuple(range(0, sample_count - length + 1, hop_samples)), length, averaging.window, sample_rate_hz, band_lines
+        tuple(range(0, sample_count - block_samples + 1, hop_samples)),
+        block_samples,
+        averaging.window,
+        sample_rate_hz,
+        band_lines,
     )
 
 
@@ -167,22 +171,22 @@ def decimated(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float
 
 
 @lru_cache(maxsize=4)
-def _phase_factors(length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
-    """Phase factors exp(-2 pi i j k / (length factor)) of subsequence j at line k.
+def _phase_factors(new_length: int, factor: int) -> Complex[np.ndarray, "factor lines"]:
+    """Phase factors exp(-2 pi i j k / (new_length factor)) of subsequence j at line k.
 
     With them the low lines of a transform of length * factor samples are sums of the transforms of every factor-th
     sample, each from another first one on: no other line is computed, and all transforms are short.
     """
-    phase_products = np.arange(factor)[:, None] * np.arange(length // 2 + 1)
-    return np.asarray(np.exp(-2j * np.pi * phase_products / (length * factor)))
+    phase_products = np.arange(factor)[:, None] * np.arange(new_length // 2 + 1)
+    return np.asarray(np.exp(-2j * np.pi * phase_products / (new_length * factor)))
 
 
 def _ramped(signals: Float[np.ndarray, "*rows samples"], factor: int) -> Float[np.ndarray, "*rows more"]:
     """Signals led to zero at both ends, as the Fourier transform is periodic, at a length that transforms fast."""
     sample_count, rise_samples = signals.shape[-1], RAMP_SAMPLES * factor
-    length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
-    fall_samples = length - sample_count - rise_samples
-    ramped = np.empty((*signals.shape[:-1], length))
+    padded_length = factor * scipy.fft.next_fast_len(-(-sample_count // factor) + 2 * RAMP_SAMPLES, real=True)
+    fall_samples = padded_length - sample_count - rise_samples
+    ramped = np.empty((*signals.shape[:-1], padded_length))
     ramped[..., :rise_samples] = signals[..., :1] * (np.arange(rise_samples) / rise_samples)
     ramped[..., rise_samples : rise_samples + sample_count] = signals
     ramped[..., rise_samples + sample_count :] = signals[..., -1:] * (np.arange(fall_samples)[::-1] / fall_samples)

@@ -150,8 +150,8 @@ def _write(
             sample_span = slice(first_sample, first_sample + SAMPLES_AT_ONCE)
             recording.append_all(
                 {
-                    name: np.stack([samples_by_channel[c][sample_span] for c in g.names])
-                    for name, g in channels_by_group.items()
+                    name: np.stack([samples_by_channel[channel_name][sample_span] for channel_name in group_name.names])
+                    for name, group_name in channels_by_group.items()
                 }
             )
 

@@ -257,7 +257,9 @@ def contact_rows(rig: Rig) -> tuple[Contact, ...]:
 
 
 def _component(contact: Contact, direction: Direction) -> Contact:
-    at, against = (None if s is None else replace(s, direction=direction) for s in (contact.at, contact.against))
+    at, against = (
+        None if station is None else replace(station, direction=direction) for station in (contact.at, contact.against)
+    )
     return replace(contact, name=f"{contact.name}_{direction}", at=at, against=against)
 
 

@@ -168,9 +168,9 @@ def basis_places_beside(body: Body, position_m: float) -> tuple[float, ...]:
     """
     if not isinstance(body, Structure) or body.has_shapes_at(position_m):
         return ()
-    places = body.positions_m
-    index_after = int(np.searchsorted(places, position_m))
-    return tuple(float(x) for x in places[max(index_after - 1, 0) : index_after + 1])
+    places_m = body.positions_m
+    index_after = int(np.searchsorted(places_m, position_m))
+    return tuple(float(x_m) for x_m in places_m[max(index_after - 1, 0) : index_after + 1])
 
 
 def coupled(rig: Rig, body: Structure) -> CoupledModes:
@@ -323,13 +323,13 @@ def _bare_matrices(
 ) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
     if isinstance(body, Oscillator):
         return np.full((1, 1), body.mass_kg), np.full((1, 1), body.stiffness_n_per_m)
-    size = 2 * len(nodes_m)
-    mass, stiffness = np.zeros((size, size)), np.zeros((size, size))
+    coordinate_count = 2 * len(nodes_m)
+    mass, stiffness = np.zeros((coordinate_count, coordinate_count)), np.zeros((coordinate_count, coordinate_count))
     for element, h in enumerate(np.diff(nodes_m)):
-        scale = np.diag([1, h, 1, h])
+        dof_scale = np.diag([1, h, 1, h])
         coordinates = slice(2 * element, 2 * element + 4)
-        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _MASS @ scale
-        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _STIFFNESS @ scale
+        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * dof_scale @ _MASS @ dof_scale
+        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * dof_scale @ _STIFFNESS @ dof_scale
     return mass, stiffness
 
 

@@ -239,8 +239,10 @@ def structure_of(
         natural_hz=tuple(frequencies_hz.tolist()),
         ratios=tuple(damping_ratios.tolist()),
         rows=tuple(
-            ShapeRow(float(x), tuple(values), node)
-            for x, values, node in zip(positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True)
+            ShapeRow(float(position_m), tuple(values), node)
+            for position_m, values, node in zip(
+                positions_m, shapes.tolist(), nodes or [None] * len(positions_m), strict=True
+            )
         ),
     )
 

@@ -155,22 +155,26 @@ def _force_channels(rig: Rig) -> Channels:
 
 def channel_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of a recording of this rig."""
-    groups = {"force": _force_channels(rig)}
+    channels_by_group = {"force": _force_channels(rig)}
     for quantity in quantities_of(rig):
         sensors = sensors_of(rig, quantity)
-        groups[quantity] = Channels(
+        channels_by_group[quantity] = Channels(
             quantity,
             UNITS[quantity],
             tuple(sensor.name for sensor in sensors),
             tuple(sensor.station for sensor in sensors),
             rig.sample_rate_hz,
         )
-    return groups
+    return channels_by_group
 
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file: signals that only a simulator has."""
-    stations, contact_names, rate_hz = stations_of(rig), tuple(c.name for c in contact_rows(rig)), rig.sample_rate_hz
+    stations, contact_names, rate_hz = (
+        stations_of(rig),
+        tuple(contact.name for contact in contact_rows(rig)),
+        rig.sample_rate_hz,
+    )
     station_names = tuple(station.label for station in stations)
     no_station_per_contact = (None,) * len(contact_names)
     return {
@@ -221,7 +225,7 @@ class Contents:
 
     attachments: dict[str, bytes] = field(default_factory=dict)
     provenance: dict[str, str] = field(default_factory=dict)
-    groups: dict[str, Channels] = field(default_factory=dict)
+    channels_by_group: dict[str, Channels] = field(default_factory=dict)
 
 
 def holds_blocks(channel: ChannelRecord) -> bool:
@@ -254,10 +258,10 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
         elif isinstance(record, ChannelRecord) and record.id not in group_by_channel_id and holds_blocks(record):
             group_name = record.topic.split("/")[2]
             group_by_channel_id[record.id] = group_name
-            contents.groups[group_name] = from_metadata(record.topic, record.metadata)
+            contents.channels_by_group[group_name] = from_metadata(record.topic, record.metadata)
         elif isinstance(record, Message) and record.channel_id in group_by_channel_id:
             group_name, block = group_by_channel_id[record.channel_id], messages.decode_block(record.data)
-            clock.check(group_name, contents.groups[group_name].sample_rate_hz, block)
+            clock.check(group_name, contents.channels_by_group[group_name].sample_rate_hz, block)
             yield group_name, block
 
 
@@ -283,13 +287,15 @@ def _load(path: Path) -> Recording:
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
         ):
             if group_name not in assemblies:
-                capacity = max_values // sum(len(channels.names) for channels in contents.groups.values())
-                assemblies[group_name] = Assembly(path, group_name, contents.groups[group_name], capacity=capacity)
+                capacity = max_values // sum(len(channels.names) for channels in contents.channels_by_group.values())
+                assemblies[group_name] = Assembly(
+                    path, group_name, contents.channels_by_group[group_name], capacity=capacity
+                )
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)
     signals = {
         group_name: Signals(channels, *assemblies.get(group_name, Assembly(path, group_name, channels)).finish())
-        for group_name, channels in contents.groups.items()
+        for group_name, channels in contents.channels_by_group.items()
     }
     if "force" not in signals:
         raise RigError(f"{path}: has no channel /rig/force/block; record the exciting force too")

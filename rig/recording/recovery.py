@@ -62,7 +62,9 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
                 f"{damaged_path}: cannot be recovered ({container.reason_of(error)}); restore it from a copy"
             ) from error
     rig = rig_of(damaged_path, contents)
-    block_by_start = {group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.groups}
+    block_by_start = {
+        group_name: _undisputed_blocks(blocks_by_group[group_name]) for group_name in contents.channels_by_group
+    }
     kept_count = min(map(_unbroken_count, block_by_start.values()), default=0)
     if not kept_count:
         raise RigError(
@@ -71,7 +73,7 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
     requested_s = _requested_duration_s(contents.provenance)
     losses = tuple(
         _loss(channels, block_by_start[group_name], kept_count, requested_s)
-        for group_name, channels in contents.groups.items()
+        for group_name, channels in contents.channels_by_group.items()
     )
     signals = {
         group_name: assemble(
@@ -80,14 +82,14 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
             channels,
             [b for first, b in block_by_start[group_name].items() if first < kept_count],
         )
-        for group_name, channels in contents.groups.items()
+        for group_name, channels in contents.channels_by_group.items()
     }
     if set(signals) != set(truth_groups(rig)):
-        check_channels(damaged_path, rig, contents.groups, channel_groups(rig))
+        check_channels(damaged_path, rig, contents.channels_by_group, channel_groups(rig))
     new_provenance = with_history(
         contents.provenance, f"recovered from {damaged_path.name}; " + "; ".join(map(str, losses))
     )
-    with writing(target_path, rig, contents.groups, new_provenance, foreign) as recording:
+    with writing(target_path, rig, contents.channels_by_group, new_provenance, foreign) as recording:
         recording.append_all({group_name: values[:, :kept_count] for group_name, values in signals.items()})
     return losses
 
@@ -124,6 +126,6 @@ def _loss(channels: Channels, block_by_start: dict[int, Block], kept_count: int,
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
         kept=kept_count,
-        found=sum(b.values.shape[1] for b in block_by_start.values()),
+        found=sum(block.values.shape[1] for block in block_by_start.values()),
         asked=None if requested_s is None else round(requested_s * channels.sample_rate_hz),
     )

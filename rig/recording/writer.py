@@ -36,16 +36,17 @@ class RecordingWriter:
         self,
         stream: IO[bytes],
         rig: Rig,
-        groups: Mapping[str, Channels],
+        channels_by_group: Mapping[str, Channels],
         provenance: Mapping[str, str],
         foreign: Foreign | None = None,
     ) -> None:
         self._stream = stream
-        self._groups = dict(groups)
+        self._groups = dict(channels_by_group)
         self._start_date_ns = start_date_ns(provenance)
         id_counter = count(1)
         self._channel_ids = {
-            name: (next(id_counter), [next(id_counter) for _ in group.names]) for name, group in groups.items()
+            name: (next(id_counter), [next(id_counter) for _ in group.names])
+            for name, group in channels_by_group.items()
         }
         foreign_records = (foreign or Foreign()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
         self._writer = ContainerWriter(
@@ -63,7 +64,7 @@ class RecordingWriter:
             channels=[
                 *(
                     record
-                    for name, group in groups.items()
+                    for name, group in channels_by_group.items()
                     for record in _channel_records(name, group, *self._channel_ids[name])
                 ),
                 *foreign_records.channels.values(),
@@ -73,8 +74,8 @@ class RecordingWriter:
             add_message(message, self._writer.chunk)
             self._write_full_chunk()
         stream.flush()
-        self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in groups.items()}
-        self._written_counts = dict.fromkeys(groups, 0)
+        self._pending_values = {name: np.zeros((len(group.names), 0)) for name, group in channels_by_group.items()}
+        self._written_counts = dict.fromkeys(channels_by_group, 0)
 
     def append(self, group: str, values: Float[np.ndarray, "channels samples"]) -> None:
         earlier_values = self._pending_values[group]
@@ -154,7 +155,7 @@ def start_date_ns(provenance: Mapping[str, str]) -> int:
 def writing(
     path: Path,
     rig: Rig,
-    groups: Mapping[str, Channels],
+    channels_by_group: Mapping[str, Channels],
     provenance: Mapping[str, str],
     foreign: Foreign | None = None,
 ) -> Iterator[RecordingWriter]:
@@ -167,7 +168,7 @@ def writing(
     with locked_part(path) as part_path:
         try:
             with part_path.open("wb") as stream:
-                writer = RecordingWriter(stream, rig, groups, provenance, foreign)
+                writer = RecordingWriter(stream, rig, channels_by_group, provenance, foreign)
                 try:
                     yield writer
                 except KeyboardInterrupt as error:

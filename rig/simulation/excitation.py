@@ -197,8 +197,8 @@ class LongForce:
     def __len__(self) -> int:
         return self.samples
 
-    def __getitem__(self, span: slice) -> Float[np.ndarray, " some"]:
-        first_sample, end_sample, _ = span.indices(self.samples)
+    def __getitem__(self, sample_span: slice) -> Float[np.ndarray, " some"]:
+        first_sample, end_sample, _ = sample_span.indices(self.samples)
         quiet_count, hop_samples = round(QUIET_S / self.step_s), round(SEGMENT_S / 2 / self.step_s)
         force_n = np.zeros(max(0, end_sample - first_sample))
         for segment_number in range(

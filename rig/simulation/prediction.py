@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from rig.model.description import Rig, Station
 from rig.simulation.plants.loading import connection_forces_n, shaken_base
-from rig.simulation.plants.modal import Model, applied_inputs, body_modes_of, constants_of, model_of, shape_row
+from rig.simulation.plants.modal import ModalModel, applied_inputs, body_modes_of, constants_of, model_of, shape_row
 from rig.simulation.replay import forces_at_steps, step_s_of
 
 MODE_COUNT, MIN_STEP_RATE_HZ = 24, 2.0**15
@@ -91,7 +91,9 @@ def modal_inverse(
     return inverse_shapes
 
 
-def contact_state_at(model: Model, state: Float[np.ndarray, " both"], time_s: float) -> Float[np.ndarray, "4 contacts"]:
+def contact_state_at(
+    model: ModalModel, state: Float[np.ndarray, " both"], time_s: float
+) -> Float[np.ndarray, "4 contacts"]:
     """Contact state of `stepping.advance` at a modal state: force, eta, eta', and zero bend."""
     eta_m, rate_m_per_s = (model.eta_rows @ modal_values for modal_values in state.reshape(2, -1))
     force_n = connection_forces_n(model.laws, eta_m, rate_m_per_s, time_s)

@@ -80,12 +80,12 @@ class _SchematicLayout:
     slot_items: dict[str, tuple[object, ...]]
     title_px: float
 
-    def x_px(self, station: Station, item: object) -> float:
+    def x_px(self, station: Station, drawn_item: object) -> float:
         left_px = self.left_px[station.body]
         items = self.slot_items.get(station.body)
         if items is None:
             return left_px + self.px_per_m * station.position_m
-        return left_px + SLOT_PX * (next(slot for slot, slot_item in enumerate(items) if slot_item is item) + 0.5)
+        return left_px + SLOT_PX * (next(slot for slot, slot_item in enumerate(items) if slot_item is drawn_item) + 0.5)
 
     def half_px(self, body: str) -> float:
         return MASS_HALF_PX if body in self.slot_items else BODY_HALF_PX
@@ -120,7 +120,7 @@ def _items_on(rig: Rig, body: Body) -> Iterator[object]:
     if any(sensor.station.body == body.name for sensor in rig.sensors):
         yield rig.sensors
     for components in (rig.masses, rig.springs, rig.supports, rig.dampers, rig.loads, rig.tones):
-        yield from (item for item in components if item.station.body == body.name)
+        yield from (drawn_item for drawn_item in components if drawn_item.station.body == body.name)
 
 
 def _draw_body(drawing: Drawing, layout: _SchematicLayout, body: Body) -> None:
@@ -328,12 +328,12 @@ def _draw_grounded(
     drawing: Drawing,
     layout: _SchematicLayout,
     station: Station,
-    item: object,
+    drawn_item: object,
     draw_shape: Callable[[float, float, float], None],
     values_and_units: list[tuple[float, str]],
 ) -> None:
     """Draw a spring, support or damper under a body, with its non-zero values."""
-    x_px, bottom_px = layout.x_px(station, item), layout.bottom_px(station.body)
+    x_px, bottom_px = layout.x_px(station, drawn_item), layout.bottom_px(station.body)
     draw_shape(x_px, bottom_px, bottom_px + ATTACHED_PX)
     drawing.ground(x_px, bottom_px + ATTACHED_PX)
     for line_number, words in enumerate(f"{value:g} {unit}" for value, unit in values_and_units if value):

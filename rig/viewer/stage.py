@@ -282,4 +282,6 @@ def _masses_alone(rig: Rig) -> bool:
 def _round_down(value: float) -> float:
     """Largest of 1, 2 and 5 times a power of ten not above the value."""
     power_of_ten = 10.0 ** np.floor(np.log10(value))
-    return float(power_of_ten * max(m for m in (1, 2, 5) if m * power_of_ten <= value * (1 + 1e-9)))
+    return float(
+        power_of_ten * max(multiple for multiple in (1, 2, 5) if multiple * power_of_ten <= value * (1 + 1e-9))
+    )

@@ -117,8 +117,8 @@ def _stable_modes(
         previous_poles, order_count = poles, order_count + 1
     all_poles = np.concatenate(stable_poles)
     all_poles = all_poles[np.argsort(all_poles[:, 0])]
-    groups = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
-    medians = [np.median(group, axis=0) for group in groups if len(group) >= MIN_STABLE_SHARE * order_count]
+    poles_by_mode = np.split(all_poles, np.flatnonzero(np.diff(all_poles[:, 0]) > FREQUENCY_TOLERANCE) + 1)
+    medians = [np.median(group, axis=0) for group in poles_by_mode if len(group) >= MIN_STABLE_SHARE * order_count]
     return np.array(medians).reshape(-1, 2)
 
 

@@ -110,11 +110,11 @@ class _OutputError:
         error_slopes[..., 0] = residues[:, None, :] * spectra_by_frequency.T
         error_slopes[..., 1] = residues[:, None, :] * spectra_by_damping.T
         for sensor in range(sensor_count):
-            rms = self.sensor_rms[sensor]
-            error_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / rms
-            error_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / rms
-        rows = -error_slopes.reshape(sensor_count * line_count, -1)
-        return np.concatenate([rows.real, rows.imag])
+            sensor_rms = self.sensor_rms[sensor]
+            error_slopes[sensor, :, :, 2 + sensor] += (driving_shape[:, None] * unit_spectra).T / sensor_rms
+            error_slopes[sensor, :, :, 2 + self.driving_index] += (modes[:, [2 + sensor]] * unit_spectra).T / sensor_rms
+        jacobian_rows = -error_slopes.reshape(sensor_count * line_count, -1)
+        return np.concatenate([jacobian_rows.real, jacobian_rows.imag])
 
     def outside_modes(
         self, modes: Float[np.ndarray, "modes columns"], outside_hz: list[float]

@@ -85,12 +85,12 @@ class StructureRig(StartWithStops, frozen=True, kw_only=True):
             for option, positions_m in (("contacts_m", self.contacts_m), ("stations_m", self.stations_m))
         )
         force_m = _basis_position_m(body, self.force_m, "force_m")
-        places = stations_m or spread_positions(
+        sensor_positions_m = stations_m or spread_positions(
             [*contacts_m, force_m], body.length_m, among_m=body.positions_m.tolist()
         )
         meeting_stations = [(Station(body.name, position_m), None) for position_m in contacts_m]
         return self._rig(
-            (body,), meeting_stations, Station(body.name, force_m), [Station(body.name, x) for x in places]
+            (body,), meeting_stations, Station(body.name, force_m), [Station(body.name, x) for x in sensor_positions_m]
         )
 
     def _from_json(self) -> Structure:
@@ -134,12 +134,12 @@ def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
     """Note on the apparent mass of the first elastic mode, which reveals wrong units of shapes or modal masses."""
     if body.max_modes <= body.rigid_modes:
         return ()
-    shape = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
-    largest = int(np.argmax(np.abs(shape)))
+    shapes = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
+    largest_mode = int(np.argmax(np.abs(shapes)))
     return (
-        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shape[largest] ** 2:.3g} kg "
-        f"at {body.positions_m[largest]:.4g} m: compare that with the part's weight (the end of a uniform beam moves "
-        "like a quarter of it); else the units of shapes or modal masses are wrong",
+        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shapes[largest_mode] ** 2:.3g} "
+        f"kg at {body.positions_m[largest_mode]:.4g} m: compare that with the part's weight (the end of a uniform beam "
+        "moves like a quarter of it); else the units of shapes or modal masses are wrong",
     )
 
 

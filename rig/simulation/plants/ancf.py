@@ -13,7 +13,7 @@ from rig.model.components import DIRECTIONS
 from rig.model.description import Rig, Sensor, Station, contact_rows, stations_of
 from rig.model.quantities import Quantity
 from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, forces_of
-from rig.simulation.plants.connectors import ChangingModulus, Extra, Section, modulus_change
+from rig.simulation.plants.connectors import ChangingModulus, ExtraPhysics, Section, modulus_change
 from rig.simulation.plants.finite_elements import add_loads, build, item
 from rig.simulation.plants.loading import (
     check_softening,
@@ -25,7 +25,7 @@ from rig.simulation.plants.loading import (
 )
 from rig.simulation.plants.mesh import Mesh, coordinates_at_rest, station_row
 
-ELEMENTS = 20
+ELEMENT_COUNT = 20
 BLOCK_STEPS = 4096
 
 
@@ -34,8 +34,8 @@ def simulate(
     force_n: ForceSignal,
     step_s: float,
     progress: Progress,
-    element_count: int = ELEMENTS,
-    extra: tuple[Extra, ...] = (),
+    element_count: int = ELEMENT_COUNT,
+    extra_physics: tuple[ExtraPhysics, ...] = (),
 ) -> Iterator[Motion]:
     """Motion from rest, with about `element_count` elements per beam and a node wherever something acts on it.
 
@@ -43,7 +43,7 @@ def simulate(
     has the damping matrix M Phi diag(2 zeta omega) Phi' M of its finite elements, hence the same damping ratio in
     every elastic mode and none in the rigid ones. Coordinates are taken relative to the base, whose motion is an
     inertial load. The solver runs in segments of 4096 steps, each continued from the coordinates, velocities and
-    accelerations of the one before. `extra` is what no Rig describes.
+    accelerations of the one before. `extra_physics` is what no Rig describes.
 
     Yields one Motion per segment. Raises RigError if the solver fails or the motion is not finite.
     """
@@ -52,13 +52,13 @@ def simulate(
 
     exu.config.printToConsole = False
     exu.config.suppressWarnings = True
-    excitation = _excitation(rig, force_n, step_s, extra)
+    excitation = _excitation(rig, force_n, step_s, extra_physics)
     container = exu.SystemContainer()
     try:
         mbs = container.AddSystem()
-        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra)
+        meshes, connectors, loads = build(exu, mbs, rig, excitation.first_n, element_count, extra_physics)
         instruments = _instruments(exu, mbs, rig, meshes, connectors)
-        _excite(mbs, rig, meshes, loads, excitation, step_s, extra)
+        _excite(mbs, rig, meshes, loads, excitation, step_s, extra_physics)
         mbs.Assemble()
         if has_static_load(rig):
             mbs.systemData.SetODE2Coordinates(coordinates_at_rest(rig, meshes), exu.ConfigurationType.Initial)
@@ -93,14 +93,14 @@ class _Excitation:
         return [history[span] for history in self.base] or [0.0] * 3
 
 
-def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra: tuple[Extra, ...]) -> _Excitation:
+def _excitation(rig: Rig, force_n: ForceSignal, step_s: float, extra_physics: tuple[ExtraPhysics, ...]) -> _Excitation:
     """Excitation of a run.
 
     Raises RigError if the number of forces is not the rig's, or loads or base motion act on a beam of sections.
     """
     measured_forces_n, time_s = forces_of(rig, force_n), np.arange(len(force_n)) * step_s
     base_signals = shaken_base(rig, measured_forces_n, step_s)
-    if (base_signals or has_static_load(rig)) and any(isinstance(part, Section) for part in extra):
+    if (base_signals or has_static_load(rig)) and any(isinstance(part, Section) for part in extra_physics):
         raise RigError("the ancf plant takes static loads and base motion on uniform beams only; leave them out")
     true_forces_n = (true_force(rig, signal[:], step_s) for signal in measured_forces_n.signals)
     return _Excitation(measured_forces_n, (*true_forces_n, *(tone.force_n(time_s) for tone in rig.tones)), base_signals)
@@ -113,11 +113,11 @@ def _excite(
     loads: list[int],
     excitation: _Excitation,
     step_s: float,
-    extra: tuple[Extra, ...],
+    extra_physics: tuple[ExtraPhysics, ...],
 ) -> None:
     """Register the function that sets loads, base acceleration and changing moduli before every step."""
     set_base = add_loads(mbs, rig, meshes) if has_static_load(rig) or excitation.base else None
-    modulus_updates = [modulus_change(mbs, meshes, part) for part in extra if isinstance(part, ChangingModulus)]
+    modulus_updates = [modulus_change(mbs, meshes, part) for part in extra_physics if isinstance(part, ChangingModulus)]
 
     def apply_excitation(system: Any, time_s: float) -> bool:
         step = round(time_s / step_s)

@@ -13,7 +13,7 @@ from rig.simulation.plants.connectors import Section
 from rig.simulation.plants.finite_elements import build, free_coordinates
 from rig.simulation.plants.mesh import Mesh
 
-ELEMENTS = 60
+ELEMENT_COUNT = 60
 
 
 def modal_basis(
@@ -21,7 +21,7 @@ def modal_basis(
     sections: tuple[Section, ...],
     positions_m: Float[np.ndarray, " places"],
     mode_count: int,
-    element_count: int = ELEMENTS,
+    element_count: int = ELEMENT_COUNT,
 ) -> Structure:
     """Beam with its sections as a `Structure`: the first modes at rest, with their shapes at the given positions.
 

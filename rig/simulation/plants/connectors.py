@@ -43,7 +43,7 @@ class Section:
     mass_factor: float
 
 
-Extra = GroundedForce | ChangingModulus | Section
+ExtraPhysics = GroundedForce | ChangingModulus | Section
 """Properties of a simulated reality that its Rig cannot describe."""
 
 

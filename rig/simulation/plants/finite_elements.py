@@ -16,7 +16,7 @@ from rig.model.modes import held_coordinate_count, with_attachments
 from rig.model.oscillator import Oscillator
 from rig.model.space import plane_rigs
 from rig.model.supports import attached_springs
-from rig.simulation.plants.connectors import Extra, GroundedForce, Section, add_contact, add_grounded
+from rig.simulation.plants.connectors import ExtraPhysics, GroundedForce, Section, add_contact, add_grounded
 from rig.simulation.plants.loading import connections
 from rig.simulation.plants.mesh import Mesh, by_node, inertia, mesh_positions, static_load
 
@@ -26,15 +26,20 @@ resonances into the band of the force: at 0.01 the cradle's, at 129 Hz, changed 
 
 
 def build(
-    exu: Any, mbs: Any, rig: Rig, first_forces_n: Sequence[float], element_count: int, extra: tuple[Extra, ...] = ()
+    exu: Any,
+    mbs: Any,
+    rig: Rig,
+    first_forces_n: Sequence[float],
+    element_count: int,
+    extra_physics: tuple[ExtraPhysics, ...] = (),
 ) -> tuple[list[Mesh], list[int], list[int]]:
     """Add bodies, damping, contacts and loads; return the meshes, the connectors and the loads' numbers.
 
     The connectors are those of the contacts, an annular one twice, then those of cubic springs, dampers and the extra
     forces. The loads are the exciting forces, with their first values, and the tones.
     """
-    sections = [part for part in extra if isinstance(part, Section)]
-    rig = _with_nodes_for(rig, extra)
+    sections = [part for part in extra_physics if isinstance(part, Section)]
+    rig = _with_nodes_for(rig, extra_physics)
     ground_node = mbs.AddNode(item("NodePointGround")())
     ground_marker = int(mbs.AddMarker(item("MarkerNodeCoordinate")(nodeNumber=ground_node, coordinate=0)))
     meshes = [_add_body(mbs, rig, body, ground_marker, element_count, sections) for body in rig.bodies]
@@ -65,7 +70,7 @@ def build(
             ] * len(rig.directions)
     connectors += [
         add_grounded(exu, mbs, ground_marker, displacement_marker(grounded_force.station), grounded_force)
-        for grounded_force in extra
+        for grounded_force in extra_physics
         if isinstance(grounded_force, GroundedForce)
     ]
     force_stations = [None if rig.is_on_ground(station) else station for station in rig.forces]
@@ -77,12 +82,12 @@ def build(
     return meshes, connectors, loads
 
 
-def _with_nodes_for(rig: Rig, extra: tuple[Extra, ...]) -> Rig:
+def _with_nodes_for(rig: Rig, extra_physics: tuple[ExtraPhysics, ...]) -> Rig:
     """Rig with springs of zero stiffness where grounded forces act and sections end, so that nodes are placed there."""
-    stations = [part.station for part in extra if isinstance(part, GroundedForce)]
+    stations = [part.station for part in extra_physics if isinstance(part, GroundedForce)]
     stations += [
         Station(part.beam, position_m)
-        for part in extra
+        for part in extra_physics
         if isinstance(part, Section)
         for position_m in (part.start_m, part.end_m)
     ]

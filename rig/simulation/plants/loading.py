@@ -53,7 +53,9 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     omega = 2 * np.pi * np.fft.rfftfreq(sample_count, step_s)
     velocity_spectrum = np.divide(spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
     displacement_spectrum = np.divide(velocity_spectrum, 1j * omega, out=np.zeros_like(spectrum), where=omega > 0)
-    d, v, a = (_in_time(transform, sample_count) for transform in (displacement_spectrum, velocity_spectrum, spectrum))
+    d, v, a = (
+        _signal_of(transform, sample_count) for transform in (displacement_spectrum, velocity_spectrum, spectrum)
+    )
     rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
     rise, rise_slope, rise_curvature = (
@@ -62,7 +64,11 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
         60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share),
     )
     rise_slope, rise_curvature = rise_slope / RISE_S, rise_curvature / RISE_S**2
-    motion = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
+    motion = (
+        rise * d,
+        rise_slope * d + rise * v,
+        rise_curvature * d + 2 * rise_slope * v + rise * a,
+    )
     return tuple(rms_factor * signal for signal in motion)
 
 
@@ -242,5 +248,5 @@ def _least_energy(
     return q, -unbalanced_force, stiffness
 
 
-def _in_time(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
+def _signal_of(spectrum: Complex[np.ndarray, " lines"], sample_count: int) -> Float[np.ndarray, " samples"]:
     return np.fft.irfft(spectrum, sample_count)

@@ -32,7 +32,7 @@ BEND_SUPPORT = 8
 
 
 @dataclass(frozen=True)
-class Model:
+class ModalModel:
     """Modal model of a rig: modes of all bodies, shapes at every station, contacts, inputs and equilibrium.
 
     Rows are over the modal coordinates q: station_rows give the displacement of a station, sensor_rows what a sensor
@@ -54,8 +54,8 @@ class Model:
 
     def start(self) -> tuple[Float[np.ndarray, " states"], Float[np.ndarray, "4 contacts"]]:
         """State of rest (q, q'), and the contact state (4, contacts) of `stepping.advance`."""
-        zeros = np.zeros(len(self.eta_rows))
-        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, zeros, zeros])
+        no_rate = np.zeros(len(self.eta_rows))
+        contact_state = np.stack([self.rest_contact_n, self.eta_rows @ self.rest_coordinates, no_rate, no_rate])
         return np.append(self.rest_coordinates, np.zeros(self.omega.size)), contact_state
 
 
@@ -105,7 +105,7 @@ def simulate(
         contact_history_n = np.concatenate([contact_history_n[:, -4:], contact_n], axis=1)
         bend_history_n = np.concatenate([bend_history_n[:, -1:], contact_bends_n], axis=1)
         corrected_contact_n = _without_alias(contact_history_n, bend_history_n)
-        sensed = observed(rig, model, block_states, inputs[:, 1:], corrected_contact_n)
+        sensed = sensed_quantities(rig, model, block_states, inputs[:, 1:], corrected_contact_n)
         if base_signals:
             sensed += np.array(
                 [base_signals[quantity.order][span] * quantity.translates for quantity in quantities]
@@ -122,9 +122,9 @@ def simulate(
         )
 
 
-def observed(
+def sensed_quantities(
     rig: Rig,
-    model: Model,
+    model: ModalModel,
     states: Float[np.ndarray, "samples states"],
     inputs: Float[np.ndarray, "inputs samples"],
     contact_n: Float[np.ndarray, "all samples"],
@@ -183,7 +183,7 @@ def body_modes_of(rig: Rig, modes_per_beam: int) -> list[BodyModes]:
     ]
 
 
-def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
+def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> ModalModel:
     """Modal model of a rig, with an input for the base if it moves."""
     body_modes = body_modes_of(rig, modes_per_beam)
     omega = 2 * np.pi * np.concatenate([basis.modes.frequencies_hz(basis.mode_count) for basis in body_modes])
@@ -208,7 +208,7 @@ def model_of(rig: Rig, moving_base: bool, modes_per_beam: int) -> Model:
     if moving_base:
         input_forces.append(base_modal_load)
     input_forces += [station_rows[tone.station] for tone in rig.tones]
-    return Model(
+    return ModalModel(
         omega=omega,
         zeta=zeta,
         station_rows=station_rows,
@@ -250,15 +250,15 @@ def applied_inputs(
     return np.ascontiguousarray(inputs[:, kept_samples]), np.ascontiguousarray(_bends(inputs)[:, kept_samples])
 
 
-def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
+def constants_of(model: ModalModel, step_s: float) -> tuple[Any, ...]:
     """Arrays of a model for `stepping.advance`; raises RigError if a contact is too stiff for the step."""
     from rig.simulation.plants.compiled_laws import law_records
     from rig.simulation.plants.stepping import gauss_points
 
     propagator, force_response = _propagator(model.omega, model.zeta, step_s)
     state_by_input, state_by_contact_force = (
-        (force_response[:, None] * rows[:, None]).reshape(3, len(rows), 2 * model.omega.size)
-        for rows in (model.input_forces, -model.eta_rows)
+        (force_response[:, None] * input_shapes[:, None]).reshape(3, len(input_shapes), 2 * model.omega.size)
+        for input_shapes in (model.input_forces, -model.eta_rows)
     )
     gain, increment_factors = _step_gain(model, state_by_contact_force, step_s)
     return (
@@ -275,7 +275,7 @@ def constants_of(model: Model, step_s: float) -> tuple[Any, ...]:
 
 
 def _step_gain(
-    model: Model, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
+    model: ModalModel, state_by_contact_force: Float[np.ndarray, "3 contacts states"], step_s: float
 ) -> tuple[Float[np.ndarray, "2 2 contacts contacts"], Float[np.ndarray, " contacts"]]:
     """Response of every eta and eta' to each end force and each bend within a step, and 1 / (1 + self gain).
 

@@ -111,7 +111,12 @@ def _ring_increments(law, j, gain, eta, rate, excess):
 @no_type_check
 def _bend(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
-    eta0, rate0, eta1, rate1 = previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j]
+    eta0, rate0, eta1, rate1 = (
+        previous[ETA, j],
+        previous[RATE, j],
+        current[ETA, j],
+        current[RATE, j],
+    )
     start_s = time_s - step_s
     mean_force = 0.0
     for m in range(gauss.shape[1]):
@@ -123,52 +128,55 @@ def _bend(law, j, previous, current, time_s, step_s, gauss):
 
 @_compiled
 @no_type_check
-def _advance_modes(states, n, inputs, bends, propagator, state_by_input, state_by_contact_force, contact_state):
-    """Compute row n + 1 of the states from the known inputs and the contact forces at the start of the step."""
+def _advance_modes(states, step, inputs, bends, propagator, state_by_input, state_by_contact_force, contact_state):
+    """Compute row step + 1 of the states from the known inputs and the contact forces at the start of the step."""
     mode_count = propagator.shape[2]
     for i in range(mode_count):
-        q, v = states[n, i], states[n, mode_count + i]
-        states[n + 1, i] = propagator[0, 0, i] * q + propagator[0, 1, i] * v
-        states[n + 1, mode_count + i] = propagator[1, 0, i] * q + propagator[1, 1, i] * v
+        displacement, velocity = states[step, i], states[step, mode_count + i]
+        states[step + 1, i] = propagator[0, 0, i] * displacement + propagator[0, 1, i] * velocity
+        states[step + 1, mode_count + i] = propagator[1, 0, i] * displacement + propagator[1, 1, i] * velocity
     for k in range(inputs.shape[0]):
-        at_start, at_end, bend = inputs[k, n], inputs[k, n + 1], bends[k, n]
+        at_start, at_end, bend = inputs[k, step], inputs[k, step + 1], bends[k, step]
         for i in range(2 * mode_count):
-            states[n + 1, i] += (
+            states[step + 1, i] += (
                 state_by_input[0, k, i] * at_start + state_by_input[1, k, i] * at_end + state_by_input[2, k, i] * bend
             )
     for j in range(contact_state.shape[1]):
         if contact_state[FORCE, j] != 0.0:
             for i in range(2 * mode_count):
-                states[n + 1, i] += state_by_contact_force[0, j, i] * contact_state[FORCE, j]
+                states[step + 1, i] += state_by_contact_force[0, j, i] * contact_state[FORCE, j]
 
 
 @_compiled
 @no_type_check
-def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, annular):
+def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular):
     """Update every end force given the others, with its self-response solved for; return largest change and force."""
     max_change, max_force = 0.0, 0.0
     for j in range(eta.size):
-        if annular is not None and laws[j].kind == ANNULAR_Z:
+        if has_annular is not None and laws[j].kind == ANNULAR_Z:
             continue
-        e, r = eta[j], rate[j]
+        eta_j, rate_j = eta[j], rate[j]
         for k in range(eta.size):
-            e += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
-            r += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
-        if annular is not None and laws[j].kind == ANNULAR_Y:
+            eta_j += gain[0, 0, j, k] * current[FORCE, k] + gain[1, 0, j, k] * current[BEND, k]
+            rate_j += gain[0, 1, j, k] * current[FORCE, k] + gain[1, 1, j, k] * current[BEND, k]
+        if has_annular is not None and laws[j].kind == ANNULAR_Y:
             second = j + 1
             second_eta, second_rate = eta[second], rate[second]
             for k in range(eta.size):
                 second_eta += gain[0, 0, second, k] * current[FORCE, k] + gain[1, 0, second, k] * current[BEND, k]
                 second_rate += gain[0, 1, second, k] * current[FORCE, k] + gain[1, 1, second, k] * current[BEND, k]
-            force, second_force = vector_force_n(laws[j], (e, second_eta), (r, second_rate), time_s)
+            force, second_force = vector_force_n(laws[j], (eta_j, second_eta), (rate_j, second_rate), time_s)
             increment, second_increment = force - current[FORCE, j], second_force - current[FORCE, second]
             if force != 0.0 or second_force != 0.0:
                 increment, second_increment = _ring_increments(
-                    laws[j], j, gain, (e, second_eta), (r, second_rate), (increment, second_increment)
+                    laws[j], j, gain, (eta_j, second_eta), (rate_j, second_rate), (increment, second_increment)
                 )
             current[FORCE, j] += increment
             current[FORCE, second] += second_increment
-            current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
+            current[ETA, j], current[RATE, j] = (
+                eta_j + gain[0, 0, j, j] * increment,
+                rate_j + gain[0, 1, j, j] * increment,
+            )
             current[ETA, second], current[RATE, second] = (
                 second_eta + gain[0, 0, second, second] * second_increment,
                 second_rate + gain[0, 1, second, second] * second_increment,
@@ -176,29 +184,45 @@ def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, annular):
             max_change = max(max_change, abs(increment), abs(second_increment))
             max_force = max(max_force, abs(force), abs(second_force))
             continue
-        force = force_n(laws[j], e, r, time_s)
+        force = force_n(laws[j], eta_j, rate_j, time_s)
         increment = force - current[FORCE, j]
         if force != 0.0:
             increment *= increment_factors[j]
         current[FORCE, j] += increment
-        current[ETA, j], current[RATE, j] = e + gain[0, 0, j, j] * increment, r + gain[0, 1, j, j] * increment
+        current[ETA, j], current[RATE, j] = (
+            eta_j + gain[0, 0, j, j] * increment,
+            rate_j + gain[0, 1, j, j] * increment,
+        )
         max_change, max_force = max(max_change, abs(increment)), max(max_force, abs(force))
     return max_change, max_force
 
 
 @_compiled
 @no_type_check
-def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, annular):
+def _solve(
+    previous,
+    current,
+    eta,
+    rate,
+    may_touch,
+    gain,
+    increment_factors,
+    laws,
+    time_s,
+    step_s,
+    gauss,
+    has_annular,
+):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_SWEEPS):
-        max_change, max_force = _sweep(current, eta, rate, gain, increment_factors, laws, time_s, annular)
+        max_change, max_force = _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
         if iteration > 0 and max_change <= TOLERANCE_N:
             break
-        if annular is not None and iteration == MAX_SWEEPS - 1 and max_change > 1e-6 * max_force:
+        if has_annular is not None and iteration == MAX_SWEEPS - 1 and max_change > 1e-6 * max_force:
             current[FORCE, 0] = np.nan  # not solved: the run ends
         if iteration == 0 or max_change > BEND_REFRESH * max_force:
             for j in range(eta.size):
-                if annular is not None and laws[j].kind < 0:
+                if has_annular is not None and laws[j].kind < 0:
                     if may_touch[j] and laws[j].kind == ANNULAR_Y:
                         share = 1.0 if iteration < 6 else 0.5  # a bend that swings about its end would go on
                         _bend_on_ring(laws[j], j, previous, current, time_s, step_s, gauss, share)
@@ -223,7 +247,7 @@ def advance(
     increment_factors,
     laws,
     gauss,
-    annular,
+    has_annular,
     first_step,
     step_s,
 ):
@@ -234,32 +258,37 @@ def advance(
     state_by_contact_force (3, inputs or contacts, 2 modes) are the contributions to a state of a force at the start and
     at the end of a step, and of its bend; gain (2, 2, contacts, contacts) those of an end force and a bend to every
     eta and eta'. increment_factors are the shares of a change that its own gain leaves; laws is the table of
-    `compiled_laws`. annular is None for rigs without annular contacts, for which the loop is compiled by itself.
+    `compiled_laws`. has_annular is None for rigs without annular contacts, for which the loop is compiled by itself.
     """
     mode_count, contact_count = eta_rows.shape[1], eta_rows.shape[0]
     current, eta, rate = np.empty(contact_state.shape), np.empty(contact_count), np.empty(contact_count)
     may_touch = np.empty(contact_count, dtype=np.bool_)
-    for n in range(forces.shape[1]):
-        time_s = (first_step + n) * step_s
+    for step in range(forces.shape[1]):
+        time_s = (first_step + step) * step_s
         _advance_modes(
-            states, n, inputs, input_bends, propagator, state_by_input, state_by_contact_force, contact_state
+            states, step, inputs, input_bends, propagator, state_by_input, state_by_contact_force, contact_state
         )
         any_may_touch = False
         for j in range(contact_count):
-            e, r = 0.0, 0.0
+            eta_j, rate_j = 0.0, 0.0
             for i in range(mode_count):
-                e += eta_rows[j, i] * states[n + 1, i]
-                r += eta_rows[j, i] * states[n + 1, mode_count + i]
-            eta[j], rate[j] = e, r
-            if annular is not None and laws[j].kind < 0:
+                eta_j += eta_rows[j, i] * states[step + 1, i]
+                rate_j += eta_rows[j, i] * states[step + 1, mode_count + i]
+            eta[j], rate[j] = eta_j, rate_j
+            if has_annular is not None and laws[j].kind < 0:
                 may_touch[j] = laws[j].kind == ANNULAR_Z and _may_touch_ring(
-                    laws[j], contact_state, j - 1, (eta[j - 1], e), (rate[j - 1], r), time_s, step_s
+                    laws[j], contact_state, j - 1, (eta[j - 1], eta_j), (rate[j - 1], rate_j), time_s, step_s
                 )
                 may_touch[j - 1] |= may_touch[j]
             else:
-                may_touch[j] = _may_touch(laws[j], contact_state, j, e, r, time_s, step_s)
+                may_touch[j] = _may_touch(laws[j], contact_state, j, eta_j, rate_j, time_s, step_s)
             any_may_touch |= may_touch[j]
-            current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = contact_state[FORCE, j], e, r, 0.0
+            current[FORCE, j], current[ETA, j], current[RATE, j], current[BEND, j] = (
+                contact_state[FORCE, j],
+                eta_j,
+                rate_j,
+                0.0,
+            )
         if any_may_touch:
             _solve(
                 contact_state,
@@ -273,15 +302,15 @@ def advance(
                 time_s,
                 step_s,
                 gauss,
-                annular,
+                has_annular,
             )
             for j in range(contact_count):
                 for i in range(2 * mode_count):
-                    states[n + 1, i] += (
+                    states[step + 1, i] += (
                         state_by_contact_force[1, j, i] * current[FORCE, j]
                         + state_by_contact_force[2, j, i] * current[BEND, j]
                     )
         for j in range(contact_count):
-            forces[j, n], contact_bends[j, n] = current[FORCE, j], current[BEND, j]
+            forces[j, step], contact_bends[j, step] = current[FORCE, j], current[BEND, j]
             for row in range(4):
                 contact_state[row, j] = current[row, j]
