@@ -94,6 +94,6 @@ def gain_by_band(
         gain = np.vdot(predicted_band, measured_band) / max(float(np.vdot(predicted_band, predicted_band).real), 1e-300)
         gains.append(gain)
         residual_power += float(np.sum(np.abs(measured_band - gain * predicted_band) ** 2))
-    total_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
+    measured_power = float(np.sum(np.abs(measured * line_weights) ** 2)) or 1.0
     centres_hz = np.array([omega[band_lines[band_lines.size // 2]] for band_lines in bands]) / (2 * np.pi)
-    return np.abs(gains), residual_power / total_power, centres_hz
+    return np.abs(gains), residual_power / measured_power, centres_hz

@@ -48,13 +48,13 @@ class FreeMotion:
     is_held: bool
 
 
-Prior = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " values"]]
+MeansAndDeviations = tuple[Float[np.ndarray, " values"], Float[np.ndarray, " values"]]
 """Means and standard deviations."""
 
 
 def free_motions(
     responses: Sequence[Response], motion: Kinematics, highest_hz: float, sample_count: int
-) -> tuple[list[FreeMotion], Prior, Prior]:
+) -> tuple[list[FreeMotion], MeansAndDeviations, MeansAndDeviations]:
     """Free motions of all modes below a frequency, with the priors of the initial values and of those at the end.
 
     The mean is what the stations show at the first sample, with a small deviation, if displacement sensors show all

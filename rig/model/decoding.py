@@ -35,15 +35,15 @@ _STEP = re.compile(r"\.([^.\[\]]+)|\[(\d+|\.\.\.)\]")
 _QUOTED = re.compile(r"[`']([^`']*)[`']")
 
 
-def converted(decoded: Any, target_type: type[T], source: str) -> T:
+def converted(decoded: Any, target_type: type[T], source_label: str) -> T:
     """Decoded JSON or TOML as a type.
 
-    Raises RigError with `source` and the explained reason if it does not fit.
+    Raises RigError with `source_label` and the explained reason if it does not fit.
     """
     try:
         return msgspec.convert(decoded, target_type)
     except msgspec.ValidationError as error:
-        raise RigError(f"{source}: {explained(error, decoded, target_type)}") from error
+        raise RigError(f"{source_label}: {explained(error, decoded, target_type)}") from error
 
 
 def explained(error: msgspec.ValidationError, decoded: Any, target_type: Any) -> str:

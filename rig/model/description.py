@@ -293,16 +293,16 @@ def to_json(rig: Rig) -> bytes:
     return msgspec.json.format(text, indent=2)
 
 
-def from_json(text: bytes, source: str) -> Rig:
-    """Rig from a JSON text; raises RigError with `source`, the place and the reason if it is invalid."""
-    check_json(text, source)
+def from_json(text: bytes, source_label: str) -> Rig:
+    """Rig from a JSON text; raises RigError with `source_label`, the place and the reason if it is invalid."""
+    check_json(text, source_label)
     try:
         decoded = msgspec.json.decode(text)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise RigError(f"{source}: not a rig description: it is no JSON ({error}); correct it there") from error
-    check_schema_version(decoded, source)
-    check_largest(decoded, source)
-    error_prefix = f"{source}: not a rig description"
+        raise RigError(f"{source_label}: not a rig description: it is no JSON ({error}); correct it there") from error
+    check_schema_version(decoded, source_label)
+    check_largest(decoded, source_label)
+    error_prefix = f"{source_label}: not a rig description"
     try:
         typed_json = json_in_types(decoded)
     except RigError as error:

@@ -25,14 +25,14 @@ MODE_COUNT, LINE_COUNT, MIN_DAMPING_RATIO = 16, 20_001, 1e-3
 
 
 @dataclass(frozen=True)
-class Level:
+class ForceLevel:
     """Level of a force, N rms, and why it was chosen."""
 
     rms_n: float
     reason: str
 
 
-def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
+def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> ForceLevel:
     """Force (N rms, flat from low to high) that would move the least moved contact, without stops, by 4 clearances rms.
 
     With several forces, the rms of each of them, independent of one another. The motion follows from the modes,
@@ -56,10 +56,10 @@ def rattling_level(rig: Rig, low_hz: float, high_hz: float) -> Level:
     highest_level_n, contact_name, clearance_m = max(levels_n, default=(np.inf, "", 0.0))
     if not np.isfinite(highest_level_n):
         reason = f"as no contact has a clearance of at most {FARTHEST_STOP_M:g} m that the force moves it through"
-        return Level(1.0, reason if rig.contacts else "as there is no contact")
+        return ForceLevel(1.0, reason if rig.contacts else "as there is no contact")
     least_moved_note = ", which moves least," if len(levels_n) > 1 else ""
     motion_note = f"{RMS_TO_CLEARANCE:g} clearances of {1e3 * clearance_m:.3g} mm rms without its stops"
-    return Level(
+    return ForceLevel(
         float(f"{highest_level_n:.1g}"), f"by which {contact_name!r}{least_moved_note} would move by {motion_note}"
     )
 

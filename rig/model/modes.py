@@ -326,10 +326,10 @@ def _bare_matrices(
     coordinate_count = 2 * len(nodes_m)
     mass, stiffness = np.zeros((coordinate_count, coordinate_count)), np.zeros((coordinate_count, coordinate_count))
     for element, h in enumerate(np.diff(nodes_m)):
-        dof_scale = np.diag([1, h, 1, h])
+        scale = np.diag([1, h, 1, h])
         coordinates = slice(2 * element, 2 * element + 4)
-        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * dof_scale @ _MASS @ dof_scale
-        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * dof_scale @ _STIFFNESS @ dof_scale
+        mass[coordinates, coordinates] += body.mass_per_length_kg_per_m * h / 420 * scale @ _BEAM_MASS @ scale
+        stiffness[coordinates, coordinates] += body.bending_stiffness_n_m2 / h**3 * scale @ _BEAM_STIFFNESS @ scale
     return mass, stiffness
 
 
@@ -345,5 +345,5 @@ def _floating_count(beam: Beam, nodes_m: Float[np.ndarray, " nodes"], stiffness:
     return 2 - int(np.linalg.matrix_rank(rigid_stiffness, tol=1e-6 * stiffness_scale))
 
 
-_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
-_STIFFNESS = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])
+_BEAM_MASS = np.array([[156, 22, 54, -13], [22, 4, 13, -3], [54, 13, 156, -22], [-13, -3, -22, 4]])
+_BEAM_STIFFNESS = np.array([[12, 6, -12, 6], [6, 4, -6, 2], [-12, -6, 12, -6], [6, 2, -6, 4]])

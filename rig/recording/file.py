@@ -19,7 +19,7 @@ from rig.errors import RigError
 from rig.model.description import UNITS, Rig, Sensor, Station, check_shapes_known, contact_rows, from_json, stations_of
 from rig.model.sensing import quantities_of, sensors_of
 from rig.recording import container, messages
-from rig.recording.assembly import Assembly
+from rig.recording.assembly import SampleAssembly
 from rig.recording.channels import Channels, check_channels, from_metadata
 from rig.recording.foreign import PROVENANCE, RIG_NAME
 from rig.recording.messages import Block
@@ -220,7 +220,7 @@ def recordings_in(folder: Path) -> list[Path]:
 
 
 @dataclass(frozen=True)
-class Contents:
+class FileContents:
     """Content of a file except the blocks of samples; of the attachments, only rig.json keeps its data."""
 
     attachments: dict[str, bytes] = field(default_factory=dict)
@@ -233,7 +233,7 @@ def holds_blocks(channel: ChannelRecord) -> bool:
     return len(topic_parts) == 4 and topic_parts[1] == "rig" and topic_parts[3] == "block"
 
 
-def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[tuple[str, messages.Block]]:
+def group_blocks(records: Iterable[McapRecord], contents: FileContents) -> Iterator[tuple[str, messages.Block]]:
     """Every block of samples with the name of its group; all other records are collected in `contents`.
 
     The values of a block are valid until the next one is requested. Raises ValueError or RigError, without the name of
@@ -242,7 +242,7 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
     """
     group_by_channel_id: dict[int, str] = {}
     channel_by_id: dict[int, ChannelRecord] = {}
-    clock = Clock()
+    clock = TimeStampCheck()
     for record in records:
         if (
             isinstance(record, ChannelRecord)
@@ -265,13 +265,13 @@ def group_blocks(records: Iterable[McapRecord], contents: Contents) -> Iterator[
             yield group_name, block
 
 
-def _add_provenance(record: Metadata, contents: Contents) -> None:
+def _add_provenance(record: Metadata, contents: FileContents) -> None:
     for key, value in record.metadata.items():
         if contents.provenance.setdefault(key, value) != value:
             raise RigError(f"the provenance gives {key!r} twice; keep the one that is meant")
 
 
-def rig_of(path: Path, contents: Contents) -> Rig:
+def rig_of(path: Path, contents: FileContents) -> Rig:
     if RIG_NAME not in contents.attachments:
         raise RigError(
             f"{path}: has no attachment {RIG_NAME}; add the description of the rig (see rig/recording/README.md)"
@@ -280,7 +280,7 @@ def rig_of(path: Path, contents: Contents) -> Rig:
 
 
 def _load(path: Path) -> Recording:
-    contents, assemblies = Contents(), dict[str, Assembly]()
+    contents, assemblies = FileContents(), dict[str, SampleAssembly]()
     with container.open_recording(path) as file:
         max_values = path.stat().st_size // 8
         for group_name, block in container.with_path_in_error(
@@ -288,13 +288,13 @@ def _load(path: Path) -> Recording:
         ):
             if group_name not in assemblies:
                 capacity = max_values // sum(len(channels.names) for channels in contents.channels_by_group.values())
-                assemblies[group_name] = Assembly(
+                assemblies[group_name] = SampleAssembly(
                     path, group_name, contents.channels_by_group[group_name], capacity=capacity
                 )
             assemblies[group_name].add(block)
     rig = rig_of(path, contents)
     signals = {
-        group_name: Signals(channels, *assemblies.get(group_name, Assembly(path, group_name, channels)).finish())
+        group_name: Signals(channels, *assemblies.get(group_name, SampleAssembly(path, group_name, channels)).finish())
         for group_name, channels in contents.channels_by_group.items()
     }
     if "force" not in signals:
@@ -309,7 +309,7 @@ TOLERANCE_SAMPLES, TOLERANCE_NS = 0.5, 1000.0
 """A time stamp may be off by half a sample, or a microsecond if that is more."""
 
 
-class Clock:
+class TimeStampCheck:
     """Check of time stamps: t0 = t(k) - k / f of the first block must hold for every block of every group."""
 
     def __init__(self) -> None:

@@ -13,20 +13,20 @@ from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import Channels, check_channels
 from rig.recording.file import (
-    Contents,
+    FileContents,
     channel_groups,
     group_blocks,
     rig_of,
     truth_groups,
     with_history,
 )
-from rig.recording.foreign import Foreign
+from rig.recording.foreign import ForeignRecords
 from rig.recording.messages import Block
 from rig.recording.writer import writing
 
 
 @dataclass(frozen=True)
-class Loss:
+class GroupLoss:
     """Samples of a group that were kept, found in the file, and requested (None: unknown)."""
 
     group: str
@@ -42,7 +42,7 @@ class Loss:
         return f"{self.group}: {self.kept} samples kept ({kept_s:g} s), {lost_count} lost ({lost_s:g} s){unstored_note}"
 
 
-def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
+def recover(damaged_path: Path, target_path: Path) -> tuple[GroupLoss, ...]:
     """Write the undamaged samples of a recording, from its start to the first gap in any group, as a recording.
 
     Every complete chunk whose checksum is right is read. What was kept and lost of each group is returned, and written
@@ -50,7 +50,7 @@ def recover(damaged_path: Path, target_path: Path) -> tuple[Loss, ...]:
     rig.json, no complete chunk, or the result cannot be written.
     """
     check_target(target_path, damaged_path)
-    contents, foreign, blocks_by_group = Contents(), Foreign(), defaultdict[str, list[Block]](list)
+    contents, foreign, blocks_by_group = FileContents(), ForeignRecords(), defaultdict[str, list[Block]](list)
     with container.open_recording(damaged_path) as file:
         try:
             for group_name, block in group_blocks(foreign.collecting(container.read_sound(file)), contents):
@@ -121,8 +121,10 @@ def _requested_duration_s(provenance: Mapping[str, str]) -> float | None:
         return None
 
 
-def _loss(channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None) -> Loss:
-    return Loss(
+def _loss(
+    channels: Channels, block_by_start: dict[int, Block], kept_count: int, requested_s: float | None
+) -> GroupLoss:
+    return GroupLoss(
         group=channels.quantity,
         sample_rate_hz=channels.sample_rate_hz,
         kept=kept_count,

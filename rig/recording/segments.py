@@ -10,7 +10,7 @@ from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
 from rig.recording.file import (
-    Contents,
+    FileContents,
     Recording,
     Signals,
     channel_groups,
@@ -28,7 +28,7 @@ def segments(path: Path, length_s: float, overlap_s: float) -> Iterator[Recordin
     Only one segment is in memory at a time. Raises RigError as `read` does, once it reaches the fault, and if the rig's
     description comes after the samples.
     """
-    contents, blocks_by_group = Contents(), defaultdict[str, list[Block]](list)
+    contents, blocks_by_group = FileContents(), defaultdict[str, list[Block]](list)
     rig, start_sample = None, 0
     with container.open_recording(path) as file:
         for group_name, block in container.with_path_in_error(
@@ -57,7 +57,7 @@ def bytes_per_second(path: Path) -> float:
 
     Raises RigError as `segments` does.
     """
-    contents = Contents()
+    contents = FileContents()
     with container.open_recording(path) as file:
         for _ in container.with_path_in_error(
             path, group_blocks(container.read_complete(file, holds_blocks), contents)
@@ -67,7 +67,7 @@ def bytes_per_second(path: Path) -> float:
     return 8 * rig.sample_rate_hz * sum(len(group.names) for group in contents.channels_by_group.values())
 
 
-def _checked_rig(path: Path, contents: Contents) -> Rig:
+def _checked_rig(path: Path, contents: FileContents) -> Rig:
     """Rig of a file, checked against its channels; raises RigError if it is missing or does not match them."""
     rig = rig_of(path, contents)
     if "force" not in contents.channels_by_group:
@@ -85,7 +85,7 @@ def _stop_sample(blocks: list[Block]) -> int:
 def _segment(
     path: Path,
     rig: Rig,
-    contents: Contents,
+    contents: FileContents,
     blocks_by_group: defaultdict[str, list[Block]],
     start_sample: int,
     stop_sample: int,

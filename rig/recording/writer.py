@@ -22,7 +22,7 @@ from rig.recording import messages
 from rig.recording.channels import Channels, to_metadata
 from rig.recording.container_writer import ContainerWriter
 from rig.recording.file import recorded_at
-from rig.recording.foreign import PROVENANCE, RIG_NAME, Foreign, add_message
+from rig.recording.foreign import PROVENANCE, RIG_NAME, ForeignRecords, add_message
 
 BLOCK_SAMPLES, SAMPLES_AT_ONCE = 1024, 2048
 CHUNK_BYTES, CHUNK_S = 512 * 1024, 5.0
@@ -38,7 +38,7 @@ class RecordingWriter:
         rig: Rig,
         channels_by_group: Mapping[str, Channels],
         provenance: Mapping[str, str],
-        foreign: Foreign | None = None,
+        foreign: ForeignRecords | None = None,
     ) -> None:
         self._stream = stream
         self._groups = dict(channels_by_group)
@@ -48,7 +48,7 @@ class RecordingWriter:
             name: (next(id_counter), [next(id_counter) for _ in group.names])
             for name, group in channels_by_group.items()
         }
-        foreign_records = (foreign or Foreign()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
+        foreign_records = (foreign or ForeignRecords()).renumbered(schema_count=2, channel_count=next(id_counter) - 1)
         self._writer = ContainerWriter(
             stream,
             front_records=[
@@ -157,7 +157,7 @@ def writing(
     rig: Rig,
     channels_by_group: Mapping[str, Channels],
     provenance: Mapping[str, str],
-    foreign: Foreign | None = None,
+    foreign: ForeignRecords | None = None,
 ) -> Iterator[RecordingWriter]:
     """Writer of a recording that appears at `path` only when it is complete; `foreign` content is stored too.
 

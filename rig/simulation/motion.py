@@ -54,7 +54,7 @@ class SignalRows(Protocol):
 
 
 @dataclass(frozen=True)
-class Projected:
+class ProjectedSignals:
     """Rows w(t) = shapes q(t) + base(t), computed for the requested slice."""
 
     shapes: Float[np.ndarray, "rows modes"]

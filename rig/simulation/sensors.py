@@ -27,17 +27,17 @@ class Decimator:
     each a slice of the Toeplitz matrix of h.
     """
 
-    start: int
-    pieces: Float[np.ndarray, "long together_times_pieces"]
+    first_tap: int
+    toeplitz_pieces: Float[np.ndarray, "long together_times_pieces"]
 
     @property
     def piece_count(self) -> int:
         """Number of the T_i."""
-        return self.pieces.shape[1] // BLOCK_OUTPUTS
+        return self.toeplitz_pieces.shape[1] // BLOCK_OUTPUTS
 
     def reach(self, output_count: int) -> int:
         """Samples of x spanned by the blocks of `output_count` outputs; those behind the last tap count as 0."""
-        return self.start + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.pieces)
+        return self.first_tap + (-(-output_count // BLOCK_OUTPUTS) + self.piece_count - 1) * len(self.toeplitz_pieces)
 
 
 def decimator(taps: Float[np.ndarray, " taps"], factor: int) -> Decimator:
@@ -61,10 +61,10 @@ def decimate(
 ) -> Float[np.ndarray, "rows samples"]:
     """First `output_count` filtered samples of every row; rows hold at least `delay_filter.reach(output_count)`."""
     row_count, piece_count = len(signals), delay_filter.piece_count
-    input_blocks = signals[:, delay_filter.start : delay_filter.reach(output_count)].reshape(
-        row_count, -1, len(delay_filter.pieces)
+    input_blocks = signals[:, delay_filter.first_tap : delay_filter.reach(output_count)].reshape(
+        row_count, -1, len(delay_filter.toeplitz_pieces)
     )
-    products = (input_blocks @ delay_filter.pieces).reshape(
+    products = (input_blocks @ delay_filter.toeplitz_pieces).reshape(
         row_count, input_blocks.shape[1], piece_count, BLOCK_OUTPUTS
     )
     output_block_count = input_blocks.shape[1] - piece_count + 1

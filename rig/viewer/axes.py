@@ -72,16 +72,16 @@ def axes_view(
     return rrb.Spatial2DView(origin=origin, name=view_name, visual_bounds=bounds, **settings)
 
 
-def tick_values(low: float, high: float) -> Float[np.ndarray, " figures"]:
+def tick_values(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Ticks, six at most, from low to high, at multiples of 1, 2 or 5 times a power of ten."""
-    power_of_ten = 10.0 ** np.floor(np.log10((high - low) / MAX_TICKS))
+    power_of_ten = 10.0 ** np.floor(np.log10((highest - lowest) / MAX_TICKS))
     tick_step = power_of_ten * next(
-        multiple for multiple in (1, 2, 5, 10, 20) if multiple * power_of_ten * (MAX_TICKS - 1) >= high - low
+        multiple for multiple in (1, 2, 5, 10, 20) if multiple * power_of_ten * (MAX_TICKS - 1) >= highest - lowest
     )
-    first_step = np.ceil(low / tick_step - 1e-9) + 0.0  # not -0
-    return tick_step * np.arange(first_step, np.floor(high / tick_step + 1e-9) + 1)
+    first_step = np.ceil(lowest / tick_step - 1e-9) + 0.0  # not -0
+    return tick_step * np.arange(first_step, np.floor(highest / tick_step + 1e-9) + 1)
 
 
-def decades(low: float, high: float) -> Float[np.ndarray, " figures"]:
+def decades(lowest: float, highest: float) -> Float[np.ndarray, " figures"]:
     """Powers of ten from low to high."""
-    return 10.0 ** np.arange(np.ceil(np.log10(low) - 1e-9), np.floor(np.log10(high) + 1e-9) + 1)
+    return 10.0 ** np.arange(np.ceil(np.log10(lowest) - 1e-9), np.floor(np.log10(highest) + 1e-9) + 1)

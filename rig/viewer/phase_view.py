@@ -46,7 +46,7 @@ def send_phase(stream: rr.RecordingStream, motion: ContactMotion) -> None:
     send_static(stream, f"{entity_path}/seen", line_style)
     force_points = axes.points(1e3 * motion.eta_m, motion.force_n)[motion.plotted_samples]
     frame_positions = np.searchsorted(motion.plotted_samples, motion.frame_samples)
-    force_strips = [force_points[first_point : last_point + 1] for first_point, last_point in pairwise(frame_positions)]
+    force_strips = [force_points[start_index : stop_index + 1] for start_index, stop_index in pairwise(frame_positions)]
     send(stream, f"{entity_path}/seen", motion.time_s[motion.frame_samples[1:]], rr.LineStrips2D, strips=force_strips)
 
 

@@ -58,14 +58,14 @@ class Drawing:
         self.corners.append((x, y))
         self.elements.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{colour}"/>')
 
-    def arrow(self, tail: Point, tip: Point, colour: str = INK, width: float = 2.0) -> None:
+    def arrow(self, tail: Point, tip: Point, colour: str = INK, line_width: float = 2.0) -> None:
         """Draw a vertical or horizontal arrow."""
         (x0, y0), (x, y) = tail, tip
-        head_length = 4 + 2 * width
+        head_length = 4 + 2 * line_width
         direction = ((x > x0) - (x < x0), (y > y0) - (y < y0))
         head_base = (x - head_length * direction[0], y - head_length * direction[1])
         head_half_width = (head_length / 2 * direction[1], head_length / 2 * direction[0])
-        self.line(tail, head_base, colour=colour, width=width)
+        self.line(tail, head_base, colour=colour, width=line_width)
         head_wings = (
             (head_base[0] - head_half_width[0], head_base[1] - head_half_width[1]),
             (head_base[0] + head_half_width[0], head_base[1] + head_half_width[1]),

@@ -135,11 +135,12 @@ def _apparent_mass_note(body: Structure) -> tuple[str, ...]:
     if body.max_modes <= body.rigid_modes:
         return ()
     shapes = body.shapes(body.positions_m, body.max_modes)[:, body.rigid_modes]
-    largest_mode = int(np.argmax(np.abs(shapes)))
+    largest_index = int(np.argmax(np.abs(shapes)))
     return (
-        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of {1 / shapes[largest_mode] ** 2:.3g} "
-        f"kg at {body.positions_m[largest_mode]:.4g} m: compare that with the part's weight (the end of a uniform beam "
-        "moves like a quarter of it); else the units of shapes or modal masses are wrong",
+        f"the mode at {body.natural_hz[body.rigid_modes]:.4g} Hz moves like a mass of "
+        f"{1 / shapes[largest_index] ** 2:.3g} kg at {body.positions_m[largest_index]:.4g} m: compare that with the "
+        "part's weight (the end of a uniform beam moves like a quarter of it); else the units of shapes or modal "
+        "masses are wrong",
     )
 
 

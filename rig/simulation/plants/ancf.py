@@ -88,7 +88,7 @@ class _Excitation:
         """First values of the true forces."""
         return [float(history[0]) for history in self.loads_n[: len(self.measured_forces_n.signals)]]
 
-    def base_over(self, span: slice) -> list[Float[np.ndarray, " some"] | float]:
+    def base_motion_over(self, span: slice) -> list[Float[np.ndarray, " some"] | float]:
         """Displacement, velocity and acceleration of the base over a span of steps; zeros without base motion."""
         return [history[span] for history in self.base] or [0.0] * 3
 
@@ -167,7 +167,7 @@ def _instruments(exu: Any, mbs: Any, rig: Rig, meshes: list[Mesh], connectors: l
         ],
         displacement_rows={
             station: station_row(meshes, station)
-            for station in {*stations_of(rig), *(connector.at for connector in connections(rig))}
+            for station in {*stations_of(rig), *(contact.at for contact in connections(rig))}
         },
         sensor_rows=[(sensor.measures, _sensor_row(rig, meshes, sensor)) for sensor in rig.sensors],
         limits_m=softening_limits_m(rig),
@@ -194,7 +194,7 @@ def _motion(
         for contact in connections(rig)
     ]
     check_softening(instruments.limits_m, _stack(eta_m, sample_count))
-    base_signals = excitation.base_over(span)
+    base_signals = excitation.base_motion_over(span)
     sensor_values = [
         row @ coordinates[derivative.order] + base_signals[derivative.order] * derivative.translates
         for derivative, row in instruments.sensor_rows

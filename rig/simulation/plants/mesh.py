@@ -84,7 +84,7 @@ def mesh_positions(rig: Rig, beam: Beam, element_count: int) -> Float[np.ndarray
     stations += [
         *rig.forces,
         *(mass.station for mass in rig.masses),
-        *(station.station for station in attached_springs(rig)),
+        *(spring.station for spring in attached_springs(rig)),
     ]
     stations += [
         *(item.station for item in rig.loads),

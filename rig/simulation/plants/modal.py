@@ -14,7 +14,7 @@ from rig.model.contact_laws import ContactLaw
 from rig.model.description import Body, Direction, Rig, Sensor, Station, contact_rows, contact_stations, stations_of
 from rig.model.modes import Modes, mode_count, modes_of, participation
 from rig.model.space import plane_rigs
-from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, Projected, forces_of
+from rig.simulation.motion import Forces, ForceSignal, Motion, Progress, ProjectedSignals, forces_of
 from rig.simulation.plants.loading import (
     check_softening,
     connection_forces_n,
@@ -116,8 +116,8 @@ def simulate(
             step_s=step_s,
             forces_n=forces_n[span],
             sensed=sensed,
-            displacement_m=Projected(shapes, coordinates, base_signals[0][span] if base_signals else None),
-            eta_m=Projected(model.eta_rows[: len(contact_rows(rig))], coordinates),
+            displacement_m=ProjectedSignals(shapes, coordinates, base_signals[0][span] if base_signals else None),
+            eta_m=ProjectedSignals(model.eta_rows[: len(contact_rows(rig))], coordinates),
             contact_force_n=contact_n[: len(contact_rows(rig))],
         )
 
