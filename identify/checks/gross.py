@@ -33,7 +33,7 @@ PART_COUNT = 4
 MIN_PART_COHERENCE = 0.8
 """Coherence of a channel with its prediction in a part of the record, from which its delay there counts."""
 
-FullSpectra = Callable[[], Spectra]
+SpectraOnDemand = Callable[[], Spectra]
 """Spectra on all lines, computed on demand."""
 
 
@@ -59,7 +59,7 @@ def gross_faults(
     rig: Rig,
     spectra: Spectra,
     usable_indices: list[int],
-    all_line_spectra: FullSpectra,
+    all_line_spectra: SpectraOnDemand,
     tolerance_questions: ToleranceQuestions,
     is_doubted: bool = False,
 ) -> GrossFaults:
@@ -115,7 +115,7 @@ def _model_finding(misfit: float) -> Finding:
 
 
 def _channel_trials(
-    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: FullSpectra
+    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> Iterator[Trial]:
     """Trials that predict one channel by the others."""
     for channel_index in usable_indices:
@@ -135,7 +135,7 @@ def _channel_findings(
     prediction: Prediction,
     channel_index: int,
     channel_indices: list[int],
-    all_line_spectra: FullSpectra,
+    all_line_spectra: SpectraOnDemand,
 ) -> tuple[Finding, ...]:
     """Finding on a channel by its prediction."""
 
@@ -259,7 +259,7 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
 
 
 def _multiple_channel_faults(
-    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: FullSpectra
+    rig: Rig, check: LinearCheck, usable_indices: list[int], all_line_spectra: SpectraOnDemand
 ) -> GrossFaults | None:
     """Channels excluded one after the other, the worst first, while three more than the contacts remain."""
     trusted_indices, excluded_indices = list(usable_indices), list[int]()

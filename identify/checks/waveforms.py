@@ -27,7 +27,7 @@ MIN_SPIKE_RATIO = 25.0
 MIN_IMPACT_RATIO, SPIKE_TO_IMPACT_RATIO, MAX_SPIKES = 8.0, 2.0, 60
 """Deviation of another channel that makes an impact of a spike; size of a spike over that of impacts; most spikes that
 are single faults."""
-TONE_RATIO = 3.0
+TONE_TO_BACKGROUND = 3.0
 """Mains hum is larger than twice this multiple of the neighbouring lines."""
 MIN_TONE_SHARE = 2e-3
 """Smallest hum, as a share of the channel's standard deviation."""
@@ -270,7 +270,7 @@ def mains_tone(rate_hz: float, samples: Row, forces_n: Rows) -> tuple[float, flo
             continue
         tone_amplitude = float(line_amplitudes[tone_mask].max())
         background_amplitude = float(np.sqrt(np.mean(line_amplitudes[background_mask] ** 2)))
-        if tone_amplitude > 2 * TONE_RATIO * background_amplitude and tone_amplitude > MIN_TONE_SHARE * float(
+        if tone_amplitude > 2 * TONE_TO_BACKGROUND * background_amplitude and tone_amplitude > MIN_TONE_SHARE * float(
             samples.std()
         ):
             return float(line_hz[tone_mask][np.argmax(line_amplitudes[tone_mask])]), tone_amplitude

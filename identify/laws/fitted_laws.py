@@ -185,8 +185,8 @@ def straight_pieces(samples: ForceSamples, rows: Rows, knees_m: Float[np.ndarray
     """
     law, error_n = _fit_pieces(samples, rows, np.sort(knees_m))
     while law.knees_m.size:
-        weakest_knee = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
-        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_knee))
+        weakest_index = int(np.argmin(np.abs(np.diff(law.slopes_n_per_m))))
+        reduced_law, reduced_error_n = _fit_pieces(samples, rows, np.delete(law.knees_m, weakest_index))
         if reduced_error_n > DROPPED_KNEE_RATIO * error_n + ERROR_RESOLUTION * float(np.std(samples.force_n[rows])):
             break
         law, error_n = reduced_law, reduced_error_n

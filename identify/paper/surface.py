@@ -180,8 +180,8 @@ def clearance_from_occurrence(eta_m: Float[np.ndarray, " samples"]) -> Stops:
     part_stops_m[part_stops_m > [[-part_m.min(), part_m.max()] for part_m in parts_m]] = np.nan
     lower_m, upper_m = np.abs(best_parameters[3:]) * deviation_m
     lower_error_m, upper_error_m, mean_error_m = (
-        float(np.std(scaled_eta, ddof=1) / np.sqrt(PARTS))
-        for scaled_eta in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
+        float(np.std(stops_m, ddof=1) / np.sqrt(PARTS))
+        for stops_m in (part_stops_m[:, 0], part_stops_m[:, 1], part_stops_m.mean(axis=1))
     )
     return Stops(float(lower_m), float(upper_m), lower_error_m, upper_error_m, mean_error_m)
 

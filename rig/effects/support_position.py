@@ -9,7 +9,7 @@ from rig.effects.base import Effect, Scale
 from rig.model.description import PointSpring, Rig, Station, Support
 from rig.model.parameters import Parameter, ParameterSet
 
-Holding = TypeVar("Holding", Support, PointSpring)
+SupportOrSpring = TypeVar("SupportOrSpring", Support, PointSpring)
 MAX_SHIFT_SHARE = 0.1
 """Largest shift, as a share of the body's length."""
 
@@ -70,7 +70,7 @@ class SupportPosition(Effect, frozen=True):
             springs=tuple(self._shifted(spring) if spring in shifted_supports else spring for spring in rig.springs),
         )
 
-    def _shifted(self, support: Holding) -> Holding:
+    def _shifted(self, support: SupportOrSpring) -> SupportOrSpring:
         station = support.station
         return replace(support, station=Station(station.body, station.position_m + self.shift_m))
 

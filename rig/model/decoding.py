@@ -85,8 +85,8 @@ def nearest(word: Any, candidates: Iterable[str]) -> str:
 
 
 def _owner(place: str, type_info: Any) -> str:
-    target_type = f"the {type_info.tag}" if isinstance(type_info, inspect.StructType) and type_info.tag else ""
-    return f"{target_type} {place}".strip() or "it"
+    kind = f"the {type_info.tag}" if isinstance(type_info, inspect.StructType) and type_info.tag else ""
+    return f"{kind} {place}".strip() or "it"
 
 
 def _type_and_value_at(type_info: Any, value: Any, path: str) -> tuple[Any, Any]:

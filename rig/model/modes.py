@@ -101,7 +101,7 @@ def modes_of(rig: Rig, body: Body) -> Modes:
     A beam with attachments has 80 Hermite elements; a structure's modes are coupled by the attachments, exact except
     for the truncation of its basis. Cubic springs are left out. Mode k keeps the damping ratio of the bare body's.
     """
-    masses = [mass_matrix for mass_matrix in rig.masses if mass_matrix.station.body == body.name]
+    masses = [mass for mass in rig.masses if mass.station.body == body.name]
     springs = [spring for spring in attached_springs(rig) if spring.station.body == body.name]
     clamps = [clamp for clamp in rig.clamps if clamp.body == body.name]
     linear_springs = [spring for spring in springs if spring.stiffness_n_per_m or spring.rotational_n_m_per_rad]

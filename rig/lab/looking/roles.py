@@ -71,7 +71,12 @@ def _role(column: ColumnSummary, used_names: set[str]) -> ColumnRole:
     if column.unit in SCALED_UNITS:
         return ColumnRole(column, name, None, is_by_name=False)
     suggested_quantity = next(
-        (q for q, words in _WORDS_BY_QUANTITY.items() if re.search(words, name_without_unit, re.IGNORECASE)), None
+        (
+            quantity_name
+            for quantity_name, words in _WORDS_BY_QUANTITY.items()
+            if re.search(words, name_without_unit, re.IGNORECASE)
+        ),
+        None,
     )
     return ColumnRole(column, name, suggested_quantity, is_by_name=True)
 

@@ -68,7 +68,7 @@ class ChainRig(StartWithStops, frozen=True, kw_only=True):
         if not 2 <= count <= MAX_MASS_COUNT or not all(0 < mass_kg < np.inf for mass_kg in self.masses_kg):
             raise RigError(f"masses_kg is {self.masses_kg}; give 2 to {MAX_MASS_COUNT} masses, each above zero")
         springs_n_per_m = self.springs_n_per_m * (count if len(self.springs_n_per_m) == 1 else 1)
-        if len(springs_n_per_m) != count or not all(0 <= number < np.inf for number in springs_n_per_m):
+        if len(springs_n_per_m) != count or not all(0 <= spring < np.inf for spring in springs_n_per_m):
             raise RigError(
                 f"springs_n_per_m has {len(self.springs_n_per_m)} numbers for {count} masses; give one for all, or one "
                 "for each mass, zero or above"
