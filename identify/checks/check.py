@@ -126,10 +126,8 @@ def _model_findings(
     waveform_findings: list[Finding],
 ) -> list[Finding]:
     """Findings by the linear model of one direction, after those by the waveforms."""
-    force_names, recording = (
-        recording_in_all_directions.rig.force_names_in(direction),
-        plane_recording(recording_in_all_directions, direction),
-    )
+    force_names = recording_in_all_directions.rig.force_names_in(direction)
+    recording = plane_recording(recording_in_all_directions, direction)
     rig = recording.rig
     if rig.base_sensors:
         return []  # the comparison takes forces alone

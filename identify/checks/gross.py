@@ -236,10 +236,8 @@ def _gain_trials(rig: Rig, check: LinearCheck, usable_indices: list[int]) -> Ite
             [projection.applied_to(scaled_acceleration[[i]], [k])[0].ravel() for k, i in enumerate(usable_indices)]
         )
         force_column = projection.applied_to(check.acceleration_by_all_forces[usable_indices])[0].ravel()
-        normal_matrix, right_side = (
-            (channel_columns.conj() @ channel_columns.T).real,
-            (channel_columns.conj() @ force_column).real,
-        )
+        normal_matrix = (channel_columns.conj() @ channel_columns.T).real
+        right_side = (channel_columns.conj() @ force_column).real
         round_factors = np.linalg.solve(
             normal_matrix + 1e-9 * np.trace(normal_matrix) * np.eye(len(usable_indices)), right_side
         )
@@ -269,10 +267,8 @@ def _multiple_channel_faults(
             remaining_indices = [i for i in trusted_indices if i != channel_index]
             trials.append((check.misfit(check.spectra, remaining_indices), channel_index))
         misfit, worst_index = min(trials)
-        trusted_indices, excluded_indices = (
-            [i for i in trusted_indices if i != worst_index],
-            [*excluded_indices, worst_index],
-        )
+        trusted_indices = [i for i in trusted_indices if i != worst_index]
+        excluded_indices = [*excluded_indices, worst_index]
         if misfit < SOUND_MISFIT:
             check = check.with_spectra(check.spectra, trusted_indices)
             prediction = check.prediction(trusted_indices)

@@ -310,16 +310,9 @@ def _mass_and_frequency_errors(
     mass_kg, _, stiffness_n_per_m = fit.coefficients
     natural_hz = _identifiable_hz(body)
     mass_ratio = mass_kg / float(getattr(body, "mass_kg", np.nan)) / fit.explained_share
-    mass_error, stiffness_error = (
-        fit.standard_errors[0] / abs(mass_kg),
-        fit.standard_errors[2] / abs(stiffness_n_per_m),
-    )
-    fit_errors = np.array(
-        [
-            mass_error,
-            0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained_share,
-        ]
-    )
+    mass_error = fit.standard_errors[0] / abs(mass_kg)
+    stiffness_error = fit.standard_errors[2] / abs(stiffness_n_per_m)
+    fit_errors = np.array([mass_error, 0.5 * float(np.hypot(mass_error, stiffness_error)) + 1 - fit.explained_share])
     mass_tolerance = float(np.hypot.reduce([tolerances.mass, tolerances.gain, tolerances.force_gain, MIN_TOLERANCE]))
     spreads = np.hypot([mass_tolerance, np.hypot(np.sqrt(2) * tolerances.frequency, MIN_TOLERANCE)], fit_errors)
     is_frequency_known = natural_hz > 0 and stiffness_n_per_m > 0 and mass_kg > 0

@@ -89,10 +89,8 @@ class LinearCheck:
         self, channel_indices: list[int], doubted_force_index: int | None = None
     ) -> Projection:
         """Projection of the contact forces, and of a doubted force, from these channels."""
-        unknown_accelerances, error_scale = (
-            self.unknown_inputs(doubted_force_index)[:, channel_indices],
-            self.error_scale[channel_indices],
-        )
+        unknown_accelerances = self.unknown_inputs(doubted_force_index)[:, channel_indices]
+        error_scale = self.error_scale[channel_indices]
         return projection(unknown_accelerances / error_scale, error_scale, len(unknown_accelerances))
 
     def prediction(self, channel_indices: list[int], doubted_force_index: int | None = None) -> Prediction:
@@ -107,10 +105,8 @@ class LinearCheck:
             unexplained_spectra
         )
         freedom_count = len(channel_indices) - len(unknown_accelerances)
-        line_squares, informative_lines = (
-            np.sum(np.abs(residual) ** 2, axis=0),
-            self._informative_lines(channel_indices),
-        )
+        line_squares = np.sum(np.abs(residual) ** 2, axis=0)
+        informative_lines = self._informative_lines(channel_indices)
         line_squares_by_force = (
             line_squares[driven_by_force & informative_lines]
             for driven_by_force in self.driven_lines

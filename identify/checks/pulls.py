@@ -167,11 +167,7 @@ def misfit_within_tolerances(
 
 
 def _violations_and_pulls(
-    residual: np.ndarray,
-    columns: list["_Column"],
-    prior_count: int,
-    candidates: list[Suspect],
-    tolerances: Tolerances,
+    residual: np.ndarray, columns: list["_Column"], prior_count: int, candidates: list[Suspect], tolerances: Tolerances
 ) -> tuple[list[BrokenTolerance], Float[np.ndarray, " nuisances"]]:
     """Suspects freed one after the other, the highest score first; the first `prior_count` columns have a prior."""
     broken: list[BrokenTolerance] = []
@@ -240,11 +236,7 @@ class _Scores:
 
 
 def _scores(
-    residual: np.ndarray,
-    columns: list[_Column],
-    prior_count: int,
-    free_indices: list[int],
-    time_weights: np.ndarray,
+    residual: np.ndarray, columns: list[_Column], prior_count: int, free_indices: list[int], time_weights: np.ndarray
 ) -> _Scores:
     """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_columns` none."""
     fitted_indices = [*range(prior_count), *free_indices]
@@ -264,11 +256,7 @@ def _scores(
     variance = np.maximum(
         np.diag(products) - np.einsum("ij,jk,ik->i", products_with_fitted, covariance, products_with_fitted), 1e-12
     )
-    sizes, pulls, free_sizes = (
-        unexplained_correlations / variance,
-        estimates[:prior_count],
-        estimates[prior_count:],
-    )
+    sizes, pulls, free_sizes = (unexplained_correlations / variance, estimates[:prior_count], estimates[prior_count:])
     return _Scores(unexplained_correlations / np.sqrt(variance), sizes, pulls, free_sizes)
 
 

@@ -58,10 +58,8 @@ def relation(
     delay_s = delays_to_try_s[best_index]
     for _ in range(4):  # of the real part's slope
         delayed_cross_spectrum = np.exp(1j * delay_s * omega) * cross_spectrum
-        slope, curvature = (
-            float(np.sum((1j * omega * delayed_cross_spectrum).real)),
-            float(np.sum((-(omega**2) * delayed_cross_spectrum).real)),
-        )
+        slope = float(np.sum((1j * omega * delayed_cross_spectrum).real))
+        curvature = float(np.sum((-(omega**2) * delayed_cross_spectrum).real))
         if curvature:
             delay_s -= float(np.clip(slope / curvature, -delay_step_s, delay_step_s))
     covariance = float(np.sum((np.exp(1j * delay_s * omega) * cross_spectrum).real))
@@ -87,10 +85,8 @@ def gain_by_band(
     bands = [band_lines for band_lines in np.split(np.arange(omega.size), edge_indices) if band_lines.size > 5]
     gains, residual_power = [], 0.0
     for band_lines in bands:
-        measured_band, predicted_band = (
-            measured[band_lines] * line_weights[band_lines],
-            predicted[band_lines] * line_weights[band_lines],
-        )
+        measured_band = measured[band_lines] * line_weights[band_lines]
+        predicted_band = predicted[band_lines] * line_weights[band_lines]
         gain = np.vdot(predicted_band, measured_band) / max(float(np.vdot(predicted_band, predicted_band).real), 1e-300)
         gains.append(gain)
         residual_power += float(np.sum(np.abs(measured_band - gain * predicted_band) ** 2))

@@ -261,11 +261,7 @@ def _contact_samples(contacts: Contacts, contact_group: ContactGroup, contact_re
         )
     middle_row = (first_row + stop_row) // 2
     return _ContactSamples(
-        force_samples,
-        velocity_m_per_s,
-        estimates,
-        slice(first_row, middle_row),
-        slice(middle_row, stop_row),
+        force_samples, velocity_m_per_s, estimates, slice(first_row, middle_row), slice(middle_row, stop_row)
     )
 
 

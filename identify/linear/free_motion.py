@@ -62,12 +62,10 @@ def free_motions(
     moves as a free one: the part that integration loses.
     """
     time_s = np.arange(max(motion.samples, sample_count - motion.samples)) / motion.sample_rate_hz
-    motions, prior_mean, prior_deviation, wide_deviation = (
-        list[FreeMotion](),
-        list[float](),
-        list[float](),
-        list[float](),
-    )
+    motions = list[FreeMotion]()
+    prior_mean = list[float]()
+    prior_deviation = list[float]()
+    wide_deviation = list[float]()
     for response in responses:
         hz, zeta = response.dynamics.natural_hz, response.dynamics.damping_ratios
         shapes = response.shapes(motion.stations)
@@ -270,10 +268,8 @@ def fitted_free_modes(
     With the sensors' response S to acceleration, in standard deviations (scaled_response), their shapes Phi and the
     projection B T, the accelerations of any two modes are weighted line by line by N = Phi S* (1 - B T) S Phi'.
     """
-    shapes, unit_accelerations = (
-        np.array([motion.shape for motion in motions]),
-        np.array([motion.sensed_unit_accelerations for motion in motions]),
-    )
+    shapes = np.array([motion.shape for motion in motions])
+    unit_accelerations = np.array([motion.sensed_unit_accelerations for motion in motions])
     shape_products = (shapes[:, None] * shapes).reshape(-1, shapes.shape[1])
     line_weights = (
         (shape_products @ np.abs(scaled_response) ** 2)

@@ -132,10 +132,8 @@ def without_free_inputs(
         covariance_root = np.linalg.cholesky(covariance)
         stacked_rows = _lines_first(np.concatenate([by_input[..., lines], *(column[..., lines] for column in columns)]))
         standardised_signals = np.linalg.solve(covariance_root, stacked_rows)
-        standardised_inputs, standardised_columns = (
-            standardised_signals[..., :input_count],
-            standardised_signals[..., input_count:],
-        )
+        standardised_inputs = standardised_signals[..., :input_count]
+        standardised_columns = standardised_signals[..., input_count:]
         products = (standardised_inputs.conj().transpose(0, 2, 1) @ standardised_columns).transpose(1, 2, 0)
         input_rows = standardised_inputs.transpose(2, 1, 0)
         inputs = _line_solutions(_normal_matrices(input_rows, input_rows, input_count), products)

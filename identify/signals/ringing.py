@@ -62,10 +62,8 @@ def modes_of_decay(
         mode_signals = (
             basis[[pole_index, pole_index + len(poles)]].T @ amplitudes[[pole_index, pole_index + len(poles)]]
         )
-        damping_ratio, energy_share = (
-            float(-pole.real / abs(pole)),
-            float(np.sum(mode_signals**2) / np.sum(decimated_signals**2)),
-        )
+        damping_ratio = float(-pole.real / abs(pole))
+        energy_share = float(np.sum(mode_signals**2) / np.sum(decimated_signals**2))
         frequency_hz = float(abs(pole) / (2 * np.pi))
         if 0 < damping_ratio < MAX_DAMPING_RATIO and frequency_hz < highest_hz and energy_share > MIN_ENERGY_SHARE:
             modes.append(RingingMode(frequency_hz, damping_ratio, energy_share))

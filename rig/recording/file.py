@@ -170,11 +170,9 @@ def channel_groups(rig: Rig) -> dict[str, Channels]:
 
 def truth_groups(rig: Rig) -> dict[str, Channels]:
     """Channels by group of the truth file: signals that only a simulator has."""
-    stations, contact_names, rate_hz = (
-        stations_of(rig),
-        tuple(contact.name for contact in contact_rows(rig)),
-        rig.sample_rate_hz,
-    )
+    stations = stations_of(rig)
+    contact_names = tuple(contact.name for contact in contact_rows(rig))
+    rate_hz = rig.sample_rate_hz
     station_names = tuple(station.label for station in stations)
     no_station_per_contact = (None,) * len(contact_names)
     return {

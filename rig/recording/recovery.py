@@ -12,14 +12,7 @@ from rig.files import check_target
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import Channels, check_channels
-from rig.recording.file import (
-    FileContents,
-    channel_groups,
-    group_blocks,
-    rig_of,
-    truth_groups,
-    with_history,
-)
+from rig.recording.file import FileContents, channel_groups, group_blocks, rig_of, truth_groups, with_history
 from rig.recording.foreign import ForeignRecords
 from rig.recording.messages import Block
 from rig.recording.writer import writing

@@ -9,15 +9,7 @@ from rig.model.description import Rig, check_shapes_known
 from rig.recording import container
 from rig.recording.assembly import assemble
 from rig.recording.channels import check_channels
-from rig.recording.file import (
-    FileContents,
-    Recording,
-    Signals,
-    channel_groups,
-    group_blocks,
-    holds_blocks,
-    rig_of,
-)
+from rig.recording.file import FileContents, Recording, Signals, channel_groups, group_blocks, holds_blocks, rig_of
 from rig.recording.foreign import RIG_NAME
 from rig.recording.messages import Block
 

@@ -230,10 +230,8 @@ class Stage:
 
     def _between(self, body_name: str, other_body_name: str) -> tuple[float, float]:
         """Side of a mass that faces another one, x, and the way from there to the other, both m."""
-        body_x_m, way_to_other_m = (
-            self.left_ends_m[body_name],
-            self.left_ends_m[other_body_name] - self.left_ends_m[body_name],
-        )
+        body_x_m = self.left_ends_m[body_name]
+        way_to_other_m = self.left_ends_m[other_body_name] - self.left_ends_m[body_name]
         half_size_m = np.copysign(self._half_size_m(self.rig.body(body_name)), way_to_other_m)
         return body_x_m + half_size_m, way_to_other_m - 2 * half_size_m
 

@@ -118,10 +118,8 @@ class Annular(ContactLaw, frozen=True, kw_only=True, tag="annular"):
         n, t = np.stack([y, z]) / radius_m, np.stack([-z, y]) / radius_m
         v_n, v_t = np.sum(rate * n, axis=0), np.sum(rate * t, axis=0)
         depth, c, mu = self.penetration_m(eta_m, time_s), self.damping_n_s_per_m, self.friction_coefficient
-        damping_share, share_slope = (
-            np.minimum(depth / DAMPING_DEPTH_M, 1.0),
-            (depth < DAMPING_DEPTH_M) / DAMPING_DEPTH_M,
-        )
+        damping_share = np.minimum(depth / DAMPING_DEPTH_M, 1.0)
+        share_slope = (depth < DAMPING_DEPTH_M) / DAMPING_DEPTH_M
         normal_n = self.stiffness_n_per_m * depth + c * damping_share * v_n
         is_closed = (depth > 0) & (normal_n > 0)
         normal_n = normal_n * is_closed

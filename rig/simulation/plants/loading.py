@@ -58,17 +58,11 @@ def base_motion(rig: Rig, sample_count: int, step_s: float) -> tuple[Float[np.nd
     )
     rms_factor = description.acceleration_rms_m_per_s2 / np.sqrt(np.mean(a**2))
     rise_share = np.clip((np.arange(sample_count) * step_s - description.start_s) / RISE_S, 0, 1)
-    rise, rise_slope, rise_curvature = (
-        rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2),
-        30 * rise_share**2 * (1 - rise_share) ** 2,
-        60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share),
-    )
+    rise = rise_share**3 * (10 - 15 * rise_share + 6 * rise_share**2)
+    rise_slope = 30 * rise_share**2 * (1 - rise_share) ** 2
+    rise_curvature = 60 * rise_share * (1 - rise_share) * (1 - 2 * rise_share)
     rise_slope, rise_curvature = rise_slope / RISE_S, rise_curvature / RISE_S**2
-    motion = (
-        rise * d,
-        rise_slope * d + rise * v,
-        rise_curvature * d + 2 * rise_slope * v + rise * a,
-    )
+    motion = (rise * d, rise_slope * d + rise * v, rise_curvature * d + 2 * rise_slope * v + rise * a)
     return tuple(rms_factor * signal for signal in motion)
 
 
@@ -206,11 +200,9 @@ def _least_energy(
     def derivatives(
         trial: Float[np.ndarray, " modes"],
     ) -> tuple[Float[np.ndarray, " modes"], Float[np.ndarray, "modes modes"]]:
-        eta_m, tangent_stiffness, coupling_stiffness = (
-            eta_rows @ trial,
-            np.zeros(len(eta_rows)),
-            np.zeros((modal_load.size, modal_load.size)),
-        )
+        eta_m = eta_rows @ trial
+        tangent_stiffness = np.zeros(len(eta_rows))
+        coupling_stiffness = np.zeros((modal_load.size, modal_load.size))
         forces_n = connection_forces_n(laws, eta_m, np.zeros(eta_m.size))
         for law, rows in law_spans(laws):
             law_stiffness = law.by_eta_n_per_m(eta_m[rows])

@@ -111,12 +111,7 @@ def _ring_increments(law, j, gain, eta, rate, excess):
 @no_type_check
 def _bend(law, j, previous, current, time_s, step_s, gauss):
     """Bend of a contact force: its mean over the step that ends at time_s less that of the line between its ends."""
-    eta0, rate0, eta1, rate1 = (
-        previous[ETA, j],
-        previous[RATE, j],
-        current[ETA, j],
-        current[RATE, j],
-    )
+    eta0, rate0, eta1, rate1 = (previous[ETA, j], previous[RATE, j], current[ETA, j], current[RATE, j])
     start_s = time_s - step_s
     mean_force = 0.0
     for m in range(gauss.shape[1]):
@@ -199,20 +194,7 @@ def _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annula
 
 @_compiled
 @no_type_check
-def _solve(
-    previous,
-    current,
-    eta,
-    rate,
-    may_touch,
-    gain,
-    increment_factors,
-    laws,
-    time_s,
-    step_s,
-    gauss,
-    has_annular,
-):
+def _solve(previous, current, eta, rate, may_touch, gain, increment_factors, laws, time_s, step_s, gauss, has_annular):
     """Solve for the contact forces at the end of a step and their bends, from eta and eta' without them."""
     for iteration in range(MAX_SWEEPS):
         max_change, max_force = _sweep(current, eta, rate, gain, increment_factors, laws, time_s, has_annular)
