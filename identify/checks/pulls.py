@@ -238,7 +238,7 @@ class _Scores:
 def _scores(
     residual: np.ndarray, columns: list[_Column], prior_count: int, free_indices: list[int], time_weights: np.ndarray
 ) -> _Scores:
-    """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_columns` none."""
+    """Weighted scores of all columns; the first `prior_count` have a prior, those in `free_indices` none."""
     fitted_indices = [*range(prior_count), *free_indices]
     products, correlations = np.zeros((len(columns), len(columns))), np.zeros(len(columns))
     for first_sample in range(0, residual.shape[1], BATCH_SAMPLES):
