@@ -23,8 +23,8 @@ BLOCK_OUTPUTS = 16
 class Decimator:
     """y[n] = sum_k h[k] x[n factor + start + k], in blocks of BLOCK_OUTPUTS: y_b = sum_i T_i' x_(b+i).
 
-    x_b are the factor BLOCK_OUTPUTS samples of x from start + b factor BLOCK_OUTPUTS on; `pieces` are the T_i abreast,
-    each a slice of the Toeplitz matrix of h.
+    x_b are the factor BLOCK_OUTPUTS samples of x from start + b factor BLOCK_OUTPUTS on, start is `first_tap`;
+    `toeplitz_pieces` are the T_i abreast, each a slice of the Toeplitz matrix of h.
     """
 
     first_tap: int
